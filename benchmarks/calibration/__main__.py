@@ -6,13 +6,7 @@
 
 from benchmarks.recorded import run_part
 
-PARTS = (
-    "verdicts",
-    "coverage",
-    "small_samples",
-    "sensor_noise",
-    "hidden_modes",
-)
+PARTS = ("verdicts", "coverage", "small_samples", "sensor_noise", "hidden_modes")
 
 if __name__ == "__main__":
     run_part("calibration", PARTS)

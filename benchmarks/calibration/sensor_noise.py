@@ -2,7 +2,7 @@
 
     python -m benchmarks.calibration sensor_noise [--only PROBLEM] [--seeds N] [--noise none]
 
-`drag`, `quarter-car`, `coulomb` and `duffing` are noisy recordings whose truth is known; `--page`
+`drag`, `quarter-car` and `coulomb` are noisy recordings whose truth is known; `--page`
 writes the tables of docs/sensor_noise.md.
 Every recording is identified by itself, as a user would, with nothing said but the model.
 
@@ -51,8 +51,8 @@ def drag(run: Run) -> dict[str, Any]:
         for noise in (0.001, 0.01, 0.05, 0.2):
 
             def all_of(seeds: int, noise: float = noise, velocity: bool = velocity) -> Any:
-                drawn = (problems.drag_sensors(s, noise, velocity=velocity) for s in range(seeds))
-                return (problems.as_recorded(model, one, 0.01) for one in drawn)
+                seen = ("x", "dx", "u") if velocity else ("x", "u")
+                return (DRAG.record(noise, seed).select(*seen) for seed in range(seeds))
 
             bound = problems.drag_bound(noise, velocity=velocity)
             asked = {
@@ -88,7 +88,7 @@ def quarter_car(run: Run) -> dict[str, Any]:
         def records(noise: float, roads: list[Any] = roads) -> list[rx.Record]:
             shares = dict.fromkeys(problems.CAR_SENSORS, noise)
             drawn = (noisy(r, shares, seed) for seed, r in enumerate(roads))
-            return [problems.as_recorded(model, one, 0.005) for one in drawn]
+            return [rx.Record.from_samples(one, time_step=0.005) for one in drawn]
 
         exact = records(0.0)
         clean = fit_all(exact, identified(model, run))
@@ -127,7 +127,7 @@ def coulomb(run: Run) -> dict[str, Any]:
         seeds = max(FEWEST, run.seeds // share)
         for noise in (0.01, 0.05):
             shares = dict.fromkeys(sensors, noise)
-            drawn = partial(problems.recordings, model, signals, shares, problems.DRY_STEP, seeds)
+            drawn = partial(problems.recordings, signals, shares, problems.DRY_STEP, seeds)
             report[f"{label}, {100 * noise:g} %"] = {
                 "linear": accuracy(fit_all(drawn(), identified(model, run)), problems.DRY),
                 "final": accuracy(
@@ -137,35 +137,10 @@ def coulomb(run: Run) -> dict[str, Any]:
     return report
 
 
-def duffing(run: Run) -> dict[str, Any]:
-    """Median relative norm of the error in percent, of the linear stage and of the final answer."""
-    model, report = problems.FREE_DUFFING, {}
-    true = np.array(list(problems.DUFFING.values()))
-    for count, asked in ((401, 0.25), (1001, 0.15), (2001, 0.09)):
-
-        def norms(fit: Callable[[Any], Any], most: float | None, count: int = count) -> Any:
-            signals, step = problems.duffing_motion(count), 20 / (count - 1)
-            shares = dict.fromkeys(signals, 0.05)
-            found = fit_all(problems.recordings(model, signals, shares, step, run.final_seeds), fit)
-            norm = problems.relative_norms(found.theta - true, problems.DUFFING)
-            # The standard error of a median, were it normal, is 1.25 times a mean's.
-            error = 1.25 * norm.std() / np.sqrt(norm.size)
-            return {**judged(np.median(norm), most, None, error), "refined": found.refined}
-
-        report[f"{count} samples"] = {
-            "seeds": run.final_seeds,
-            "bound": problems.duffing_bound(count, 0.05),
-            "linear": norms(identified(model, run), None),
-            "final": norms(answered(model, run), asked),
-        }
-    return report
-
-
 PROBLEMS: dict[str, Callable[[Run], dict[str, Any]]] = {
     "drag": drag,
     "quarter-car": quarter_car,
     "coulomb": coulomb,
-    "duffing": duffing,
 }
 
 

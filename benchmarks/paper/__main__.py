@@ -5,10 +5,7 @@
 
 from benchmarks.recorded import run_part
 
-PARTS = (
-    "reconstruct_curves",
-    "source_model",
-)
+PARTS = ("reconstruct_curves", "source_model")
 
 if __name__ == "__main__":
     run_part("paper", PARTS)

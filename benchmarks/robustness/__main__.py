@@ -249,19 +249,13 @@ def _report(
                 keep.mkdir(parents=True, exist_ok=True)
                 (keep / f"{number}{Path(case.file).suffix}").write_bytes(case.content)
     print(f"\n{kind}: {time.perf_counter() - began:.0f} s, {memory / 1e9:.2f} GB at the peak")
-    _print(counts, slowest)
-    print(*wrong, sep="\n", flush=True)
-
-
-def _print(counts: dict[str, Counter[str]], slowest: dict[str, float]) -> None:
     verdicts = ("refused", "warned", "right", "WRONG")
     print(f"{'mutation':<20} {'cases':>6} " + " ".join(f"{v:>8}" for v in verdicts) + "  slowest")
-    for name, count in sorted(counts.items()):
+    every = (sum(counts.values(), Counter()), max(slowest.values()))
+    for name, (count, most) in [*((n, (counts[n], slowest[n])) for n in counts), ("all", every)]:
         numbers = " ".join(f"{count[verdict]:8}" for verdict in verdicts)
-        print(f"{name:<20} {count.total():6} {numbers} {slowest[name]:7.1f} s")
-    total = sum(counts.values(), Counter())
-    numbers = " ".join(f"{total[verdict]:8}" for verdict in verdicts)
-    print(f"{'all':<20} {total.total():6} {numbers} {max(slowest.values()):7.1f} s")
+        print(f"{name:<20} {count.total():6} {numbers} {most:7.1f} s")
+    print(*wrong, sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -64,12 +64,9 @@ def parameters(count: int) -> Callable[[], Any]:
     return all_windows(record_of(10**5, count + 1), count)
 
 
-KINDS = {f.__name__: f for f in (samples, parameters)}
-
-
 def measured(kind: str, count: int) -> dict[str, float]:
     start_jax()
-    work = KINDS[kind](count)
+    work = {"samples": samples, "parameters": parameters}[kind](count)
     first = seconds(work)
     again = [seconds(work) for _ in range(REPEATS)]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
