@@ -133,17 +133,14 @@ def factor_of_gram(gram: Float[Array | np.ndarray, "columns columns"]) -> Factor
     """A triangular factor of which this is the square, to half of its digits (not under jit).
 
     By eigenvalues: gram = V diag(s^2) V^T is the square of diag(s) V^T, whose QR is triangular.
-    Cholesky's factor would fail where rounding has left an eigenvalue below zero. Columns are
-    scaled to unit length before, since rounding is a share of the largest eigenvalue. Zero for a
-    column that is, and NaN throughout where the square is not finite.
+    Cholesky's factor would fail where rounding has left an eigenvalue below zero. Zero for a column
+    that is, and NaN throughout where the square is not finite.
     """
     if not np.isfinite(gram).all():
         return np.full(np.shape(gram), np.nan)
-    diagonal = np.diagonal(gram)
-    lengths = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    squares, vectors = np.linalg.eigh(np.asarray(gram) / lengths / lengths[:, None])
+    squares, vectors = np.linalg.eigh(np.asarray(gram))
     factor = _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T)
-    return np.where(diagonal > 0, factor * lengths, 0.0)
+    return np.where(np.diagonal(gram) > 0, factor, 0.0)
 
 
 def joined_factor(factors: Sequence[Float[Leaf, "columns columns"]]) -> Factor:
