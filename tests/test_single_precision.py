@@ -8,7 +8,6 @@ from nightly import nightly
 from riecjax.criteria.windows import WindowSet
 
 STEP = 0.005
-KEY = jax.random.key(0)
 
 
 def shaken_under_weight():
