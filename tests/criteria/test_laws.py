@@ -5,40 +5,35 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import MACHINES, Shape
 
 from nightly import nightly
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import DensityLaw, SteppedLaw
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
-from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
+from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.uncertainty.intervals import Naive
 
 fit = partial(identify, intervals=Naive())
 """No test here asks for intervals."""
 
-EQUATION = Equation(
-    Term("m", "x", derivative=2, measured=("dx",)),
-    Term("d", "x", derivative=1, measured=("dx",)),
-    Term("k", "x"),
-    -Term(1.0, "u"),
-)
+EQUATION = MACHINES["linear"].model
 STEP, ALPHA, BETA = 0.01, 0.06, 0.3
 
 
-def record_of(n=400, gaps=3):
+def record_of(n=400, gaps=3, offset=0.0):
+    """A model that leaves an error, which every window weighs otherwise."""
     rng = np.random.default_rng(0)
-    t = STEP * np.arange(n)
-    x = np.sin(3 * t) + 0.3 * np.cos(11 * t)
-    dx = 3 * np.cos(3 * t) - 3.3 * np.sin(11 * t)
-    u = rng.normal(size=n) + 20 * x + dx
-    u[rng.integers(0, n, gaps)] = np.nan
-    return Record.from_samples({"x": x, "dx": dx, "u": u}, time_step=STEP)
+    signals = MACHINES["linear"].signals(shape=Shape(n, 100))
+    signals["x"] = signals["x"] + offset
+    signals["u"] = signals["u"] + rng.normal(size=n)
+    signals["u"][rng.integers(0, n, gaps)] = np.nan
+    return Record.from_samples(signals, time_step=STEP)
 
 
 @eqx.filter_jit
@@ -61,41 +56,50 @@ def one_by_one(record, weight, length_weights):
     return np.linalg.solve(total[1:, 1:], total[1:, 0])
 
 
-@pytest.mark.parametrize("weight", [Boxcar(), *nightly([Hat(4)])], ids=str)
-def test_a_stepped_law_weighs_equal_parts_of_the_band(weight):
-    steps = [1.0, 0.0, 3.0]
-    found = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=steps), weight))
-    multiple = weight.length_multiple
-    lags = np.arange(6 // multiple, 30 // multiple + 1)
-    edges = np.round(np.linspace(0, 1, 4) * lags.size).astype(int)
-    each = {
-        int(multiple * lag): w
-        for w, a, b in zip(steps, edges[:-1], edges[1:])
-        for lag in lags[a:b]
-        if w > 0
-    }
-    np.testing.assert_allclose(found.theta, one_by_one(record_of(), weight, each), rtol=1e-9)
+def density(length):
+    return jnp.exp(-5 * length) * length
 
 
-@pytest.mark.parametrize("weight", [Boxcar(4), *nightly([Hat()])], ids=str)
-def test_any_function_of_the_length_is_exact(weight):
-    def law(length):
-        return jnp.exp(-5 * length) * length
+STEPS = [1.0, 0.0, 3.0]
 
-    found = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=law), weight))
+
+def length_weights(law, weight):
+    """Of lengths in samples: equal parts of the band have a stepped law's weights."""
     multiple = weight.length_multiple
     lengths = multiple * np.arange(6 // multiple, 30 // multiple + 1)
-    each = {int(k): float(np.exp(-5 * k * STEP) * k * STEP) for k in lengths}
-    np.testing.assert_allclose(found.theta, one_by_one(record_of(), weight, each), rtol=1e-9)
-    assert found.criterion.describe()["law"] == "law"
+    if isinstance(weight, Bump):
+        lengths = np.array([6, 14, 22, 30])
+    if law is density:
+        return {int(k): float(density(k * STEP)) for k in lengths}
+    edges = np.round(np.linspace(0, 1, 4) * lengths.size).astype(int)
+    steps = STEPS if law is STEPS else [1.0] * 3
+    parts = zip(steps, edges[:-1], edges[1:])
+    return {int(k): w for w, a, b in parts for k in lengths[a:b] if w > 0}
 
 
-def test_bumps_weigh_their_lengths_by_the_law():
-    bump = Bump(4, lengths=4)
-    criterion = RIEC(AllWindows(ALPHA, BETA, law=lambda length: length**2), bump)
-    each = {k: float(k**2) for k in (6, 14, 22, 30)}
-    found = fit(EQUATION, record_of(), criterion)
-    np.testing.assert_allclose(found.theta, one_by_one(record_of(), bump, each), rtol=1e-8)
+@pytest.mark.parametrize(
+    ("law", "weight"),
+    [
+        (STEPS, Boxcar()),
+        (None, Boxcar(4)),
+        (density, Bump(4, lengths=4)),
+        *nightly(
+            [
+                (STEPS, Hat(4)),
+                (density, Boxcar(4)),
+                (density, Hat()),
+                (None, Hat(6)),
+                (None, Bump(4, lengths=4)),
+            ]
+        ),
+    ],
+    ids=str,
+)
+def test_the_estimate_is_that_of_every_window_one_by_one(law, weight):
+    record = record_of(offset=50.0 if law is None else 0.0)
+    found = fit(EQUATION, record, RIEC(AllWindows(ALPHA, BETA, law=law), weight), noise="none")
+    expected = one_by_one(record, weight, length_weights(law, weight))
+    np.testing.assert_allclose(found.theta, expected, rtol=1e-8)
 
 
 def test_a_flat_law_is_no_law_whatever_its_size():
@@ -168,3 +172,40 @@ def test_windows_of_a_known_record_are_counted_inside_a_jitted_function_too(weig
     counted = []
     jax.jit(lambda _: counted.append(criterion.row_count(record)))(0.0)
     assert counted == [criterion.row_count(record)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weight", [Boxcar(), Hat()], ids=str)
+def test_random_windows_converge_to_it_at_the_monte_carlo_rate(weight):
+    record = record_of(2000, 0)
+    every = identify(EQUATION, record, RIEC(AllWindows(0.05, 0.4), weight)).theta
+
+    def apart(count, seeds=24):
+        criterion = RIEC(RandomWindows(0.05, 0.4, count), weight)
+        drawn = [identify(EQUATION, record, criterion, key=jax.random.key(s)) for s in range(seeds)]
+        return np.stack([estimate.theta - every for estimate in drawn])
+
+    few, many = apart(500), apart(8000)
+    ratio = few.std(0) / many.std(0)
+    assert np.all((ratio > 2) & (ratio < 8))  # 4 expected for 16 times as many
+    assert np.all(np.abs(many.mean(0)) < 4 * many.std(0) / np.sqrt(24))
+
+
+@pytest.mark.slow
+def test_intervals_are_those_of_many_random_windows():
+    record = record_of(4000, 0)
+    every = identify(EQUATION, record, RIEC(AllWindows(0.05, 0.3), Hat()))
+    drawn = identify(
+        EQUATION, record, RIEC(RandomWindows(0.05, 0.3, 100_000), Hat()), key=jax.random.key(0)
+    )
+    np.testing.assert_allclose(every.standard_errors, drawn.standard_errors, rtol=0.25)
+
+
+def test_by_default_windows_are_half_periods_of_the_models_band():
+    record = record_of(900, 0)
+    plain = identify(EQUATION, record)
+    assert plain.criterion.describe() == RIEC(AllWindows(0.05, 0.5)).describe()
+    model = Model("mine", "", procedure=lambda: EQUATION, band=(2.0, 5.0))
+    found = identify(model, record)
+    same = identify(EQUATION, record, RIEC(AllWindows(0.1, 0.25)))
+    np.testing.assert_array_equal(found.theta, same.theta)

@@ -3,12 +3,11 @@
 import jax
 import numpy as np
 import pytest
-from tests.machines import MACHINES, SHORT
+from tests.machines import MACHINES, SHORT, noisy
 
 import riecjax as rx
 from riecjax.criteria.suited import suited
 from riecjax.equations.procedure import as_procedure
-from riecjax.records.preparation import differentiate
 
 STEP = 0.01
 TIME = STEP * np.arange(2000)
@@ -37,7 +36,7 @@ def test_a_velocity_that_no_sensor_measured_is_left_out(made):
     noise = rx.Noise.given({"x": 0.01})
     record = rx.Record({"x": SIGNALS["x"], "u": SIGNALS["u"]}, STEP).with_noise(noise)
     if made:
-        record = differentiate(record, "x", "v")
+        record = rx.differentiate(record, "x", "v")
     found = chosen(OSCILLATOR, record)
     assert isinstance(found.test_function, rx.Bump)
     assert "no sensor measured v" in found.why
@@ -64,3 +63,26 @@ def test_it_may_be_asked_for_inside_of_jit():
     truth, signals = MACHINES["linear"].truth, MACHINES["linear"].signals(shape=SHORT)
     force = signals["u"] - truth["c"] * np.gradient(signals["x"], STEP)
     assert float(mass(signals["x"], force)) == pytest.approx(truth["m"], rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+def test_it_is_about_as_good_as_the_best_of_those_chosen_by_hand(noise):
+    """Of an oscillator of which the position alone was recorded, over draws of its noise."""
+    machine, truth = MACHINES["linear"], MACHINES["linear"].truth
+    exact = {name: values for name, values in machine.signals().items() if name in ("x", "u")}
+    by_hand = [
+        rx.RIEC(rx.AllWindows(alpha, beta), function)
+        for function in (rx.Hat(), rx.Bump(lengths=8))
+        for alpha, beta in ((0.06, 0.5), (0.25, 1.0), (0.5, 2.0), (1.0, 4.0))
+    ]
+
+    def error(criterion):
+        records = [
+            rx.Record(noisy(exact, {"x": noise}, seed), machine.shape.step) for seed in range(12)
+        ]
+        fits = [rx.identify(machine.model, one, criterion, intervals=rx.Naive()) for one in records]
+        off = np.array([[float(fit[name]) / truth[name] - 1 for name in truth] for fit in fits])
+        return np.exp(np.mean(np.log(np.mean(off**2, axis=0)) / 2))
+
+    assert error(None) < 1.3 * min(error(criterion) for criterion in by_hand)

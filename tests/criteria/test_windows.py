@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from riecjax.criteria.windows import RandomWindows
-from riecjax.errors import DataError, ModelError
+import riecjax as rx
 
 # Draws are fixed by their keys, so these levels are not a chance of failing: a correct sampler
 # would have had to be unlucky to one in a thousand with this very key.
@@ -35,7 +34,7 @@ def draw(windows, sample_count, time_step, seed=0):
     ("alpha", "beta", "sample_count"), [(0.05, 0.5, 8000), (0.001, 0.02, 6), (0.01, 0.025, 6)]
 )
 def test_every_window_lies_within_the_record(alpha, beta, sample_count, between_samples):
-    windows = RandomWindows(alpha, beta, 20_000, between_samples=between_samples)
+    windows = rx.RandomWindows(alpha, beta, 20_000, between_samples=between_samples)
     start, stop = draw(windows, sample_count, 0.005)
     assert start.shape == stop.shape == (20_000,)
     assert start.min() >= 0
@@ -52,7 +51,7 @@ def test_every_window_lies_within_the_record(alpha, beta, sample_count, between_
 
 def test_on_samples_all_admissible_pairs_are_equally_likely():
     sample_count, shortest, longest, count = 12, 2, 6, 200_000
-    start, stop = draw(RandomWindows(shortest, longest, count), sample_count, 1.0)
+    start, stop = draw(rx.RandomWindows(shortest, longest, count), sample_count, 1.0)
     pairs = [
         (t, t + k) for k in range(shortest, longest + 1) for t in range(sample_count) if t + k < 12
     ]
@@ -66,7 +65,7 @@ def test_on_samples_all_admissible_pairs_are_equally_likely():
 @pytest.mark.parametrize("of", ["start", "length", "end"])
 def test_between_samples_windows_follow_the_papers_rejection_sampler(of, t_max):
     alpha, beta, count, step = 0.05, 0.5, 50_000, 0.005
-    windows = RandomWindows(alpha, beta, count, between_samples=True)
+    windows = rx.RandomWindows(alpha, beta, count, between_samples=True)
     start, stop = draw(windows, round(t_max / step) + 1, step)
     drawn = {"start": start * step, "length": (stop - start) * step, "end": stop * step}[of]
     t0, T = rejection_sampler(count, alpha, beta, t_max, seed=1)
@@ -78,44 +77,8 @@ def test_between_samples_windows_follow_the_papers_rejection_sampler(of, t_max):
 def test_pairs_stay_equally_likely_on_ten_minutes_at_ten_kilohertz():
     # 2.7e10 admissible pairs, more than 32-bit integers count.
     sample_count, step = 6_000_000, 1e-4
-    start, stop = draw(RandomWindows(0.05, 0.5, 20_000), sample_count, step)
+    start, stop = draw(rx.RandomWindows(0.05, 0.5, 20_000), sample_count, step)
     # beta is so short beside the record that length and start are uniform to 1e-3.
     lengths = scipy.stats.uniform(500 - 0.5, 4501)
     assert scipy.stats.kstest(stop - start, lengths.cdf).pvalue > LEVEL
     assert scipy.stats.kstest(start, scipy.stats.uniform(0, sample_count).cdf).pvalue > LEVEL
-
-
-def test_lags_round_to_samples_and_stay_within_the_record():
-    def lags(alpha, beta, sample_count):
-        found = RandomWindows(alpha, beta, 1).lags(sample_count, jnp.asarray(0.01))
-        return tuple(int(lag) for lag in found)
-
-    assert lags(0.05, 0.5, 8000) == (5, 50)
-    assert lags(0.001, 0.5, 8000) == (1, 50)
-    assert lags(0.05, 0.5, 21) == (5, 20)
-
-
-@pytest.mark.parametrize(
-    ("alpha", "beta"), [(0.5, 0.5), (0.6, 0.5), (0.0, 0.5), (-0.1, 0.5), (np.nan, 0.5)]
-)
-def test_lengths_out_of_order_are_refused(alpha, beta):
-    with pytest.raises(ModelError, match="0 < alpha < beta; got alpha = ") as caught:
-        RandomWindows(alpha, beta, 10)
-    assert "\n" not in str(caught.value)
-
-
-def test_no_windows_are_refused():
-    with pytest.raises(ModelError, match="at least 1; got 0"):
-        RandomWindows(0.1, 0.5, 0)
-
-
-def test_a_record_shorter_than_the_longest_window_is_refused():
-    windows = RandomWindows(0.1, 0.5, 10)
-    windows.check(51, jnp.asarray(0.01))
-    with pytest.raises(DataError, match=r"beta = 0.5 s, is longer than the record, 0.49 s\. Choos"):
-        windows.check(50, jnp.asarray(0.01))
-
-
-def test_windows_shorter_than_one_sample_are_refused():
-    with pytest.raises(DataError, match=r"beta = 0.02 s, is shorter than one sample, 0.1 s\. Cho"):
-        RandomWindows(0.01, 0.02, 10).check(50, jnp.asarray(0.1))

@@ -4,31 +4,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import riecjax as rx
 from nightly import nightly
-from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.test_functions import Hat
-from riecjax.criteria.windows import AllWindows
-from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import as_procedure, simultaneous, staged
-from riecjax.equations.term import Term, Terms, constant, roof
-from riecjax.errors import IdentifiabilityError
+from riecjax.equations.procedure import as_procedure
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
-from riecjax.records.record import Record
-from riecjax.summaries.summarise import summarise
 
 M, C, K, FORCE = 2.0, 3.0, 80.0, 40.0
 RATE = 100
 TIME = np.arange(2000) / RATE
-HATS = RIEC(AllWindows(0.1, 0.8), Hat())
+HATS = rx.RIEC(rx.AllWindows(0.1, 0.8), rx.Hat())
 
-INERTIA = Term("m", "x", derivative=2, measured=("v", "a"))
-DAMPER = Term("c", "x", derivative=1, measured=("v",))
-SPRING, OFFSET, INPUT = Term("k", "x"), Term("offset", constant), Term(-1.0, "F")
-AXIS = Equation(INERTIA, DAMPER, SPRING, INPUT, name="axis")
-WITH_OFFSET = Equation(INERTIA, DAMPER, SPRING, OFFSET, INPUT, name="axis")
-CURVE = Equation(INERTIA, DAMPER, Terms("f", roof([0.0, 0.3, 0.6, 1]), "x"), INPUT, name="axis")
+INERTIA = rx.Term("m", "x", derivative=2, measured=("v", "a"))
+DAMPER = rx.Term("c", "x", derivative=1, measured=("v",))
+SPRING, OFFSET, INPUT = rx.Term("k", "x"), rx.Term("offset", rx.constant), rx.Term(-1.0, "F")
+AXIS = rx.Equation(INERTIA, DAMPER, SPRING, INPUT, name="axis")
+WITH_OFFSET = rx.Equation(INERTIA, DAMPER, SPRING, OFFSET, INPUT, name="axis")
+CURVE = rx.Equation(
+    INERTIA, DAMPER, rx.Terms("f", rx.roof([0.0, 0.3, 0.6, 1]), "x"), INPUT, name="axis"
+)
 
 
 def ringing(t, amplitude):
@@ -61,33 +55,29 @@ def record(motion, noise=0.0, mean=0.0, seed=0):
     signals = {"x": x + mean, "v": v, "a": a, "F": force}
     sizes = {"x": np.ptp(x), "v": np.std(v), "a": np.std(a), "F": FORCE}
     disturbed = {n: s + noise * sizes[n] * rng.normal(size=s.size) for n, s in signals.items()}
-    return Record.from_samples(disturbed, time_step=1 / RATE)
+    return rx.Record.from_samples(disturbed, time_step=1 / RATE)
 
 
 def findings(model, records, criterion=HATS, **settings):
     records = records if isinstance(records, list) else [records]
     procedure = as_procedure(model)
-    sums = summarise(model, records, criterion)
+    sums = rx.summarise(model, records, criterion)
     given = {"known": None, "per_record": (), **settings}
     asked = plan_parameters(procedure, len(records), given["known"], given["per_record"])
     return constant_targets(procedure, asked.sharing, sums, asked.given)
 
 
-DRIFT = FORCE * (1 + 0.02 * np.sin(0.4 * TIME + 1))
 HUM = FORCE * (1 + 0.02 * np.sin(2 * np.pi * 49 * TIME))
 NOTHING_TOLD = {
     "a step before the record, beside an offset": (WITH_OFFSET, stepped(0), 0.0, "offset"),
-    "with a force that drifts": (WITH_OFFSET, (*stepped(0)[:3], DRIFT), 0.0, "offset"),
     "with hum": (WITH_OFFSET, (*stepped(0)[:3], HUM), 0.0, "offset"),
     "a position with a large mean": (AXIS, stepped(0), 20.0, "k"),
-    "a position with a huge mean": (AXIS, stepped(0), 800.0, "k"),
-    "both": (WITH_OFFSET, stepped(0), 20.0, "offset"),
     "a curve, which can be level": (CURVE, stepped(0), 0.0, "f_1, f_2, f_3, f_4"),
 }
 
 
 @pytest.mark.raises_finding("constant_target")
-@pytest.mark.parametrize("criterion", [HATS, DOLS()])
+@pytest.mark.parametrize("criterion", [HATS, rx.DOLS()])
 @pytest.mark.parametrize("noise", [0.02, *nightly([0.0])])
 @pytest.mark.parametrize("case", NOTHING_TOLD)
 def test_a_constant_force_that_one_term_reproduces(case, noise, criterion):
@@ -100,37 +90,20 @@ def test_a_constant_force_that_one_term_reproduces(case, noise, criterion):
 
 ANSWERABLE = {
     "a step in the middle": (WITH_OFFSET, stepped(9.0), {}),
-    "a step soon": (WITH_OFFSET, stepped(0.4), {}),
     "a step before the record, from rest, without an offset": (AXIS, stepped(0), {}),
     "a known stiffness": (WITH_OFFSET, stepped(0), {"k": K}),
-    "a known mass": (WITH_OFFSET, stepped(0), {"m": M}),
-    "a force that varies by 5 %": (AXIS, swaying(0.05), {}),
     "a force that varies by 5 %, beside an offset": (WITH_OFFSET, swaying(0.05), {}),
     "a force that varies by 5 %, beside a curve": (CURVE, swaying(0.05), {}),
     "no force, a known mass": (WITH_OFFSET, (*ringing(TIME, 0.5), 0 * TIME), {"m": M}),
-    "a known mass at free decay": (AXIS, (*ringing(TIME, 0.5), 0 * TIME), {"m": M}),
 }
 
 
-@pytest.mark.parametrize("criterion", [HATS, DOLS()])
+@pytest.mark.parametrize("criterion", [HATS, rx.DOLS()])
 @pytest.mark.parametrize("noise", [0.01, *nightly([0.0])])
 @pytest.mark.parametrize("case", ANSWERABLE)
 def test_what_motion_explains_is_an_answer(case, noise, criterion):
     model, motion, known = ANSWERABLE[case]
     assert not findings(model, record(motion, noise), criterion, known=known)
-
-
-def test_one_parameter_alone_hides_none():
-    assert not findings(Equation(SPRING, INPUT), record(stepped(0), mean=20.0))
-
-
-def test_the_stiffness_that_a_sensor_s_zero_makes_is_not_given():
-    shifted = record(stepped(0), mean=800.0)
-    with pytest.raises(IdentifiabilityError, match="a ratio of two constants") as refused:
-        identify(AXIS, shifted, HATS)
-    assert refused.value.code == "constant_target"
-    told = identify(AXIS, record(stepped(0)), HATS)
-    assert float(told["k"]) == pytest.approx(K, rel=1e-3)
 
 
 def test_loads_that_differ_between_records_tell_the_stiffness():
@@ -151,29 +124,31 @@ def test_what_is_known_joins_the_target():
         assert "so offset alone explain" in finding.message
 
 
-@pytest.mark.slow
-def test_a_parameter_that_another_equation_tells_is_not_hidden():
-    base = Equation(Term(1.0, "F2"), Term("k", "x"), Term("c", "v"), Term("m", "a"), name="base")
-    both = record(stepped(0)).with_signals({"F2": -record(stepped(0))["x"] * K})
-    assert [f.message[:5] for f in findings(simultaneous(WITH_OFFSET, base), both)] == []
-    assert not findings(staged(base, WITH_OFFSET), both)
-    assert findings(staged(WITH_OFFSET, base), both)
+def test_gaps_are_left_out_and_identify_refuses_too():
+    motion = stepped(9.0)
+    lost = record((*motion[:3], np.where(TIME < 9.5, np.nan, motion[3])))
+    assert findings(WITH_OFFSET, lost)
+    with pytest.raises(rx.IdentifiabilityError, match="a ratio of two constants") as refused:
+        rx.identify(AXIS, record(stepped(0), mean=800.0), HATS)
+    assert refused.value.code == "constant_target"
 
 
 @pytest.mark.slow
 def test_a_force_that_is_zero_throughout_tells_nothing():
     motion = (*swaying(0.5)[:3], 0 * TIME)
-    with pytest.raises(IdentifiabilityError, match="zero for all of m, c, k would fit") as refused:
-        identify(AXIS, record(motion, noise=0.01).with_signals({"F": jnp.asarray(0 * TIME)}), HATS)
+    with pytest.raises(
+        rx.IdentifiabilityError, match="zero for all of m, c, k would fit"
+    ) as refused:
+        rx.identify(
+            AXIS, record(motion, noise=0.01).with_signals({"F": jnp.asarray(0 * TIME)}), HATS
+        )
     assert refused.value.code == "constant_target"
     # What a second equation knows of k is enough; one that knows nothing either is not.
-    spring = Equation(Term("k", "x"), Term(-1.0, "F2"), name="spring")
+    spring = rx.Equation(rx.Term("k", "x"), rx.Term(-1.0, "F2"), name="spring")
     both = record(motion).with_signals({"F2": jnp.asarray(K * motion[0])})
-    assert not findings(simultaneous(AXIS, spring), both)
-    assert (
-        len(findings(simultaneous(AXIS, spring), both.with_signals({"F2": jnp.asarray(0 * TIME)})))
-        == 2
-    )
+    assert not findings(rx.simultaneous(AXIS, spring), both)
+    neither = both.with_signals({"F2": jnp.asarray(0 * TIME)})
+    assert len(findings(rx.simultaneous(AXIS, spring), neither)) == 2
 
 
 def two_tones(share):
@@ -182,9 +157,8 @@ def two_tones(share):
     return slow + fast - np.array([FORCE / K, 0, 0, FORCE])[:, None]
 
 
-@pytest.mark.parametrize("criterion", [HATS, DOLS()])
-@pytest.mark.parametrize("noise", [0.0, 0.001])
-@pytest.mark.parametrize("share", [0.01, 0.05])
+@pytest.mark.parametrize("criterion", [HATS, rx.DOLS()])
+@pytest.mark.parametrize(("share", "noise"), [(0.01, 0.001), *nightly([(0.05, 0.0)])])
 def test_means_that_disagree_with_the_motion_are_a_sensor_s_zero(share, noise, criterion):
     motion = two_tones(share)
     shifted = record(motion, noise * share, mean=2 * FORCE / K)
@@ -192,11 +166,5 @@ def test_means_that_disagree_with_the_motion_are_a_sensor_s_zero(share, noise, c
     assert "the constant parts disagree with the motion" in finding.message
     assert not findings(AXIS, record(motion, noise * share), criterion)
     assert not findings(WITH_OFFSET, shifted, criterion)
-
-
-def test_gaps_are_left_out():
-    motion = stepped(9.0)
-    lost = record((*motion[:3], np.where((TIME > 8) & (TIME < 14), np.nan, motion[3])))
-    assert not findings(WITH_OFFSET, lost)
-    lost = record((*motion[:3], np.where(TIME < 9.5, np.nan, motion[3])))
-    assert findings(WITH_OFFSET, lost)
+    # A parameter alone hides none.
+    assert not findings(rx.Equation(SPRING, INPUT), shifted, criterion)

@@ -4,25 +4,16 @@ import jax
 import numpy as np
 import pytest
 
-from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.test_functions import Boxcar
-from riecjax.criteria.windows import RandomWindows
-from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, constant
-from riecjax.errors import ModelError
-from riecjax.estimation.identify import identify
-from riecjax.estimation.parameters import Sharing, values_of_record
-from riecjax.records.record import Record
-from riecjax.uncertainty.intervals import Naive
+import riecjax as rx
 
-fit = partial(identify, intervals=Naive())
+fit = partial(rx.identify, intervals=rx.Naive())
 """No test here asks for intervals."""
 
-EQUATION = Equation(
-    Term("M", "q", derivative=2, measured=("dq", "ddq"), unit="kg"),
-    Term("c", "q", derivative=1, measured=("dq",), unit="N s/m"),
-    Term("offset", constant, unit="N"),
-    -Term(1.0, "force"),
+EQUATION = rx.Equation(
+    rx.Term("M", "q", derivative=2, measured=("dq", "ddq"), unit="kg"),
+    rx.Term("c", "q", derivative=1, measured=("dq",), unit="N s/m"),
+    rx.Term("offset", rx.constant, unit="N"),
+    -rx.Term(1.0, "force"),
 )
 OFFSETS = (3.0, -1.5, 0.25)
 LENGTHS = (4000, 2500, 3100)
@@ -34,11 +25,11 @@ def record(offset, count, phase):
     dq = 2 * np.cos(2 * t + phase) + 1.4 * np.cos(7 * t)
     ddq = -4 * np.sin(2 * t + phase) - 9.8 * np.sin(7 * t)
     force = 12.0 * ddq + 5.0 * dq + offset
-    return Record.from_samples({"q": q, "dq": dq, "ddq": ddq, "force": force}, time_step=0.002)
+    return rx.Record.from_samples({"q": q, "dq": dq, "ddq": ddq, "force": force}, time_step=0.002)
 
 
 RECORDS = [record(o, n, i) for i, (o, n) in enumerate(zip(OFFSETS, LENGTHS))]
-CRITERIA = [DOLS(), RIEC(RandomWindows(0.05, 0.5, 1000), Boxcar(quadrature=4))]
+CRITERIA = [rx.DOLS(), rx.RIEC(rx.RandomWindows(0.05, 0.5, 1000), rx.Boxcar(quadrature=4))]
 KEY = jax.random.key(0)
 
 
@@ -59,7 +50,7 @@ def test_own_offsets_equal_the_dense_solution():
         r.with_signals({"force": r["force"] + np.random.default_rng(i).normal(size=r.sample_count)})
         for i, r in enumerate(RECORDS)
     ]
-    estimate = fit(EQUATION, noisy, DOLS(), per_record=["offset"])
+    estimate = fit(EQUATION, noisy, rx.DOLS(), per_record=["offset"])
     ones = [np.zeros((r.sample_count, 3)) for r in noisy]
     for i, block in enumerate(ones):
         block[:, i] = 1.0
@@ -71,62 +62,37 @@ def test_own_offsets_equal_the_dense_solution():
 
 
 def test_own_parameters_may_be_known_all_at_once_or_one_by_one():
-    at_once = fit(EQUATION, RECORDS, DOLS(), per_record=["offset"], known={"offset": 1.0})
+    at_once = fit(EQUATION, RECORDS, rx.DOLS(), per_record=["offset"], known={"offset": 1.0})
     assert at_once.parameters == ("M", "c")
-    one = fit(EQUATION, RECORDS, DOLS(), per_record=["offset"], known={"offset[2]": OFFSETS[1]})
+    one = fit(EQUATION, RECORDS, rx.DOLS(), per_record=["offset"], known={"offset[2]": OFFSETS[1]})
     assert one.parameters == ("M", "c", "offset[1]", "offset[3]")
     assert float(one["offset[1]"]) == pytest.approx(OFFSETS[0], rel=1e-6)
-
-
-def test_each_record_reads_its_own_values_under_the_models_names():
-    values = {"M": 12.0, "offset[1]": 3.0, "offset[2]": -1.5}
-    assert values_of_record(values, 1) == {**values, "offset": -1.5}
-
-
-def test_a_parameter_that_is_called_like_another_ones_own_keeps_its_value():
-    """As entries of an array are: no recording has an `offset` of its own here."""
-    values = {"offset": 1.0, "offset[1]": 3.0}
-    assert values_of_record(values, 0) == values
+    # That of one record goes before that of all, in whichever order they are given.
+    for known in ({"offset": 1.0, "offset[2]": 5.0}, {"offset[2]": 5.0, "offset": 1.0}):
+        both = fit(EQUATION, RECORDS, rx.DOLS(), per_record=["offset"], known=known)
+        assert [float(both[f"offset[{i}]"]) for i in (1, 2, 3)] == [1.0, 5.0, 1.0]
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_names_that_own_parameters_would_collide_with_are_refused(count):
-    equation = Equation(*EQUATION.terms, Term("offset[2]", "q"))
-    with pytest.raises(ModelError, match=r"called 'offset\[2\]'.*per_record=\['offset'\].*Rename"):
-        fit(equation, RECORDS[:count], DOLS(), per_record=["offset"])
-    apart = fit(equation, RECORDS[0], DOLS())
+    equation = rx.Equation(*EQUATION.terms, rx.Term("offset[2]", "q"))
+    with pytest.raises(
+        rx.ModelError, match=r"called 'offset\[2\]'.*per_record=\['offset'\].*Rename"
+    ):
+        fit(equation, RECORDS[:count], rx.DOLS(), per_record=["offset"])
+    apart = fit(equation, RECORDS[0], rx.DOLS())
     assert float(apart["offset"]) == pytest.approx(OFFSETS[0], rel=1e-6)
     assert float(apart["offset[2]"]) == pytest.approx(0.0, abs=1e-6)
-
-
-def test_a_known_value_of_one_record_goes_before_that_of_all():
-    for known in (
-        {"offset": 1.0, "offset[2]": OFFSETS[1]},
-        {"offset[2]": OFFSETS[1], "offset": 1.0},
-    ):
-        estimate = fit(EQUATION, RECORDS, DOLS(), per_record=["offset"], known=known)
-        assert [float(estimate[f"offset[{i}]"]) for i in (1, 2, 3)] == [1.0, OFFSETS[1], 1.0]
-
-
-def test_entries_of_an_array_may_be_own_and_known():
-    """The stage that finds `F[0]` is settled once every recording's value of it is known."""
-    sharing = Sharing(("M", "F[0]", "F[1]"), ["F[0]"], 2)
-    assert sharing.parameters == ("M", "F[0][1]", "F[0][2]", "F[1]")
-    assert "F[0]" in sharing.settled({"F[0][1]", "F[0][2]"})
-    assert "F[0]" not in sharing.settled({"F[0][1]"})
 
 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (
-            dict(per_record=["friction"]),
-            "unknown parameter 'friction'; the model has: M, c, offset",
-        ),
+        (dict(per_record=["friction"]), "unknown parameter 'friction'; the model has: M, c, off"),
         (dict(per_record=["offset"], known={"offset[4]": 1.0}), r"unknown parameter 'offset\[4\]'"),
         (dict(known={"offset[1]": 1.0}), r"unknown parameter 'offset\[1\]'"),
     ],
 )
 def test_unknown_names_are_answered_with_those_that_exist(settings, words):
-    with pytest.raises(ModelError, match=words):
-        fit(EQUATION, RECORDS, DOLS(), **settings)
+    with pytest.raises(rx.ModelError, match=words):
+        fit(EQUATION, RECORDS, rx.DOLS(), **settings)

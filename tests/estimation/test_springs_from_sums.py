@@ -9,9 +9,7 @@ from tests.machines import LAG_TRUTH as TRUTH
 from tests.machines import body_with_lag as motion
 
 import riecjax as rx
-from riecjax.equations.hidden_elements import Expanded
 from riecjax.equations.hidden_motion import with_hidden_motion
-from riecjax.models.model import as_model
 from riecjax.validation import equation_error
 
 
@@ -27,9 +25,22 @@ def test_a_spring_is_found_beside_its_damper(clean):
         assert float(estimate[name]) == pytest.approx(value, rel=1e-3), name
     assert dict(estimate.units)["K_series"] == "N/m"
     assert "series_spring_not_carried" not in [f.code for f in estimate.findings()]
+    known = rx.identify(MODEL, clean, known={name: TRUTH[name] for name in ("c", "K_series")})
+    assert known.parameters == ("m", "k")
+    assert float(known["m"]) == pytest.approx(TRUTH["m"], rel=1e-3)
     # Without it, mass and damper make up for the lag.
     rigid = rx.identify(BODY, clean)
     assert abs(float(rigid["m"]) / TRUTH["m"] - 1) > 0.05
+
+
+@pytest.mark.slow
+def test_a_spring_and_a_mode_are_found_together():
+    mode = {"M_mode": 6.0, "K_mode": 21000.0, "B_mode": 120.0}
+    record = rx.Record(motion(mode=tuple(mode.values())), STANDARD.step)
+    estimate = rx.identify(MODEL.with_modes(rx.HiddenMode("v")), record)
+    assert estimate.parameters == ("m", "c", "k", *mode, "K_series")
+    for name, value in (TRUTH | mode).items():
+        assert float(estimate[name]) == pytest.approx(value, rel=0.01), name
 
 
 @pytest.mark.slow
@@ -58,40 +69,6 @@ def test_no_lag_is_no_spring():
     assert sum("series_spring_not_carried" in of for of in codes) >= 5
 
 
-def test_a_spring_that_is_known_is_no_unknown(clean):
-    known = {name: TRUTH[name] for name in ("c", "K_series")}
-    estimate = rx.identify(MODEL, clean, known=known)
-    assert estimate.parameters == ("m", "k")
-    assert float(estimate["m"]) == pytest.approx(TRUTH["m"], rel=1e-3)
-
-
-def test_linearised_equations_leave_the_residual_itself():
-    # By Euler's theorem: all regressors, times their parameters, are what is left beside D y.
-    expanded = Expanded.of(BODY, [rx.HiddenMode("v")], [rx.SeriesSpring("c")])
-    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
-    values |= {"M_mode": jnp.asarray(2.0), "K_mode": jnp.asarray(9e4), "B_mode": jnp.asarray(50.0)}
-    mix = expanded.linearised(values)
-    theta = jnp.stack([jnp.asarray(1.0), *(-values[n] for n in expanded.all_parameters)])
-    shapes = [names.shape(values) for names, _ in expanded.elements]
-    np.testing.assert_allclose(theta @ mix, expanded.residual(values, shapes), rtol=1e-12)
-
-
-def test_residual_is_the_product_of_polynomials():
-    """(1 + tau s) (m s v + k x - F) + c v, written out."""
-    expanded = Expanded.of(BODY, [], [rx.SeriesSpring("c")])
-    values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
-    tau = TRUTH["c"] / TRUTH["K_series"]
-    shapes = [names.shape(values) for names, _ in expanded.elements]
-    found = dict(zip(("", *expanded.equation.parameters), expanded.residual(values, shapes)))
-    # The target is F, and its derivative is a term on the equation's own side.
-    expected = {"": 1.0, "m": -20.0, "c": -200.0, "k": -4000.0, "m'": -20 * tau, "k'": -4000 * tau}
-    for name, value in expected.items():
-        assert float(found.pop(name)) == pytest.approx(value), name
-    assert float(found.pop("c'")) == 0
-    assert float(found.pop("target'")) == pytest.approx(-tau)
-    assert found == {}
-
-
 def test_what_lags_closes_the_equation(clean):
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
     (left,) = equation_error(MODEL, clean, values)
@@ -100,12 +77,6 @@ def test_what_lags_closes_the_equation(clean):
     plain, record = with_hidden_motion(MODEL, clean, values)
     assert not plain.has_hidden
     assert "v behind K_series" in record.arrays
-
-
-def test_a_model_has_its_springs():
-    model = as_model(BODY).with_series_springs(rx.SeriesSpring("c"))
-    assert [(q.name, q.unit) for q in model.parameters][-1] == ("K_series", "N/m")
-    assert model.build_procedure().springs == (rx.SeriesSpring("c"),)
 
 
 def test_what_cannot_be_asked(clean):

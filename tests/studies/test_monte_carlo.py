@@ -8,8 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import MACHINES, SHORT
 
-from riecjax.studies.monte_carlo import over_keys
+import riecjax as rx
+from riecjax.studies.monte_carlo import over_keys, seed_scatter
 
 KEY = jax.random.key(42)
 TRACES = []
@@ -29,31 +31,19 @@ def assert_equal_trees(found, expected):
     jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
-@pytest.mark.parametrize("chunk", [1, 2, 3, 5, 7, 100])
+@pytest.mark.parametrize("chunk", [1, 3, 100])
 def test_results_do_not_depend_on_the_chunk(chunk):
     whole = over_keys(draw, KEY, 7, chunk=7)
     assert whole["values"].shape == (7, 3)
-    assert_equal_trees(over_keys(draw, KEY, 7, chunk=chunk), whole)
-
-
-@pytest.mark.parametrize("fewer", [1, 4, 8, 9])
-def test_more_repetitions_extend_a_study(fewer):
-    longer = over_keys(draw, KEY, 20, chunk=4)
-    shorter = over_keys(draw, KEY, fewer, chunk=4)
-    assert_equal_trees(shorter, jax.tree.map(lambda leaf: leaf[:fewer], longer))
-
-
-def test_each_result_is_the_experiment_with_its_folded_key():
-    found = over_keys(draw, KEY, 5, 2.0, chunk=3)
-    for i in range(5):
-        alone = draw(jax.random.fold_in(KEY, i), 2.0)
-        np.testing.assert_allclose(found["values"][i], alone["values"], rtol=1e-12)
-
-
-def test_progress_counts_finished_repetitions_up_to_the_asked_number():
-    calls: list[int] = []
-    over_keys(draw, KEY, 10, chunk=4, progress=calls.append)
-    assert calls == [4, 8, 10]
+    finished: list[int] = []
+    found = over_keys(draw, KEY, 7, chunk=chunk, progress=finished.append)
+    assert_equal_trees(found, whole)
+    assert finished[-1] == 7
+    # More repetitions extend a study, each the experiment with its folded key.
+    longer = over_keys(draw, KEY, 20, chunk=chunk)
+    assert_equal_trees(found, jax.tree.map(lambda leaf: leaf[:7], longer))
+    alone = draw(jax.random.fold_in(KEY, 5))
+    np.testing.assert_allclose(found["values"][5], alone["values"], rtol=1e-12)
 
 
 def test_all_chunks_and_further_studies_share_one_compilation():
@@ -69,7 +59,7 @@ from riecjax.runtime import start_jax
 start_jax(devices=2)
 import jax, numpy as np
 assert jax.local_device_count() == 2
-from test_monte_carlo import KEY, draw
+from tests.studies.test_monte_carlo import KEY, draw
 from riecjax.studies.monte_carlo import over_keys
 for chunk in (1, 4, 5):
     found = over_keys(draw, KEY, 9, 2.0, chunk=chunk)
@@ -83,7 +73,7 @@ print(len(placed.sharding.device_set))
 def test_results_do_not_depend_on_the_number_of_devices(tmp_path):
     run = subprocess.run(
         [sys.executable, "-c", ON_SEVERAL, str(tmp_path)],
-        cwd=Path(__file__).parent,
+        cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,
         check=True,
@@ -93,3 +83,25 @@ def test_results_do_not_depend_on_the_number_of_devices(tmp_path):
         found = np.load(tmp_path / f"{chunk}.npz")
         assert_equal_trees({name: found[name] for name in expected}, expected)
     assert run.stdout.split() == ["2"]
+
+
+MODEL, RECORD = MACHINES["linear"].model, MACHINES["linear"].record(0.02, shape=SHORT)
+DRAWN = rx.RIEC(rx.RandomWindows(0.05, 0.4, 500))
+
+
+def test_each_seed_is_the_fit_with_that_key():
+    scatter = seed_scatter(MODEL, RECORD, DRAWN, key=KEY, seeds=5)
+    assert scatter.parameters == ("m", "c", "k")
+    for key, theta in zip(jax.random.split(KEY, 5), scatter.theta):
+        alone = rx.identify(MODEL, RECORD, DRAWN, key=key, intervals=rx.Naive(), noise="none")
+        np.testing.assert_allclose(theta, alone.theta, rtol=1e-9)
+    np.testing.assert_allclose(scatter.spread, np.std(np.asarray(scatter.theta), axis=0, ddof=1))
+    known = seed_scatter(MODEL, RECORD, DRAWN, key=KEY, known={"m": 2.0}, seeds=3)
+    assert known.parameters == ("c", "k")
+
+
+def test_what_draws_nothing_has_no_seeds():
+    with pytest.raises(rx.ModelError, match="only random windows"):
+        seed_scatter(MODEL, RECORD, rx.RIEC(rx.AllWindows(0.05, 0.4)), key=KEY)
+    with pytest.raises(rx.ModelError, match="at least two"):
+        seed_scatter(MODEL, RECORD, DRAWN, key=KEY, seeds=1)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import MACHINES, Shape
 
 import riecjax as rx
 from nightly import nightly
@@ -12,10 +13,10 @@ from riecjax.summaries.summary import load
 from riecjax.summaries.task import task
 
 STEP = 0.01
-STD = {"x": 0.02, "v": 0.1, "u": 1.5}
+STD = {"x": 0.01, "dx": 0.1, "u": 1.0}
 EQUATION = rx.Equation(
-    rx.Term("m", "v", derivative=1),
-    rx.Term("c", lambda s: s["v"] * jnp.abs(s["v"])),
+    rx.Term("m", "dx", derivative=1),
+    rx.Term("c", lambda s: s["dx"] * jnp.abs(s["dx"])),
     rx.Term("k", "x"),
     -rx.Term(1.0, "u"),
 )
@@ -23,19 +24,10 @@ BOXCAR = rx.RIEC(rx.AllWindows(0.05, 0.4))
 GIVEN = {"noise": STD, "intervals": rx.Sandwich()}
 
 
-def clean(count, seed=0):
-    rng, t = np.random.default_rng(seed), STEP * np.arange(count)
-    x, v, a = 0.0, 0.0, 0.0
-    for f in (0.4, 1.1, 1.9):
-        w, p = 2 * np.pi * f, rng.uniform(0, 6)
-        x, v, a = x + np.sin(w * t + p), v + w * np.cos(w * t + p), a - w**2 * np.sin(w * t + p)
-    return {"x": x, "v": v, "u": 2 * a + 0.5 * v * np.abs(v) + 60 * x}
-
-
 def record(count=1500, seed=0, gaps=()):
     rng = np.random.default_rng(100 + seed)
-    waves = clean(count, seed)
-    arrays = {name: wave + STD[name] * rng.normal(size=count) for name, wave in waves.items()}
+    waves = MACHINES["drag"].signals(drive=seed, shape=Shape(count, 100))
+    arrays = {name: waves[name] + std * rng.normal(size=count) for name, std in STD.items()}
     for at in gaps:
         arrays["x"][at] = np.nan
     return rx.Record.from_samples(arrays, time_step=STEP)

@@ -2,8 +2,6 @@
 
 import io
 import json
-import subprocess
-import sys
 import zipfile
 from functools import cache, partial
 from pathlib import Path
@@ -14,21 +12,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import MACHINES, Shape
 
 import riecjax as rx
 from nightly import by_day, nightly
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.laws import SteppedLaw, UniformLaw
-from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
-from riecjax.records.writing import write_npz
+from riecjax.criteria.laws import SteppedLaw
 from riecjax.summaries import summary_files
 
 STEP = 0.01
 KEY = jax.random.key(3)
-TRUTH = {"m": 2.0, "d": 0.7, "k": 30.0}
+TRUTH = MACHINES["linear"].truth
 OSCILLATOR = rx.Equation(
     rx.Term("m", "x", derivative=2, measured=("dx", "ddx"), unit="kg"),
-    rx.Term("d", "x", derivative=1, measured=("dx",), unit="N s/m"),
+    rx.Term("c", "x", derivative=1, measured=("dx",), unit="N s/m"),
     rx.Term("k", "x", unit="N/m"),
     -rx.Term(1.0, "u", unit="N"),
     name="oscillator",
@@ -36,23 +33,13 @@ OSCILLATOR = rx.Equation(
 SPRING = rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "f"), name="spring")
 
 
-def samples(count: int, seed: int, step: float = STEP, k2: float = 0.0) -> dict[str, np.ndarray]:
-    """Two harmonics of an oscillator under an exact force, and white noise on that."""
-    rng = np.random.default_rng(seed)
-    t = step * np.arange(count)
-    phase = rng.uniform(0, 2 * np.pi, 2)
-    waves = [(1.0, 3.0, phase[0]), (0.3, 11.0, phase[1])]
-    x = np.sum([a * np.sin(w * t + p) for a, w, p in waves], axis=0)
-    dx = np.sum([a * w * np.cos(w * t + p) for a, w, p in waves], axis=0)
-    ddx = np.sum([-a * w**2 * np.sin(w * t + p) for a, w, p in waves], axis=0)
-    u = TRUTH["m"] * ddx + TRUTH["d"] * dx + TRUTH["k"] * x + k2 * x**2
-    u = u + 0.5 * rng.normal(size=count)
-    return {"x": x, "dx": dx, "ddx": ddx, "u": u}
-
-
 @cache
-def record(count: int = 1500, seed: int = 0, step: float = STEP, k2: float = 0.0) -> rx.Record:
-    return rx.Record.from_samples(samples(count, seed, step, k2), time_step=step)
+def record(count: int = 1500, seed: int = 0, rate: int = 100, k2: float = 0.0) -> rx.Record:
+    """An oscillator under an exact force, and white noise on that."""
+    signals = MACHINES["linear"].signals(drive=seed, shape=Shape(count, rate))
+    noise = 0.5 * np.random.default_rng(seed).normal(size=count)
+    signals["u"] = signals["u"] + k2 * signals["x"] ** 2 + noise
+    return rx.Record.from_samples(signals, time_step=1 / rate)
 
 
 class Parabola(rx.Bump):
@@ -109,52 +96,18 @@ def through_a_file(summary: rx.Summary, folder: Path) -> rx.Summary:
 
 @pytest.mark.parametrize("name", by_day(CRITERIA, "hat", "own"))
 def test_a_summary_comes_back_to_the_bit(name, tmp_path):
-    summary = rx.summarise(OSCILLATOR, record(), CRITERIA[name], key=KEY, survey=name == "hat")
-    again = through_a_file(summary, tmp_path)
-    assert again.criterion == summary.criterion
-    assert again.criterion.describe() == summary.criterion.describe()
-    assert again.outline == summary.outline
-    assert again.digests == summary.digests
-    same_arrays(again.recordings, summary.recordings)
-    same_estimates(OSCILLATOR, again, summary)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["boxcar", "stepped", "bump"])
-def test_bins_survey_and_lengths_of_several_recordings_come_back_to_the_bit(name, tmp_path):
-    records = [record(1500, 1), record(2200, 2), record(1700, 3, 0.008)]
-    summary = rx.summarise(OSCILLATOR, records, CRITERIA[name], bins=9, survey=True)
-    again = through_a_file(summary, tmp_path)
-    same_arrays((again.recordings, again.edges), (summary.recordings, summary.edges))
-    same_estimates(OSCILLATOR, again, summary, per_record=["d"])
-    one, other = (s.between(0.13, 0.5) for s in (again, summary))
-    assert (one.band, one.asked, one.in_law) == (other.band, other.asked, other.in_law)
-    same_estimates(OSCILLATOR, through_a_file(one, tmp_path), other)
+    records = [record(), record(2200, 2), record(1700, 3, 125)]
+    bins = {"bins": 9, "survey": True} if name in ("hat", "stepped", "bump") else {}
+    summary = rx.summarise(OSCILLATOR, records, CRITERIA[name], key=KEY, **bins)
     shorter = summary.leave_out(2.0, 5.0, recording=1)
-    again = through_a_file(shorter, tmp_path)
-    same_arrays(again.recordings, shorter.recordings)
-    same_estimates(OSCILLATOR, again, shorter)
-
-
-@pytest.mark.slow
-def test_32_bit_comes_back_to_the_bit(tmp_path):
-    with jax.enable_x64(False):
-        summary = rx.summarise(OSCILLATOR, record(1500, 6), CRITERIA["hat"], bins=4)
-        again = through_a_file(summary, tmp_path)
-        assert again.recordings[0].stages[0][0].moments.dtype == np.float32
-        same_arrays(again.recordings, summary.recordings)
-        same_estimates(OSCILLATOR, again, summary)
-
-
-def test_numbers_of_a_criterion_keep_their_precision():
-    narrow = rx.RIEC(rx.AllWindows(jnp.asarray(0.1, jnp.float32), 0.6), Parabola(scale=None))
-    again = criterion_from_plain_data(json.loads(json.dumps(to_plain_data(narrow))))
-    assert isinstance(again, rx.RIEC)
-    assert again.windows.alpha.dtype == np.float32
-    assert again.windows.beta.dtype == np.float64
-    assert again == narrow
-    assert hash(again.test_function) == hash(narrow.test_function)
-    assert isinstance(again.windows.every.law, UniformLaw)
+    for kept in (summary, shorter, *([summary.between(0.13, 0.5)] if bins else [])):
+        again = through_a_file(kept, tmp_path)
+        assert again.criterion == kept.criterion
+        assert again.criterion.describe() == kept.criterion.describe()
+        assert (again.outline, again.digests) == (kept.outline, kept.digests)
+        assert (again.band, again.asked, again.in_law) == (kept.band, kept.asked, kept.in_law)
+        same_arrays((again.recordings, again.edges), (kept.recordings, kept.edges))
+        same_estimates(OSCILLATOR, again, kept, per_record=["c"])
 
 
 def test_a_name_stays_as_it_is_and_nothing_else_is_left_behind(tmp_path):
@@ -178,31 +131,32 @@ def refused(path: Any, words: str) -> None:
 
 
 def test_what_is_no_summary_is_refused_in_one_line(tmp_path):
-    refused(tmp_path / "none.npz", "there is no file")
+    file = tmp_path / "other.npz"
+    refused(file, "there is no file")
     refused(tmp_path, "there is no file")
     refused(None, "the file is None")
-    (tmp_path / "empty.npz").write_bytes(b"")
-    refused(tmp_path / "empty.npz", "not a zip file")
-    (tmp_path / "text.npz").write_text("t,x\n0,1\n")
-    refused(tmp_path / "text.npz", "not a zip file")
-    np.savez(tmp_path / "other.npz", x=np.zeros(3))
-    refused(tmp_path / "other.npz", "it is no Summary")
-    np.savez(tmp_path / "named.npz", summary=np.frombuffer(b"[1, 2]", np.uint8))
-    refused(tmp_path / "named.npz", "it is no Summary")
-    np.savez(tmp_path / "bytes.npz", summary=np.frombuffer(b"\xff{", np.uint8))
-    refused(tmp_path / "bytes.npz", "not a readable Summary file")
-    np.savez(tmp_path / "pickled.npz", summary=np.array([{}], object), allow_pickle=True)
-    refused(tmp_path / "pickled.npz", "Python objects")
+    for content in (b"", b"t,x\n0,1\n"):
+        file.write_bytes(content)
+        refused(file, "not a zip file")
+    np.savez(file, x=np.zeros(3))
+    refused(file, "it is no Summary")
+    for content, words in (
+        (np.frombuffer(b"[1, 2]", np.uint8), "it is no Summary"),
+        (np.frombuffer(b"\xff{", np.uint8), "not a readable Summary file"),
+        (np.array([{}], object), "Python objects"),
+    ):
+        np.savez(file, summary=content, allow_pickle=True)
+        refused(file, words)
 
 
-def rewritten(file: Path, change) -> None:
-    """Change the document and the arrays of a file, with a checksum that is right again."""
+def rewritten(file: Path, change, seal: bool = True) -> None:
+    """Change the document and the arrays of a file, with a checksum that is right again or not."""
     with np.load(file) as archive:
         arrays = dict(archive)
     document = json.loads(arrays.pop("summary").tobytes())
-    del document["checksum"]
+    kept = document.pop("checksum")
     change(document, arrays)
-    document["checksum"] = summary_files._checksum(document, arrays)
+    document["checksum"] = summary_files._checksum(document, arrays) if seal else kept
     arrays["summary"] = np.frombuffer(json.dumps(document).encode(), np.uint8)
     np.savez(file, **arrays)
 
@@ -211,36 +165,24 @@ def rewritten(file: Path, change) -> None:
     ("change", "words"),
     [
         (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 4: .* 9.1"),
-        (lambda d, _: d.pop("criterion"), "not a readable Summary file"),
         (
             lambda d, _: d["criterion"].update({"class": "Tent", "from": "rig"}),
             "Tent of 'rig'.*imp",
         ),
         (lambda d, _: d["criterion"].update(speed=1), "RIEC has other settings"),
         (lambda d, _: d.update(criterion=d["criterion"]["windows"]), "a criterion is none"),
-        (lambda d, _: d["criterion"].update(windows=3), "RIEC has other settings"),
         (lambda _, a: a.pop("0/digest"), "arrays are not those"),
-        (lambda _, a: a.update(more=np.zeros(1)), "arrays are not those"),
-        (lambda d, _: d.update(recordings=[]), "arrays are not those"),
     ],
 )
 def test_other_contents_are_refused_in_one_line(change, words, tmp_path):
-    file = tmp_path / "kept.npz"
+    file, name = tmp_path / "kept.npz", "0/stages/0/0/moments"
     rx.summarise(OSCILLATOR, record(), CRITERIA["boxcar"]).save(file)
     rewritten(file, lambda d, a: None)
     rx.load(file)
+    rewritten(file, lambda _, a: np.multiply(a[name], 1 + 1e-15, out=a[name]), seal=False)
+    refused(file, "checksum")
     rewritten(file, change)
     refused(file, words)
-
-
-def test_an_array_that_was_changed_is_found_by_the_checksum(tmp_path):
-    file = tmp_path / "kept.npz"
-    rx.summarise(OSCILLATOR, record(), rx.DOLS()).save(file)
-    with np.load(file) as archive:
-        arrays = dict(archive)
-    arrays["0/stages/0/0/moments"][0, 3, 1, 1] *= 1 + 1e-15
-    np.savez(file, **arrays)
-    refused(file, "checksum")
 
 
 @pytest.mark.parametrize("packing", [zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED])
@@ -316,57 +258,28 @@ def test_what_cannot_be_saved_is_refused_in_one_line(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-SCRIPT = """
-import sys
-import numpy as np
-import jax
-import riecjax as rx
-rx.start_jax()
-from functools import partial
+def squares():
+    """An expression that prints where it lies in memory, as it differs between processes."""
 
-def squared(power, signals):
-    return signals["x"] ** power
+    def squared(power, signals):
+        return signals["x"] ** power
 
-samples, step, file = sys.argv[1:]
-with np.load(samples) as arrays:
-    record = rx.Record.from_samples(dict(arrays), time_step=float(step))
-model = rx.Equation(
-    rx.Term("m", "x", derivative=2, measured=("dx", "ddx"), unit="kg"),
-    rx.Term("d", "x", derivative=1, measured=("dx",), unit="N s/m"),
-    rx.Term("k", "x", unit="N/m"),
-    rx.Term("k2", partial(squared, 2), unit="N/m^2"),
-    -rx.Term(1.0, "u", unit="N"),
-    name="oscillator",
-)
-rx.summarise(model, record, rx.RIEC(rx.AllWindows(0.1, 0.6), rx.Hat()), bins=3).save(file)
-"""
-
-
-def squared(power, signals):
-    return signals["x"] ** power
-
-
-def own_oscillator() -> rx.Equation:
-    """With a term that prints where it lies in memory, which differs from process to process."""
-    *left, right = OSCILLATOR.terms
-    return rx.Equation(
-        *left, rx.Term("k2", partial(squared, 2), unit="N/m^2"), right, name="oscillator"
-    )
+    return partial(squared, 2)
 
 
 @pytest.mark.slow
-def test_a_recording_counts_once_whichever_process_summed_it(tmp_path):
-    made = {name: tmp_path / f"{name}.npz" for name in ("samples", "sums")}
-    write_npz(made["samples"], samples(2300, 11, STEP, 4.0))
-    given = [str(made["samples"]), str(STEP), str(made["sums"])]
-    subprocess.run([sys.executable, "-c", SCRIPT, *given], check=True, timeout=300)
-    model, there = own_oscillator(), rx.load(made["sums"])
-    here = rx.summarise(model, record(2300, 11, STEP, 4.0), there.criterion, bins=3)
-    assert here.digests == there.digests
-    merged = here.merge(there, here)
-    assert len(merged.recordings) == 1
-    same_arrays(merged.recordings, there.merge(here).recordings)
-    found = rx.estimate(model, merged)
+def test_a_recording_counts_once_whichever_process_summed_it():
+    expressions = squares(), squares()
+    assert str(expressions[0]) != str(expressions[1])
+    models = [
+        rx.Equation(rx.Term("k2", each, unit="N/m^2"), *OSCILLATOR.terms, name="oscillator")
+        for each in expressions
+    ]
+    made = record(2300, 11, k2=4.0)
+    one, other = (rx.summarise(model, made, CRITERIA["hat"], bins=3) for model in models)
+    assert one.digests == other.digests
+    assert len(one.merge(other).recordings) == 1
+    found = rx.estimate(models[0], one.merge(other))
     for name, value in (TRUTH | {"k2": 4.0}).items():
         assert float(found[name]) == pytest.approx(value, abs=0.05 * value + 0.1)
 
@@ -379,6 +292,9 @@ def test_summaries_merge_to_the_same_bits_in_any_order():
     for merged in (a.merge(b, c, d), a.merge(b).merge(c.merge(d)), b.merge(a, c, d, a)):
         same_arrays(merged.recordings, first.recordings)
     same_estimates(SPRING, first.select(2, 0, 1, 3).merge(), first)
+    surveyed = spring_summary(survey=True)
+    for merged in (parts[0].merge(surveyed), surveyed.merge(parts[0])):
+        assert merged.recordings[0].stages[0][0].survey is not None
     records = [spring_record(1500, seed) for seed in range(4)]
     whole = rx.identify(SPRING, records, BOXCAR)
     np.testing.assert_allclose(rx.estimate(SPRING, parts).theta, whole.theta, rtol=1e-12)
@@ -393,16 +309,6 @@ def spring_record(count: int, seed: int) -> rx.Record:
 
 def spring_summary(seed: int = 0, criterion: AbstractCriterion = BOXCAR, **settings) -> rx.Summary:
     return rx.summarise(SPRING, spring_record(1500, seed), criterion, **settings)
-
-
-def test_one_recording_given_twice_counts_once():
-    one = spring_summary()
-    twice = rx.estimate(SPRING, [one, spring_summary(), one])
-    np.testing.assert_array_equal(twice.theta, rx.estimate(SPRING, one).theta)
-    assert int(twice.stages[0].count) == int(rx.estimate(SPRING, one).stages[0].count)
-    surveyed = spring_summary(survey=True)
-    for merged in (one.merge(surveyed), surveyed.merge(one)):
-        assert merged.recordings[0].stages[0][0].survey is not None
 
 
 def test_summaries_that_do_not_belong_together_are_refused_in_one_line():
@@ -441,7 +347,7 @@ def test_sums_of_jit_do_not_tell_whose_they_are_and_are_not_merged():
 
 
 def test_selecting_and_leaving_out_recordings_is_a_fit_of_the_others():
-    records = [record(1500, 1), record(2200, 2), record(1700, 3, 0.008)]
+    records = [record(1500, 1), record(2200, 2), record(1700, 3, 125)]
     summary = rx.summarise(OSCILLATOR, records, rx.DOLS())
     some = rx.estimate(OSCILLATOR, summary.select(2, 0))
     fit = rx.identify(OSCILLATOR, [records[2], records[0]], rx.DOLS())
@@ -491,16 +397,17 @@ def test_a_factor_of_all_rows_is_kept_and_does_not_bring_back_what_was_left_out(
 
 
 @pytest.mark.parametrize("weight", [rx.Boxcar(), *nightly([rx.Hat()])], ids=["boxcar", "hat"])
-@pytest.mark.parametrize("step", [STEP, *nightly([0.0073])])
+@pytest.mark.parametrize("rate", [100, *nightly([137])])
 @pytest.mark.parametrize(
     ("alpha", "beta"),
     [
-        *[(0.1, 0.6), (0.2, 0.4), (0.1, 0.4), (0.2, 0.9), (0.05, 0.1)],
+        (0.2, 0.4),
+        *nightly([(0.1, 0.6), (0.1, 0.4), (0.2, 0.9), (0.05, 0.1)]),
         pytest.param(0.17, 0.55, marks=pytest.mark.raises_finding("band_snapped")),
     ],
 )
-def test_another_band_is_a_fresh_fit_and_says_if_it_snapped(weight, step, alpha, beta):
-    made = record(2000, 5, step)
+def test_another_band_is_a_fresh_fit_and_says_if_it_snapped(weight, rate, alpha, beta):
+    made = record(2000, 5, rate)
     summary = rx.summarise(
         OSCILLATOR, made, rx.RIEC(ALL, weight), bins=[0.05, 0.1, 0.2, 0.4, 0.6, 0.9]
     )
@@ -516,64 +423,40 @@ def test_another_band_is_a_fresh_fit_and_says_if_it_snapped(weight, step, alpha,
     assert float(found.stages[0].count) == pytest.approx(float(fresh.stages[0].count), rel=1e-12)
 
     # Snapped if windows of the band asked for are others, by their lengths in samples.
-    unit = step * banded.criterion.test_function.length_multiple
+    unit = banded.criterion.test_function.length_multiple / rate
     taken = banded.criterion.windows
     assert taken is not None
-    lags = [
-        [round(float(x) / unit) for x in band]
-        for band in ((alpha, beta), (taken.alpha, taken.beta))
-    ]
-    codes = [finding.code for finding in found.findings()]
-    assert ("band_snapped" in codes) == (lags[0] != lags[1])
-    if lags[0] == lags[1]:
-        asked = rx.identify(OSCILLATOR, made, rx.RIEC(rx.AllWindows(alpha, beta), weight))
-        np.testing.assert_allclose(found.theta, asked.theta, rtol=1e-10)
+    asked = [round(alpha / unit), round(beta / unit)]
+    snapped = asked != [round(float(taken.alpha) / unit), round(float(taken.beta) / unit)]
+    assert ("band_snapped" in [finding.code for finding in found.findings()]) == snapped
+    if not snapped:
         assert (float(taken.alpha), float(taken.beta)) == (alpha, beta)
 
 
-def test_the_band_that_was_asked_first_comes_back_as_it_was():
-    summary = spring_summary(bins=4)
-    back = summary.between(0.2, 0.4).between(0.1, 0.6)
+def test_another_band_needs_bins_and_the_first_comes_back_as_it_was():
+    binned = spring_summary(bins=4)
+    back = binned.between(0.2, 0.4).between(0.1, 0.6)
     assert back.asked is None
-    same_arrays(back.recordings, summary.recordings)
-    assert back.criterion.describe() == summary.criterion.describe()
+    same_arrays(back.recordings, binned.recordings)
     assert len(back.merge(spring_summary(1, bins=4)).recordings) == 2
-
-
-def test_another_band_needs_bins():
     with pytest.raises(rx.ModelError, match="make it with bins"):
         spring_summary().between(0.2, 0.4)
     with pytest.raises(rx.ModelError, match="0 < alpha < beta"):
-        spring_summary(bins=3).between(0.4, 0.2)
-
-
-@pytest.mark.parametrize("bins", [None, 5])
-def test_its_size_is_that_of_its_moments(bins):
-    """8 bytes x bins x blocks x (1 + p)^2 an equation and recording, and what does not grow."""
-    records = [record(1500, 1), record(2200, 2)]
-    summary = rx.summarise(OSCILLATOR, records, CRITERIA["boxcar"], bins=bins)
-    blocks = [int(one.blocks) for one in summary.recordings]
-    # Moments, what of them is noise, and what each source of noise adds.
-    sources = [len(one.noise.sources) for one in summary.recordings]
-    moments = sum(8 * (bins or 1) * (2 * n + k) * 4**2 for n, k in zip(blocks, sources))
-    rest = summary.byte_count - moments
-    # Numbers of windows, and a constant's products with all columns, by blocks.
-    assert 0 < rest <= sum(8 * (bins or 1) * n * (1 + 5) for n in blocks) + 2 * 1200
+        binned.between(0.4, 0.2)
 
 
 @pytest.mark.slow
 def test_a_summary_is_of_its_equations_numbers_too():
     """With another factor in front of the force, sums are other sums; a known value moves none."""
-    record = rx.Record({"x": np.sin(np.arange(900) / 7), "u": np.cos(np.arange(900) / 9)}, 0.01)
     criterion = rx.RIEC(rx.AllWindows(0.1, 0.5))
 
     def equation(factor, **known):
         return rx.Equation(rx.Term("k", "x", **known), rx.Term("c", "x", derivative=1), -factor)
 
     once, twice = (equation(rx.Term(number, "u")) for number in (1.0, 2.0))
-    summary = rx.summarise(once, record, criterion)
+    summary = rx.summarise(once, record(), criterion)
     with pytest.raises(rx.ModelError, match="made for other equations"):
         rx.estimate(twice, summary)
     held = equation(rx.Term(1.0, "u"), known=3.0)
-    assert rx.summarise(held, record, criterion).digests == summary.digests
+    assert rx.summarise(held, record(), criterion).digests == summary.digests
     assert float(rx.estimate(held, summary).known["k"]) == 3.0

@@ -7,7 +7,6 @@ import pytest
 import scipy.stats
 
 from riecjax.criteria.criterion import Rows
-from riecjax.errors import ModelError
 from riecjax.estimation.stages import solve
 from riecjax.summaries.normal_equations import (
     MOST_BLOCKS,
@@ -19,7 +18,6 @@ from riecjax.summaries.normal_equations import (
 from riecjax.uncertainty.block_statistics import (
     BlockStatistics,
     block_influence,
-    block_length,
     politis_white,
     staged_values,
     unknowns_of,
@@ -163,15 +161,21 @@ def test_bootstrap_intervals_cover_and_lean_to_the_side_of_a_skewed_estimate():
     assert np.mean(inside) > np.mean(student)
 
 
-def test_the_jackknife_is_the_refit_without_each_block():
-    rng = np.random.default_rng(0)
+def regression(seed, short, used):
+    """60 rows of least squares, in so many short blocks."""
+    rng = np.random.default_rng(seed)
     a, y = rng.normal(size=(60, 2)), rng.normal(size=60)
+    block = np.arange(60) * short // 60
     rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
-    made = NormalEquations.of_rows(rows, block_of_row=jnp.arange(60) // 6, block_count=10)
+    made = NormalEquations.of_rows(rows, block_of_row=jnp.array(block), block_count=short)
     fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
-    statistics = statistics_of(fine, 10, ShortBlocks(np.array([10]), jnp.array([1.0])))
+    setting = ShortBlocks(np.array([short]), jnp.array([SECONDS * SHORT / short]))
+    return a, y, block, statistics_of(fine, used, setting)
+
+
+def test_the_jackknife_is_the_refit_without_each_block():
+    a, y, block, statistics = regression(0, 10, 10)
     theta = np.linalg.lstsq(a, y)[0]
-    block = np.arange(60) // 6
     left = np.stack([np.linalg.lstsq(a[block != i], y[block != i])[0] for i in range(10)])
     expected = 0.9 * (left - theta).T @ (left - theta)
     np.testing.assert_allclose(jackknife_covariance(statistics), expected, rtol=1e-9)
@@ -181,14 +185,7 @@ def test_the_jackknife_is_the_refit_without_each_block():
 
 
 def test_the_sandwich_weighs_lags_as_newey_and_west_do():
-    rng = np.random.default_rng(1)
-    a, y = rng.normal(size=(60, 2)), rng.normal(size=60)
-    rows = Rows(jnp.array(np.stack([y, *a.T])), jnp.arange(60), ("a", "b"))
-    made = NormalEquations.of_rows(rows, block_of_row=jnp.arange(60), block_count=60)
-    fine = [NormalEquations(made.moments[None], made.count[None], ("a", "b"))]
-    statistics = statistics_of(
-        fine, 12, ShortBlocks(np.array([60]), jnp.array([SECONDS * SHORT / 60]))
-    )
+    a, y, _, statistics = regression(1, 60, 12)
     scores = a * (y - a @ np.linalg.lstsq(a, y)[0])[:, None]
     meat = scores.T @ scores
     for k in range(1, 5):
@@ -262,21 +259,6 @@ def test_the_block_length_rule_is_the_published_one(rho):
     short = ShortBlocks(np.array([ROWS]), jnp.array([0.01]))
     found = politis_white(jnp.array(series)[None, :, None], short)
     np.testing.assert_allclose(found, [0.01 * plain_politis_white(series)], rtol=1e-6)
-
-
-def test_blocks_are_four_windows_long_unless_errors_last_longer_or_records_are_short():
-    short = ShortBlocks(np.array([400]), jnp.array([0.1]))
-    window = jnp.asarray(0.3)
-    assert float(block_length(short, window, jnp.array([0.5]))) == pytest.approx(1.2)
-    assert float(block_length(short, window, jnp.array([0.5, 1.7]))) == pytest.approx(1.7)
-    # Forty seconds hold twenty blocks of two.
-    assert float(block_length(short, window, jnp.array([30.0]))) == pytest.approx(2.0)
-    assert float(block_length(short, jnp.asarray(3.0), jnp.array([1.0]))) == pytest.approx(6.0)
-
-
-def test_too_few_replicates_are_refused():
-    with pytest.raises(ModelError, match="at least 100"):
-        BlockBootstrap(replicates=50)
 
 
 def test_a_variance_that_hangs_on_few_blocks_has_few_degrees_of_freedom():

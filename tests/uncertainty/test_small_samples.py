@@ -1,30 +1,30 @@
-"""Intervals where few blocks of time tell of a parameter."""
+"""Intervals where few blocks of time tell of a parameter, and where recordings disagree."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import riecjax as rx
 from nightly import nightly
-from riecjax.criteria.criterion import RIEC, Rows
-from riecjax.criteria.windows import AllWindows
-from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, constant
-from riecjax.estimation.identify import identify
-from riecjax.records.record import Record
+from riecjax.criteria.criterion import Rows
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.block_statistics import unknowns_of
-from riecjax.uncertainty.covariances import OVERLAP, few_blocks_sandwich
+from riecjax.uncertainty.covariances import OVERLAP, few_blocks_sandwich, record_inflation
 
 STEP = 0.05
 SAMPLES = 512
 TRUTH = {"m": 2.0, "c": 2.0, "k": 180.0}
-FORCE = Equation(
-    Term(1.0, "F"), -Term("m", "v", derivative=1), -Term("c", "v"), -Term("k", "x"), name="force"
+FORCE = rx.Equation(
+    rx.Term(1.0, "F"),
+    -rx.Term("m", "v", derivative=1),
+    -rx.Term("c", "v"),
+    -rx.Term("k", "x"),
+    name="force",
 )
-SHORT_WINDOWS = RIEC(AllWindows(0.2, 3.1, longest_samples=64))
+SHORT_WINDOWS = rx.RIEC(rx.AllWindows(0.2, 3.1, longest_samples=64))
 # 0.1 to 2 Hz: two longest windows fill nearly half of the record's 25.6 s.
-LONG_WINDOWS = RIEC(AllWindows(0.25, 5.0, longest_samples=128))
+LONG_WINDOWS = rx.RIEC(rx.AllWindows(0.25, 5.0, longest_samples=128))
 COUNT = 60
 
 
@@ -49,22 +49,16 @@ def motion(kind, samples=SAMPLES):
     return {"x": x, "v": v, "F": m * a + c * v + k * x}
 
 
-def noisy(kind, seed, noise=0.1):
-    signals = motion(kind)
-    error = noise * signals["F"].std() * np.random.default_rng(seed).normal(size=SAMPLES)
-    return Record.from_samples({**signals, "F": signals["F"] + error}, time_step=STEP)
-
-
 def identified_often(kind, criterion):
     """Estimates less truth, and how far intervals reach, over seeds."""
     signals = {name: jnp.asarray(column) for name, column in motion(kind).items()}
     # What rounding and the quadrature shift is no scatter.
-    exact = np.asarray(identify(FORCE, Record(signals, STEP), criterion).theta)
+    exact = np.asarray(rx.identify(FORCE, rx.Record(signals, STEP), criterion).theta)
     size = 0.1 * jnp.std(signals["F"])
 
     def one(key):
         force = signals["F"] + size * jax.random.normal(key, (SAMPLES,))
-        estimate = identify(FORCE, Record({**signals, "F": force}, STEP), criterion)
+        estimate = rx.identify(FORCE, rx.Record({**signals, "F": force}, STEP), criterion)
         return estimate.theta, estimate.uncertainty, estimate.block_count
 
     theta, uncertainty, blocks = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), COUNT))
@@ -74,27 +68,24 @@ def identified_often(kind, criterion):
 
 
 @pytest.mark.slow
-def test_a_step_recorded_once_has_intervals_that_hold_the_truth_and_are_of_use():
-    off, below, above, blocks, uncertainty = identified_often("step", SHORT_WINDOWS)
-    assert blocks == 4
+@pytest.mark.parametrize(
+    ("kind", "criterion", "blocks", "held", "typical", "longest"),
+    [("step", SHORT_WINDOWS, 4, 0.88, 3, 8), ("waves", LONG_WINDOWS, 2, 0.85, 2, 1e3)],
+)
+def test_a_short_record_has_intervals_that_hold_the_truth_and_are_of_use(
+    kind, criterion, blocks, held, typical, longest
+):
+    off, below, above, found, uncertainty = identified_often(kind, criterion)
+    assert found == blocks
     assert np.asarray(uncertainty.few_blocks).all()
     inside = (off <= below) & (-off <= above)
     # The share of 60 seeds is itself known to 3 % for each parameter.
-    assert (inside.mean(0) > 0.88).all()
-    assert inside.mean() > 0.92
+    assert (inside.mean(0) > held).all()
+    assert inside.mean() > held + 0.04
     # Student's t with one degree of freedom would reach 12.7 standard errors to either side.
-    assert (np.median(below + above, axis=0) < 3 * 12.7 * off.std(0)).all()
-    assert (np.max(below + above, axis=0) < 8 * 12.7 * off.std(0)).all()
-
-
-@pytest.mark.slow
-def test_two_blocks_have_intervals_that_are_neither_points_nor_everything():
-    off, below, above, blocks, uncertainty = identified_often("waves", LONG_WINDOWS)
-    assert blocks == 2
-    assert np.asarray(uncertainty.few_blocks).all()
-    inside = (off <= below) & (-off <= above)
-    assert (inside.mean(0) > 0.85).all()
-    assert (np.median(below + above, axis=0) < 2 * 12.7 * off.std(0)).all()
+    reach = (below + above) / (12.7 * off.std(0))
+    assert (np.median(reach, axis=0) < typical).all()
+    assert (np.max(reach, axis=0) < longest).all()
 
 
 def blocks_of(rows, count, names):
@@ -162,29 +153,12 @@ def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(use
     assert float(found.seen[1]) < 0.5 * float(found.seen[0])
 
 
-@pytest.mark.slow
-def test_the_corrected_sandwich_is_the_same_in_32_bit_and_in_any_unit():
-    y, a = bursts(np.random.default_rng(1))
-    fine, _ = blocks_of((y, a * [1.0, 1e-6]), 6, ("a", "b"))
-
-    def sandwich_in(dtype):
-        equations = jax.tree.map(lambda x: x.astype(dtype), fine)
-        theta = np.linalg.lstsq(a * [1.0, 1e-6], y)[0].astype(dtype)
-        return few_blocks_sandwich(
-            [equations],
-            unknowns_of([equations.flattened()], {}),
-            {"a": jnp.asarray(theta[0]), "b": jnp.asarray(theta[1])},
-            ShortBlocks(np.array([6]), jnp.array([1.0], dtype)),
-            jnp.array([3]),
-        )
-
-    for single, double in zip(sandwich_in(np.float32), sandwich_in(np.float64)):
-        np.testing.assert_allclose(single, double, rtol=0.02)
-
-
 @pytest.mark.raises_finding("few_blocks")
 def test_few_blocks_are_named_and_say_what_stands_in():
-    estimate = identify(FORCE, noisy("step", 0), SHORT_WINDOWS)
+    signals = motion("step")
+    error = 0.1 * signals["F"].std() * np.random.default_rng(0).normal(size=SAMPLES)
+    record = rx.Record.from_samples({**signals, "F": signals["F"] + error}, time_step=STEP)
+    estimate = rx.identify(FORCE, record, SHORT_WINDOWS)
     finding = next(f for f in estimate.findings() if f.code == "few_blocks")
     assert all(f"{name} (" in finding.message for name in TRUTH)
     assert estimate.uncertainty.label == "small-sample sandwich with Student's t"
@@ -193,17 +167,60 @@ def test_few_blocks_are_named_and_say_what_stands_in():
     assert not any(f.code == "rarely_excited" for f in estimate.findings())
 
 
-def test_what_one_pulse_alone_tells_has_a_finite_interval_that_holds_it():
-    v = np.zeros(SAMPLES)
-    v[200:220] = np.sin(np.pi * np.arange(20) / 20) ** 2
-    held = []
-    for seed in range(8):
-        error = 0.1 * np.random.default_rng(seed).normal(size=SAMPLES)
-        record = Record.from_samples({"v": v, "F": 3 * v + error}, time_step=STEP)
-        estimate = identify(
-            Equation(Term(1.0, "F"), -Term("c", "v"), -Term("o", constant)), record, SHORT_WINDOWS
-        )
-        low, high = estimate.interval("c")
-        assert 0 < high - low < 100
-        held.append(low < 3 < high)
-    assert sum(held) >= 7
+SPRING = rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "f"))
+
+
+def records(stiffness, seed, noise=0.5, count=2000):
+    rng = np.random.default_rng(seed)
+    made = []
+    for k in stiffness:
+        x = rng.normal(size=count)
+        f = k * x + noise * rng.normal(size=count)
+        made.append(rx.Record.from_samples({"x": x, "f": f}, time_step=0.01))
+    return made
+
+
+@pytest.mark.slow
+def test_alike_recordings_are_left_alone_but_for_one_in_a_hundred():
+    factors = []
+    for seed in range(150):
+        estimate = rx.identify(SPRING, records([3.0] * 4, seed), rx.DOLS(), intervals=rx.Sandwich())
+        factors.append(float(estimate.inflation[0]))
+    assert np.mean(np.array(factors) > 1) < 0.05
+
+
+@pytest.mark.slow
+def test_recordings_of_different_machines_widen_the_interval_until_it_holds_their_mean():
+    rng = np.random.default_rng(0)
+    inside = inflated = 0
+    for seed in range(60):
+        measured = records(3 + 0.3 * rng.normal(size=5), seed)
+        estimate = rx.identify(SPRING, measured, rx.DOLS(), intervals=rx.Sandwich())
+        low, high = estimate.interval("k")
+        inside += low < 3.0 < high
+        inflated += float(estimate.inflation[0]) > 1
+    assert inflated >= 57
+    assert inside >= 0.85 * 60
+
+
+@pytest.mark.raises_finding("records_disagree")
+def test_disagreement_is_named_in_words():
+    estimate = rx.identify(SPRING, records([2.5, 3.0, 3.5], 0), rx.DOLS())
+    (finding,) = [f for f in estimate.findings() if f.code == "records_disagree"]
+    assert "do not agree on k" in finding.message
+    alike = rx.identify(SPRING, records([3.0] * 3, 1), rx.DOLS())
+    assert "records_disagree" not in [f.code for f in alike.findings()]
+
+
+def test_one_record_has_nothing_to_disagree_with():
+    influence = jax.random.normal(jax.random.key(0), (1, 10, 2))
+    np.testing.assert_array_equal(record_inflation(influence, jnp.array([10])), [1, 1])
+
+
+def test_the_widened_error_is_the_scatter_between_records_with_students_t():
+    """Two records with blocks of no scatter of their own, by hand."""
+    tiny = 1e-3 * np.array([1.0, -1.0])
+    influence = np.stack([1.0 + tiny, -1.0 + tiny])[:, :, None]
+    factor = float(record_inflation(jnp.asarray(influence), jnp.array([2, 2]))[0])
+    # Sums of +2 and -2: variance 2/1 (4 + 4) = 16; pooled over blocks 4; t of one freedom 12.706.
+    assert factor == pytest.approx(12.7062 / 1.95996 * np.sqrt(16 / 4), rel=1e-5)
