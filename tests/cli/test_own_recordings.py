@@ -115,7 +115,14 @@ def test_recordings_of_two_sampling_rates_lose_only_the_tests_of_the_residual(ca
 
 
 @pytest.mark.draws
-@pytest.mark.parametrize("known", ["", *nightly(["k=20"])], ids=["right", "wrong"])
+@pytest.mark.parametrize(
+    "known",
+    [
+        "",
+        pytest.param("k=20", marks=[pytest.mark.slow, pytest.mark.raises_finding("does_not_predict")]),
+    ],
+    ids=["right", "wrong"],
+)
 def test_the_held_out_part_is_simulated_from_the_users_own_equation(capsys, known):
     write_csv(Path("run.csv"), motion(offset=0.0 if known else 4.0))
     options = ("--set", known) if known else ()

@@ -41,11 +41,6 @@ def duffing(k3: float | Array = 2000.0) -> Duffing:
     return Duffing(*(jnp.asarray(value) for value in values))
 
 
-def force(seed: int, count: int = 200) -> Record:
-    noise = band_limited_noise(jax.random.key(seed), count, 0.02, bandwidth=5.0, rms=10.0)
-    return Record({"u": noise}, 0.02, start_time=3.0, units={"u": "N"})
-
-
 @pytest.fixture(scope="module")
 def scipy_states() -> np.ndarray:
     """DOP853 at 1e-10 over the first 4 s of a road, started anew at each kink of the input."""
@@ -100,17 +95,6 @@ def test_record_holds_inputs_states_derivatives_and_outputs_at_the_samples():
         np.testing.assert_allclose(signals["F_t"][sample], tyre_force, rtol=1e-12)
 
 
-def test_recorded_derivatives_are_the_slopes_of_the_recorded_states():
-    # Of a smooth system, by fourth-order central differences inside each state's own smoothness.
-    fine = 0.001
-    u = np.sin(np.arange(3000) * fine * 7)
-    record = simulate(duffing(), Record({"u": u}, fine), initial_state={"y": 0.05}).record
-    for name in ("y", "dy"):
-        x = np.asarray(record[name])
-        slope = (x[:-4] - 8 * x[1:-3] + 8 * x[3:-1] - x[4:]) / (12 * fine)
-        np.testing.assert_allclose(slope, record[f"d{name}"][2:-2], atol=2e-5)
-
-
 def test_a_missing_input_is_a_data_error_that_names_it():
     with pytest.raises(DataError, match="no signal 'u'"):
         simulate(duffing(), Record({"f": np.zeros(10)}, 0.01))
@@ -149,21 +133,6 @@ def test_checked_raises_one_line_that_says_when_and_what_to_do(method):
     with pytest.raises(SimulationError) as raised:
         lost.checked()
     assert_says_when_and_what_to_do(str(raised.value))
-
-
-def test_derivative_by_the_initial_state_and_the_input_equals_finite_differences():
-    def final(y0, gain):
-        inputs = force(1)
-        scaled = inputs.with_signals({"u": gain * inputs["u"]})
-        return simulate(duffing(), scaled, initial_state={"y": y0}).record["y"][-1]
-
-    found = jax.grad(final, argnums=(0, 1))(0.1, 1.0)
-    h = 1e-6
-    expected = [
-        (final(0.1 + h, 1.0) - final(0.1 - h, 1.0)) / (2 * h),
-        (final(0.1, 1.0 + h) - final(0.1, 1.0 - h)) / (2 * h),
-    ]
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-8)
 
 
 class Counting(AbstractSystem):
