@@ -1,5 +1,3 @@
-import json
-
 import jax
 import numpy as np
 import pytest
@@ -7,7 +5,6 @@ import scipy.io
 
 from conftest import measured_data
 from nightly import nightly
-from riecjax.cli.main import run
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import RandomWindows
@@ -15,7 +12,6 @@ from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import pendulum_equation
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
-from riecjax.records.writing import write_record
 
 STEP = 1e-3
 
@@ -50,14 +46,6 @@ def test_four_pieces_at_once(records):
     assert 20 <= estimate.block_count <= 4 * 9.2 / 1.5
 
 
-@pytest.mark.slow
-def test_draws_scatter_by_less_than_a_tenth_of_a_permille(records):
-    found = [float(riec(records, seed)["p1"]) for seed in range(4)]
-    assert len(set(found)) == 4
-    # A standard deviation of 0.002 was found over many draws; four of them reach this far.
-    assert np.ptp(found) < 0.012
-
-
 def test_an_independent_draw_gives_the_same(records, angles):
     rng = np.random.default_rng(0)
     targets, regressors = [], []
@@ -77,24 +65,6 @@ def test_an_independent_draw_gives_the_same(records, angles):
     # Four standard deviations of a draw, 0.002 and 0.0003.
     assert float(estimate["p1"]) == pytest.approx(expected[0], abs=0.008)
     assert float(estimate["p2"]) == pytest.approx(expected[1], abs=0.0012)
-
-
-@pytest.mark.slow
-def test_through_files_on_the_command_line(records, tmp_path, capsys):
-    paths = [tmp_path / f"piece{i}.csv" for i in range(4)]
-    for path, record in zip(paths, records):
-        write_record(path, record)
-    arguments = ["identify", *map(str, paths), "--model", "pendulum", "--refine", "none", "--json"]
-    arguments += ["--windows", "8000", "--test-function", "boxcar"]
-    arguments += ["--differentiate", "dtheta=theta", "--outliers", "keep", "--align", "none"]
-    assert run(arguments) == 0
-    parameters = json.loads(capsys.readouterr().out)["parameters"]
-    estimate = riec(records)
-    for name in ("p1", "p2"):
-        # The time step is formed from the file's times, to one rounding in 1e16; noise in the
-        # velocity, divided by it, is alike in both.
-        assert parameters[name]["value"] == pytest.approx(float(estimate[name]), rel=1e-9)
-    assert 63.9 < parameters["p1"]["value"] < 64.4
 
 
 def from_the_angle(records, windows, test_function):

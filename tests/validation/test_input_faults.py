@@ -17,7 +17,7 @@ from riecjax.uncertainty.intervals import Sandwich
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.input_faults import drifting_inputs
 
-RATE, COUNT, SIZE = 100.0, 6000, 3.0
+RATE, COUNT = 100.0, 6000
 LAW = rx.Equation(rx.Term("c", "v"), rx.Term("k", "x"), -rx.Term(1.0, "u"))
 
 
