@@ -46,27 +46,6 @@ def test_four_pieces_at_once(records):
     assert 20 <= estimate.block_count <= 4 * 9.2 / 1.5
 
 
-def test_an_independent_draw_gives_the_same(records, angles):
-    rng = np.random.default_rng(0)
-    targets, regressors = [], []
-    for theta in angles:
-        velocity = np.gradient(theta, STEP, edge_order=2)
-        lag = rng.integers(50, 501, 40_000)
-        start = rng.integers(0, theta.size, 40_000)
-        start, lag = start[start + lag < theta.size], lag[start + lag < theta.size]
-        stop = start + lag
-        sine = np.sin(theta)
-        running = np.concatenate([[0], np.cumsum((sine[1:] + sine[:-1]) / 2)]) * STEP
-        targets.append(velocity[stop] - velocity[start])
-        columns = [running[stop] - running[start], theta[start] - theta[stop]]
-        regressors.append(np.column_stack(columns))
-    expected = np.linalg.lstsq(np.concatenate(regressors), np.concatenate(targets))[0]
-    estimate = riec(records)
-    # Four standard deviations of a draw, 0.002 and 0.0003.
-    assert float(estimate["p1"]) == pytest.approx(expected[0], abs=0.008)
-    assert float(estimate["p2"]) == pytest.approx(expected[1], abs=0.0012)
-
-
 def from_the_angle(records, windows, test_function):
     criterion = RIEC(windows, test_function)
     return identify(pendulum_equation(), records, criterion, key=jax.random.key(0))

@@ -1,8 +1,6 @@
 """One registry, every contract: what each built-in model promises."""
 
 import dataclasses
-import subprocess
-import sys
 from functools import partial
 
 import jax
@@ -128,19 +126,6 @@ def test_what_a_model_cannot_do_is_refused():
         Model("only-equation", "").build_system({})
 
 
-def test_a_missing_value_without_default_is_refused_with_how_to_set_it():
-    from riecjax.models.model import Quantity
-
-    model = Model(
-        "no-default",
-        "",
-        system=lambda values: None,  # pyright: ignore[reportArgumentType]
-        own_simulation_parameters=(Quantity("k", "N/m", "stiffness"),),
-    )
-    with pytest.raises(ModelError, match=r"needs a value for k \(--set k=VALUE\)"):
-        model.build_system({})
-
-
 # Two of them are variants of others.
 @pytest.mark.parametrize(
     "name",
@@ -155,11 +140,3 @@ def test_dols_with_exact_derivatives_returns_what_was_simulated(name):
     estimate = fit(model.build_procedure(), record, DOLS())
     for parameter, value in truth(model).items():
         np.testing.assert_allclose(estimate[parameter], value, rtol=1e-8, err_msg=parameter)
-
-
-def test_listing_models_imports_no_jax():
-    script = (
-        "import sys; from riecjax.models.catalogue import MODELS; "
-        "assert MODELS; sys.exit('jax' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

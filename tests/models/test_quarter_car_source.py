@@ -7,7 +7,6 @@ import pytest
 
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car.source import (
-    GRAVITY,
     BumpStopSpring,
     DigressiveDamper,
     HardeningMount,
@@ -102,14 +101,3 @@ def test_derivative_is_equation_19(state):
     np.testing.assert_allclose(
         source.output(jnp.asarray(state), jnp.array([0.7]))["F_t"], tyre, rtol=1e-13
     )
-
-
-def test_tyre_force_saturates_at_the_static_load_in_extension_only():
-    source = built_in()
-    load = 330 * GRAVITY
-    np.testing.assert_allclose(source.lift_off_force, load, rtol=1e-14)
-    lift_off = load / 180e3
-    for extension in (lift_off * 1.0001, 0.1, 5.0):
-        np.testing.assert_allclose(source.tyre_force(jnp.asarray(extension)), load, rtol=1e-14)
-    for extension in (-0.3, -0.01, 0.0, 0.9 * lift_off):
-        np.testing.assert_allclose(source.tyre_force(jnp.asarray(extension)), 180e3 * extension)

@@ -14,7 +14,7 @@ from tests.machines import drag_signals as signals
 
 from nightly import nightly
 from riecjax.criteria.windows import RandomWindows
-from riecjax.errors import DataError, MissingSignalError, ModelError
+from riecjax.errors import DataError, ModelError
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
@@ -272,15 +272,3 @@ def test_what_cannot_be_done_is_said(noisy, arguments, error, words):
     settings = {"records": noisy, "start": START, **arguments}
     with pytest.raises(error, match=words):
         refine(oscillator(), **settings)
-
-
-def test_a_missing_input_is_named():
-    held = {name: values for name, values in signals().items() if name != "u"}
-    with pytest.raises(MissingSignalError, match="u"):
-        refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
-
-
-@pytest.mark.parametrize("length", [{}, {"seconds": 1.0, "samples": 3}, {"samples": 0}])
-def test_tiles_need_one_positive_length(length):
-    with pytest.raises(ModelError, match="tiles need"):
-        Tiles(**length)

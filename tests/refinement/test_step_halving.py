@@ -16,8 +16,8 @@ from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit
 from riecjax.refinement.optimum import Optimum, Reached, RefinementStatus
 from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import StepHalving, halve_steps, refine, with_finer_steps
-from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep
+from riecjax.refinement.refine import halve_steps, refine
+from riecjax.simulation.method import Adaptive, FixedStep
 
 RATE = 100
 HARD = {"d": 2.0, "k1": 100.0, "k3": 3e6}
@@ -130,38 +130,7 @@ def test_what_diverged_is_halved_without_a_warning(monkeypatch):
     assert halving._replace(allowed=infinite[0]).excess(infinite[0]) == np.inf
 
 
-def halved(change, coarse=True) -> StepHalving:
-    allowed = np.array([0.1, np.inf])
-    return StepHalving(np.array([change, 1e9]), allowed, np.array([coarse, False]))
-
-
-@pytest.mark.parametrize(
-    ("steps", "now", "before", "then"),
-    [
-        (2, halved(0.05, coarse=False), None, None),
-        (2, halved(1.0), None, 8),
-        (2, halved(0.1 * 6**4), None, 12),
-        (2, halved(1e9), None, 64),
-        (2, halved(np.nan), None, 64),
-        (32, halved(1.0), None, 64),
-        (64, halved(1.0), None, None),
-        (8, halved(0.5), halved(1.1), 32),
-        (8, halved(0.5), halved(0.9), None),
-    ],
-)
-def test_steps_are_made_shorter_for_as_long_as_that_helps(steps, now, before, then):
-    finer = with_finer_steps(Stepped(steps=steps), now, before)
-    assert then == (finer.steps if isinstance(finer, Stepped) else None)
-
-
 def test_an_adjoint_that_only_goes_backward_is_refused():
     method = Adaptive(1e-8, 1e-10, adjoint=diffrax.RecursiveCheckpointAdjoint())
     with pytest.raises(ModelError, match="Jacobians forward, which RecursiveCheckpointAdjoint"):
         OutputError(method=method)
-
-
-def test_every_method_has_a_finer_one_or_none():
-    assert FixedStep(3).finer(4) == FixedStep(12)
-    finer = Adaptive(3.2e-5, 3.2e-8, max_steps=50).finer(2)
-    assert (finer.rtol, finer.atol, finer.max_steps) == pytest.approx((1e-6, 1e-9, 100))
-    assert AbstractMethod().finer(2) is None
