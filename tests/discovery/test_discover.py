@@ -166,31 +166,6 @@ def test_hidden_elements_are_refused(record):
         discover(model, record, **QUICK)
 
 
-def test_the_model_file_asks_for_a_function_of_ones_own_by_name(record, tmp_path):
-    (tmp_path / "laws.py").write_text(
-        "import jax.numpy as jnp\nimport riecjax as rx\n"
-        "def law(signals):\n    return signals['x'] + 0 * jnp.tanh(signals['x'])\n"
-        "LAWS = [rx.Term('spring', law), rx.Term('drag', rx.odd('dx', 2))]\n"
-    )
-    from riecjax.models.catalogue import object_of_file
-
-    laws = f"{tmp_path}/laws.py:LAWS"
-    found = discover(find_model("two-mass"), _renamed(record), object_of_file(laws), **QUICK)
-    assert {*found.names} == {"spring", "drag"}
-    with pytest.raises(rx.ModelError, match="spring is of a function of your own"):
-        model_source(found, "two-mass", tmp_path)
-    file = tmp_path / "model.py"
-    file.write_text(model_source(found, "two-mass", tmp_path, laws))
-    assert {"spring", "drag"} < {q.name for q in find_model(str(file)).parameters}
-
-
-def _renamed(record: rx.Record) -> rx.Record:
-    """As the two-mass model calls its signals; laws read the old names."""
-    arrays = {name: np.asarray(values) for name, values in record.arrays.items()}
-    both = arrays | {"z": arrays["x"], "dz": arrays["dx"], "F": arrays["u"]}
-    return rx.Record.from_samples(both, time_step=0.01)
-
-
 def test_the_file_of_a_hysteretic_model_is_identified_and_simulated(tmp_path):
     problem = PROBLEMS["hysteresis"]
     (tmp_path / "own").mkdir()

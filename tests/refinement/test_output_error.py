@@ -154,14 +154,6 @@ def test_a_state_that_is_not_recorded_is_estimated():
         assert low < true < high
 
 
-def test_before_and_after_are_on_one_basis(noisy, whole):
-    """From the answer as its start, there is nothing that could differ but the initial states."""
-    again = refine(oscillator(), noisy, whole.values)
-    assert float(again.cost_before) == pytest.approx(float(whole.cost), rel=1e-6)
-    np.testing.assert_allclose(again.rms_before, whole.rms, rtol=1e-4)
-    assert "initial states estimated for each, FixedStep(1)" in str(again)
-
-
 @pytest.fixture(scope="module")
 def two_masses():
     """The oscillator and a heavier one, recorded for unequal lengths."""
