@@ -119,7 +119,9 @@ def test_recordings_of_two_sampling_rates_lose_only_the_tests_of_the_residual(ca
     "known",
     [
         "",
-        pytest.param("k=20", marks=[pytest.mark.slow, pytest.mark.raises_finding("does_not_predict")]),
+        pytest.param(
+            "k=20", marks=[pytest.mark.slow, pytest.mark.raises_finding("does_not_predict")]
+        ),
     ],
     ids=["right", "wrong"],
 )

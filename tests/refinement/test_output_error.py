@@ -1,10 +1,17 @@
 """Output-error refinement: against SciPy, over windows of any length, and what it says of it."""
 
+from pathlib import Path
+from typing import ClassVar
+
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+from jaxtyping import Array
 from tests.machines import DRAG, drag_fleet
+from tests.machines import DRAG_BOUND as BOUND
 from tests.machines import DRAG_START as START
 from tests.machines import DRAG_TRUTH as TRUTH
 from tests.machines import drag_force as force
@@ -13,15 +20,26 @@ from tests.machines import drag_record as record
 from tests.machines import drag_signals as signals
 
 from nightly import nightly
+from riecjax import compilation, runtime
 from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation import differentiate
-from riecjax.records.record import Record
+from riecjax.records.record import Record, shared_length, stack_records
 from riecjax.refinement.optimum import Prior, RefinementStatus
-from riecjax.refinement.output_error import THRESHOLD, OutputError, RandomShots, Tiles, _computed
+from riecjax.refinement.output_error import (
+    THRESHOLD,
+    AbstractShooting,
+    OutputError,
+    RandomShots,
+    Tiles,
+    WholeRecord,
+    _computed,
+)
 from riecjax.refinement.refine import refine
 from riecjax.simulation.method import FixedStep
+from riecjax.simulation.system import AbstractSystem
+from riecjax.uncertainty.intervals import Sandwich
 
 COUNT, RATE = DRAG.shape
 
@@ -264,3 +282,122 @@ def test_what_cannot_be_done_is_said(noisy, arguments, error, words):
     settings = {"records": noisy, "start": START, **arguments}
     with pytest.raises(error, match=words):
         refine(oscillator(), **settings)
+
+
+WHOLE = OutputError(method=FixedStep(1))
+SEEDS = 100
+
+
+@eqx.filter_jit
+def refine_all(records, by, intervals):
+    def one(arrays):
+        found = refine(oscillator(), Record(arrays, 1 / RATE), START, by, intervals=intervals)
+        return found.theta, found.standard_errors, found.converged
+
+    return jax.vmap(one)(records.arrays)
+
+
+@pytest.mark.slow
+def test_errors_reach_the_cramer_rao_bound_and_are_told():
+    records = stack_records([record(seed) for seed in range(SEEDS)])
+    theta, errors, converged = refine_all(records, WHOLE, Sandwich())
+    truth, bound = (np.array(list(values.values())) for values in (TRUTH, BOUND))
+    assert np.all(converged)
+    rms = np.sqrt(np.mean((np.asarray(theta) / truth - 1) ** 2, axis=0))
+    # A root mean square of a hundred draws is known to 7 %.
+    assert np.all(rms < 1.1 * bound)
+    assert np.all(rms > 0.8 * bound)
+    np.testing.assert_allclose(np.mean(np.asarray(errors) / truth, axis=0), bound, rtol=0.1)
+
+
+class Decay(AbstractSystem):
+    """x' = -a b x: only the product is determined."""
+
+    a: Array
+    b: Array
+
+    states = (("x", "m"),)
+
+    def derivative(self, state, inputs):
+        return -(self.a * self.b) * state
+
+
+@pytest.fixture(scope="module")
+def decaying():
+    t = np.arange(400) / 100
+    noise = 0.01 * np.random.default_rng(0).normal(size=400)
+    held = Record.from_samples({"x": np.exp(-0.7 * t) + noise}, time_step=0.01)
+    return Decay(jnp.asarray(1.0), jnp.asarray(1.0)), held
+
+
+@pytest.mark.raises_finding("undetermined")
+def test_parameters_that_make_up_for_each_other_are_called_undetermined(decaying):
+    model, held = decaying
+    both = refine(model, held, {"a": 0.5, "b": 1.1})
+    assert float(both["a"] * both["b"]) == pytest.approx(0.7, rel=0.05)
+    (found,) = both.findings()
+    assert found.code == "undetermined"
+    assert "when a, b change together" in found.message
+    assert np.all(np.isnan(both.standard_errors))
+
+
+def test_a_shared_length_is_a_quarter_longer_at_most():
+    every = np.arange(2, 5000)
+    shared = np.array([shared_length(int(n)) for n in every])
+    assert np.all(shared >= every)
+    assert np.all(shared <= 1.25 * every + 1)
+    assert np.all(np.diff(shared) >= 0)
+    assert len(set(shared[every > 1024])) <= 10
+
+
+def test_another_length_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compilation, "_programs", {})
+    monkeypatch.setattr(runtime, "_programs_folder", tmp_path)
+    whole = record(seed=0, count=1000)
+    refine(oscillator(), whole, START)
+    kept = sorted(path.name for path in tmp_path.iterdir())
+    assert kept
+    refine(oscillator(), whole.part(0, 930), START)
+    assert sorted(path.name for path in tmp_path.iterdir()) == kept
+
+
+@pytest.mark.parametrize(
+    "shooting", [WholeRecord(), *nightly([Tiles(samples=150)])], ids=["whole", "tiles"]
+)
+def test_what_a_record_is_filled_up_with_tells_nothing(shooting: AbstractShooting):
+    """Traced, a record is not filled up."""
+    given = record(seed=1, count=930)
+    by = OutputError(shooting, method=FixedStep(4))
+
+    def fit(arrays: dict[str, Array]) -> tuple[Array, Array, Array]:
+        found = refine(oscillator(), Record(arrays, given.time_step), START, by)
+        return found.theta, found.standard_errors, found.rms
+
+    for one, two in zip(fit(given.arrays), jax.jit(fit)(given.arrays)):
+        np.testing.assert_allclose(one, two, rtol=1e-6)
+
+
+class Hidden(AbstractSystem):
+    """x' = c x^2, of which only y = x + 1 is recorded."""
+
+    c: Array
+    states: ClassVar = (("x", ""),)
+    outputs: ClassVar = (("y", ""),)
+
+    def derivative(self, state: Array, inputs: Array) -> Array:
+        return self.c * state**2
+
+    def output(self, state: Array, inputs: Array) -> dict[str, Array]:
+        return {"y": state[0] + 1}
+
+
+@pytest.mark.parametrize("count", [896, 897])
+def test_steps_are_chosen_by_the_motion_within_the_record(count: int):
+    """From 897 samples on it is filled up to 1024, past where the motion escapes."""
+    t = np.arange(count) / 1000
+    seen = Record.from_samples({"y": 1 + 1 / (1 - 0.98 * t)}, time_step=1e-3)
+    found = refine(
+        Hidden(jnp.asarray(0.95)), seen, {"c": 0.95}, OutputError(initial_states={"x": 1.0})
+    )
+    assert float(found["c"]) == pytest.approx(0.98, rel=1e-4)
+    assert found.steps_label == "FixedStep(1)"
