@@ -123,17 +123,6 @@ def test_a_known_value_of_the_model_sets_its_scale(record):
     assert "one" not in found.estimate.parameters
 
 
-def test_candidates_of_ones_own_are_all_that_is_offered(record):
-    own = [
-        rx.Term("k", "x", unit="N/m"),
-        Candidate("drag", (rx.Term("r", rx.odd("dx", 1)), rx.Term("r2", rx.odd("dx", 2)))),
-        rx.Term("nonsense", rx.even("x", 1)),
-    ]
-    found = discover(DRAG.start, record, own, **QUICK)
-    assert {*found.names} == {"k", "drag"}
-    assert {"k", "r", "r2"} < {*found.estimate.parameters}
-
-
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -148,16 +137,14 @@ def test_candidates_of_ones_own_are_all_that_is_offered(record):
         ({"known": {"zz": 1.0}}, "unknown parameter 'zz'"),
         ({"hold_out": 2.0}, "the share to hold out must lie between 0 and 1"),
         ({"hold_out": "half"}, "hold_out"),
+        ({"count": 300}, "5 blocks of time, of which terms are to be chosen"),
     ],
 )
 def test_what_makes_no_sense_is_refused(record, changed, said):
+    part = record.part(0, changed.get("count", record.sample_count))
+    settings = {name: value for name, value in changed.items() if name != "count"}
     with pytest.raises(rx.RiecjaxError, match=said):
-        discover(DRAG.start, record, changed.pop("candidates", None), **changed, **QUICK)
-
-
-def test_too_few_blocks_of_time_are_refused(record):
-    with pytest.raises(rx.DataError, match="5 blocks of time, of which terms are to be chosen"):
-        discover(DRAG.start, record.part(0, 300), **QUICK)
+        discover(DRAG.start, part, **settings, **QUICK)
 
 
 def test_hidden_elements_are_refused(record):

@@ -99,30 +99,35 @@ def equation(*terms: rx.Term | rx.Terms) -> rx.equations.Procedure:
     return rx.staged(rx.Equation(*terms, -rx.Term(1.0, "F"), name="body"))
 
 
-@pytest.mark.parametrize(
-    ("of", "why"),
-    [("m", "an acceleration, a mass"), ("k", "a position, a stiffness: .* only a softer spring")],
+SPRUNG = equation(
+    rx.Term("m", "x", derivative=2),
+    rx.Term("c", "x", derivative=1),
+    rx.Term("k", "x"),
+    rx.Terms("p", rx.Polynomial((3, 5)), "x"),
+    rx.Terms("F", rx.roof([-1.0, 0.0, 1.0]), TRAVEL),
+    rx.Term("offset", rx.constant),
 )
-def test_units_tell_what_is_no_damper(of, why):
-    with pytest.raises(rx.ModelError, match=f"'{of}' is of {why}.*or a map of one: c\\."):
-        rx.staged(BODY).with_series_springs(rx.SeriesSpring(of))
 
 
 @pytest.mark.parametrize(
-    ("of", "why"),
-    [("m", "acceleration"), ("k", "position"), ("p_3", "position"), ("offset", "a constant")],
+    ("model", "of", "why"),
+    [
+        (rx.staged(BODY), "m", r"'m' is of an acceleration, a mass.*or a map of one: c\."),
+        (rx.staged(BODY), "k", r"a position, a stiffness: .* only a softer spring.*one: c\."),
+        *(
+            (SPRUNG, of, rf"{why}.*or a map of one: c, F_1\.")
+            for of, why in (
+                ("m", "acceleration"),
+                ("k", "position"),
+                ("p_3", "position"),
+                ("offset", "a constant"),
+            )
+        ),
+    ],
 )
-def test_derivatives_tell_where_units_do_not(of, why):
-    body = equation(
-        rx.Term("m", "x", derivative=2),
-        rx.Term("c", "x", derivative=1),
-        rx.Term("k", "x"),
-        rx.Terms("p", rx.Polynomial((3, 5)), "x"),
-        rx.Terms("F", rx.roof([-1.0, 0.0, 1.0]), TRAVEL),
-        rx.Term("offset", rx.constant),
-    )
-    with pytest.raises(rx.ModelError, match=rf"{why}.*or a map of one: c, F_1\."):
-        body.with_series_springs(rx.SeriesSpring(of))
+def test_units_tell_what_is_no_damper_and_derivatives_where_there_are_none(model, of, why):
+    with pytest.raises(rx.ModelError, match=why):
+        model.with_series_springs(rx.SeriesSpring(of))
 
 
 def test_dampers_are_taken_however_they_are_written():

@@ -1,3 +1,5 @@
+"""EMPS, a measured axis: against published values, and least squares written out."""
+
 import json
 from pathlib import Path
 

@@ -1,3 +1,5 @@
+"""A measured pendulum in four pieces, against published values."""
+
 import jax
 import numpy as np
 import pytest
@@ -10,7 +12,6 @@ from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import pendulum_equation
-from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
 
 STEP = 1e-3
@@ -27,23 +28,6 @@ def angles() -> list[np.ndarray]:
 @pytest.fixture(scope="module")
 def records(angles) -> list[Record]:
     return [Record.from_samples({"theta": angle}, time_step=STEP) for angle in angles]
-
-
-def riec(records: list[Record], seed: int = 0):
-    derived = [differentiate(record, "theta", "dtheta") for record in records]
-    criterion = RIEC(RandomWindows(0.05, 0.5, 8000))
-    return identify(pendulum_equation(), derived, criterion, key=jax.random.key(seed))
-
-
-@pytest.mark.slow
-def test_four_pieces_at_once(records):
-    estimate = riec(records)
-    assert 63.9 < float(estimate["p1"]) < 64.4
-    # The damping of 0.056 1/s that central differences of the angle give.
-    assert float(estimate["p2"]) == pytest.approx(0.056, abs=0.002)
-    # Four pieces of 9.2 s: three times 0.5 s to a block, or longer where errors are correlated
-    # longer, and twenty blocks at least.
-    assert 20 <= estimate.block_count <= 4 * 9.2 / 1.5
 
 
 def from_the_angle(records, windows, test_function):

@@ -64,13 +64,3 @@ def test_integral_refinement_finds_the_break_points_of_a_map_that_has_them(balan
     assert bool(refined.converged)
     for name in ("K_s", *INNER):
         np.testing.assert_allclose(refined[name], truth[name], rtol=0.02)
-
-
-def test_an_outer_break_point_may_slide_along_its_segment():
-    parameters = MASSES | dict(zip(FORCES, (-1200.0, -800.0, 700.0, 1100.0)))
-    here = quarter_car_of_break_points(parameters)
-    slid = quarter_car_of_break_points({**parameters, "v_1": -0.55, "F_1": -1000.0})
-    speeds = jnp.linspace(-2.0, 2.0, 41)
-    np.testing.assert_allclose(
-        slid.roof.interpolate(slid.F, speeds), here.roof.interpolate(here.F, speeds), rtol=1e-12
-    )

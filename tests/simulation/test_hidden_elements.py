@@ -73,19 +73,23 @@ def test_body_and_mass_move_as_newton_says(on, sign):
     np.testing.assert_allclose(found["a"], (expected @ truth)[1] + (3 * time - 1) / 2, atol=1e-5)
 
 
+FIRST = rx.Equation(
+    rx.Term("p", "a", derivative=1), rx.Term("q", "b", derivative=1), -rx.Term(1.0, "u")
+)
+SECOND = rx.Equation(
+    rx.Term("q", "a", derivative=1), rx.Term("r", "b", derivative=1), rx.Term("c", "b")
+)
+
+
 def test_a_mode_moves_every_equation_that_holds_its_body():
     """As the same system written out: the mass an equation of its own, M w' in both others."""
-    first = rx.Equation(
-        rx.Term("p", "a", derivative=1), rx.Term("q", "b", derivative=1), -rx.Term(1.0, "u")
-    )
-    second = rx.Equation(rx.Term("q", "b", derivative=1), rx.Term("c", "b"), rx.Term("e", "a"))
-    values = {**VALUES, "p": 3.0, "q": 2.0, "e": 0.4}
-    modes = rx.staged(first, second).with_modes(rx.HiddenMode("b"))
+    values = {**VALUES, "p": 3.0, "q": 2.0, "r": 5.0}
+    modes = rx.staged(FIRST, SECOND).with_modes(rx.HiddenMode("b"))
     mass = rx.Term("M_mode", "w", derivative=1)
     stretching = difference("b", "w")
     written = rx.staged(
-        rx.Equation(*first.terms, mass),
-        rx.Equation(*second.terms, mass),
+        rx.Equation(*FIRST.terms, mass),
+        rx.Equation(*SECOND.terms, mass),
         rx.Equation(mass, -rx.Term("K_mode", "d"), -rx.Term("B_mode", stretching)),
     )
     made = rx.equation_system(modes, values)
@@ -147,34 +151,23 @@ def test_quarter_car_carries_an_engine(name):
     np.testing.assert_allclose(inputs, quarter_car()[2:, :2], rtol=1e-10, atol=1e-9)
 
 
-def coupled() -> Procedure:
-    """A pendulum on a cart, in its linear form: the accelerations are coupled."""
-    cart = rx.Equation(
-        rx.Term("m", "v", derivative=1), rx.Term("J", "r", derivative=1), -rx.Term(1.0, "u")
-    )
-    rod = rx.Equation(
-        rx.Term("J", "v", derivative=1), rx.Term("I", "r", derivative=1), rx.Term("c", "r")
-    )
-    return rx.staged(cart, rod)
-
-
 def test_coupled_accelerations_are_simulated_by_their_equations():
     class Free(rx.simulation.AbstractSystem):
-        states = (("v", ""), ("r", ""))
+        states = (("a", ""), ("b", ""))
         inputs = (("u", ""),)
 
-    plain = as_model(coupled())
+    plain = as_model(rx.staged(FIRST, SECOND))
     model = Model(
         "cart",
         "",
-        procedure=coupled,
+        procedure=lambda: rx.staged(FIRST, SECOND),
         parameters=plain.parameters,
         system=lambda values: Free(),
         inputs=(Quantity("u", "N", ""),),
-    ).with_modes(rx.HiddenMode("v"))
+    ).with_modes(rx.HiddenMode("a"))
     record = rx.Record({"u": np.zeros(20)}, 0.1)
     values = dict.fromkeys(model.build_procedure().parameters, jnp.asarray(2.0))
-    values["J"] = jnp.asarray(0.5)
+    values["q"] = jnp.asarray(0.5)
     assert isinstance(model.identified_system(values, record), EquationSystem)
     assert isinstance(model.parametric_system(record), ByCoefficients)
     with pytest.raises(rx.ModelError, match="cannot carry a hidden mode"):

@@ -10,8 +10,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from nightly import nightly
-from riecjax.errors import DataError, SimulationError
-from riecjax.models.oscillators import Duffing
+from riecjax.errors import SimulationError
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
@@ -32,11 +31,6 @@ def source():
 def road(seed: int, count: int = 8000, step: float = STEP) -> Record:
     key = jax.random.key(seed)
     return Record({"v_r": band_limited_noise(key, count, step, bandwidth=30.0, rms=0.55)}, step)
-
-
-def duffing(k3: float | Array = 2000.0) -> Duffing:
-    values = (1.0, 0.5, 100.0, 30.0, k3)
-    return Duffing(*(jnp.asarray(value) for value in values))
 
 
 @pytest.mark.slow
@@ -63,11 +57,6 @@ def test_record_holds_inputs_states_derivatives_and_outputs_at_the_samples():
         rates = [signals[f"d{name}"][sample] for name in names]
         np.testing.assert_allclose(rates, derivative, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(signals["F_t"][sample], tyre_force, rtol=1e-12)
-
-
-def test_a_missing_input_is_a_data_error_that_names_it():
-    with pytest.raises(DataError, match="no signal 'u'"):
-        simulate(duffing(), Record({"f": np.zeros(10)}, 0.01))
 
 
 class Cubic(AbstractSystem):

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 import scipy.signal
+from test_late_signals import AXIS
 
 import riecjax as rx
 from riecjax.assessment.trust import what_is_left
-from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import as_procedure
-from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.derived import derived
 from riecjax.records.record import Record
@@ -68,15 +66,6 @@ def test_a_force_that_does_not_drift_is_not(noise):
 
 
 STEP, SAMPLES = 0.01, 3000
-AXIS = as_procedure(
-    Equation(
-        Term("m", "x", derivative=2, measured=("v",), unit="kg"),
-        Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
-        Term("k", "x", unit="N/m"),
-        -Term(1.0, "F"),
-        name="axis",
-    )
-)
 
 
 def driven(seed) -> dict[str, np.ndarray]:

@@ -1,3 +1,5 @@
+"""What models leave, against brute force, SciPy and closed forms, and what it is named."""
+
 from functools import partial
 
 import jax
