@@ -65,23 +65,17 @@ def test_of_several_motions_candidates_carry_the_signals_name_and_of_several_equ
     assert units_of(found)["viscous_x3"] == "N s/m"
 
 
-def test_widths_lie_within_the_motion_and_grow():
-    found = candidates(MASS, "x", "dx", "u")
-    for one in found:
+def test_widths_lie_within_the_motion_and_grow_and_closer_ones_keep_that_which_they_are_around():
+    for one in candidates(MASS, "x", "dx", "u"):
         if isinstance(one, Shaped):
             assert np.all(np.diff(one.widths) > 0)
             assert 0 < one.widths[0] < one.widths[-1] < 3
-
-
-@pytest.mark.parametrize("number", [0, 2, 5])
-def test_closer_widths_keep_the_one_that_they_are_around(number):
-    one = next(c for c in candidates(MASS, "x", "dx", "u") if c.name == "dead_zone")
-    assert isinstance(one, Shaped)
-    closer = one.closer(number)
-    assert one.widths[number] in closer.widths
-    assert closer.widths.size == one.widths.size
-    assert np.all(np.diff(closer.widths) > 0)
-    assert np.ptp(closer.widths) < np.ptp(one.widths)
+            for number in (0, 2, 5):
+                closer = one.closer(number)
+                assert one.widths[number] in closer.widths
+                assert closer.widths.size == one.widths.size
+                assert np.all(np.diff(closer.widths) > 0)
+                assert np.ptp(closer.widths) < np.ptp(one.widths)
 
 
 @pytest.mark.parametrize(

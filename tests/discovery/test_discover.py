@@ -83,13 +83,6 @@ def test_the_width_of_a_dead_zone_is_found():
     assert float(found.estimate["dead_zone_stiffness"]) == pytest.approx(60, rel=0.02)
 
 
-def test_noise_alone_is_given_nothing():
-    rng = np.random.default_rng(0)
-    signals = {name: rng.standard_normal(4000) for name in ("x", "dx", "u")}
-    found = discover(DRAG.start, rx.Record.from_samples(signals, time_step=0.01), **QUICK)
-    assert found.names == ()
-
-
 @pytest.mark.slow
 def test_without_a_recorded_velocity_it_is_formed(record):
     found = discover(DRAG.start, record.select("x", "u"), **QUICK)

@@ -152,11 +152,3 @@ def test_the_verdict_doubts_what_drifts_and_what_noise_does_not_explain(document
     assert mass["level"] == "caution"
     # The published value, by another method.
     assert mass["doubt"][0] < 95.11 < mass["doubt"][1]
-
-
-@pytest.mark.slow
-def test_held_out_motion_is_predicted_from_the_recorded_force(document):
-    found = document("emps-asymmetric", "--hold-out", 0.3, "--no-sweep")
-    (validation,) = found["validation"]
-    assert validation["predicts"] is True
-    assert validation["signals"]["dq"]["fit_percent"] > 90

@@ -1,7 +1,6 @@
 """One registry, every contract: what each built-in model promises."""
 
 import dataclasses
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +18,6 @@ from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.uncertainty.intervals import Naive
-
-fit = partial(identify, intervals=Naive())
-"""No test here asks for intervals."""
 
 IDENTIFIED = [name for name, model in MODELS.items() if model.procedure is not None]
 SIMULATED = [name for name, model in MODELS.items() if model.system is not None]
@@ -137,6 +133,6 @@ def test_dols_with_exact_derivatives_returns_what_was_simulated(name):
     if name.startswith("emps"):
         # At rest dry friction balances whatever it can, of which sign(0) = 0 knows nothing.
         record = dataclasses.replace(record, missing={"dq": record["dq"] == 0})
-    estimate = fit(model.build_procedure(), record, DOLS())
+    estimate = identify(model.build_procedure(), record, DOLS(), intervals=Naive())
     for parameter, value in truth(model).items():
         np.testing.assert_allclose(estimate[parameter], value, rtol=1e-8, err_msg=parameter)

@@ -81,15 +81,6 @@ def test_gradients_through_friction_are_those_of_differences():
     np.testing.assert_allclose(slope, differences, rtol=1e-3, atol=1e-4)
 
 
-def test_at_a_kink_the_derivative_is_one_sided_and_finite():
-    """At rest exactly, friction has no derivative by the velocity; what comes out is finite."""
-    axis = Axis(*(jnp.asarray(v) for v in (95.0, 200.0, 20.0, 200.0, 20.0, 0.0)))
-    slope = jax.jacfwd(lambda v: axis.acceleration(v, jnp.asarray(5.0)))(jnp.zeros(()))
-    assert np.isfinite(float(slope))
-    smooth = jax.jacfwd(lambda v: axis.acceleration(v, jnp.asarray(5.0), 1e-3))(jnp.zeros(()))
-    assert float(smooth) == pytest.approx(-(200.0 + 20.0 / 1e-3) / 95.0)
-
-
 @pytest.mark.parametrize(
     ("lower", "upper"), [(-np.inf, np.inf), (1.0, np.inf), (-np.inf, 4.0), (1.0, 4.0)]
 )

@@ -116,6 +116,12 @@ def test_the_optimum_of_hubers_loss_is_scipys_and_spikes_hardly_move_it():
     assert np.all(np.asarray(found.standard_errors) < 0.8 * np.asarray(plain.standard_errors))
 
 
+def assert_holds_the_truth(refined):
+    for name, true in TRUTH.items():
+        low, high = refined.interval(name, 0.999)
+        assert low < true < high
+
+
 def test_it_says_what_it_did(whole):
     assert bool(whole.converged)
     assert 3 < int(whole.steps) < 15
@@ -127,9 +133,7 @@ def test_it_says_what_it_did(whole):
     assert np.all(np.asarray(whole.rms_before) > 5 * np.asarray(whole.rms))
     assert "m" in str(whole)
     assert "converged" in str(whole)
-    for name, true in TRUTH.items():
-        low, high = whole.interval(name, 0.999)
-        assert low < true < high
+    assert_holds_the_truth(whole)
 
 
 @pytest.mark.parametrize(
@@ -167,9 +171,7 @@ def test_a_state_that_is_not_recorded_is_estimated():
     refined = refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
     assert refined.quantities == ("x",)
     assert refined.initial_state_names == ("x", "dx")
-    for name, true in TRUTH.items():
-        low, high = refined.interval(name, 0.999)
-        assert low < true < high
+    assert_holds_the_truth(refined)
 
 
 @pytest.fixture(scope="module")
@@ -205,9 +207,7 @@ def test_missing_samples_of_outputs_do_not_count_and_those_of_inputs_cut():
     held["u"][1000:1003] = np.nan
     refined = refine(oscillator(), Record.from_samples(held, time_step=1 / RATE), START)
     assert refined.initial_states.shape == (2, 2)
-    for name, true in TRUTH.items():
-        low, high = refined.interval(name, 0.999)
-        assert low < true < high
+    assert_holds_the_truth(refined)
 
 
 @pytest.mark.raises_finding("at_bound")

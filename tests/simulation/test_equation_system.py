@@ -149,10 +149,6 @@ def fails(signals):
     raise RuntimeError("no such thing")
 
 
-def sums(signals):
-    return jnp.sum(signals["y"])
-
-
 def acceleration(*rest):
     return Equation(Term("m", "y", derivative=2), -Term(1.0, "u"), *rest, name="bad")
 
@@ -180,7 +176,6 @@ def acceleration(*rest):
             {"m": 1.0, "k": 1.0},
             "fails failed at line .*: RuntimeError",
         ),
-        (acceleration(Term("k", sums)), {"m": 1.0, "k": 1.0}, "one number for each sample"),
         (staged(acceleration(), acceleration()), {"m": 1.0}, r"2 equation\(s\) for 1"),
         (
             simultaneous(

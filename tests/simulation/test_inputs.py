@@ -35,7 +35,6 @@ def test_noise_has_exact_rms_no_mean_and_nothing_beyond_its_band(count, bandwidt
         lambda: robson_road(jax.random.key(0), 3, STEP),
         lambda: pothole(3, STEP, depth=0.1, length=1.0, ramp=0.1),
     ],
-    ids=["noise", "robson", "pothole"],
 )
 def test_too_few_samples_are_refused(make):
     with pytest.raises(ModelError, match="at least 4"):
@@ -91,7 +90,7 @@ def displacement(step: float, **changes) -> tuple[np.ndarray, np.ndarray, np.nda
     return time, velocity, depth
 
 
-@pytest.mark.parametrize("step", [0.005, 0.0033, 0.0005])
+@pytest.mark.parametrize("step", [0.0033, 0.0005])
 def test_pothole_goes_down_to_its_depth_and_returns_exactly(step):
     _, velocity, depth = displacement(step)
     np.testing.assert_allclose(depth[-1], 0.0, atol=1e-15)

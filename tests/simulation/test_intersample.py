@@ -125,13 +125,10 @@ def test_a_short_record_is_simulated(count):
 
 COMMANDS = {
     "a step": np.repeat([0.0, 1.0], 20),
-    "a first sample": np.repeat([3.0, 1.0], [1, 30]),
-    "steps held for 3": np.repeat(RNG.normal(size=15), 3),
     "a random binary command": np.repeat(RNG.choice([-1.0, 1.0], 30), 4),
     "a triangle": np.concatenate([np.arange(10.0), 10 - np.arange(10.0), np.arange(9.0)]),
     "ramps": np.interp(np.arange(60), [0, 7, 19, 20, 41, 60], [0, 3, 1, 8, 8, -2]),
     "a pulse of one sample": np.eye(30)[12],
-    "a pulse of two": np.eye(30)[12] + np.eye(30)[13],
 }
 
 

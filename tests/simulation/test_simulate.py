@@ -76,22 +76,14 @@ def cubic(gain, method=None):
     return simulate(Cubic(gain), inputs, initial_state={"x": 1.0}, method=method)
 
 
-def assert_says_when_and_what_to_do(message: str):
-    assert "\n" not in message
-    assert "after 0.5 s" in message
-    assert "steps" in message
-    assert message.endswith(".")
-
-
 @pytest.mark.parametrize(
     "method", [None, Adaptive(1e-6, 1e-9, max_steps=2000)], ids=["fixed", "adaptive"]
 )
 def test_checked_raises_one_line_that_says_when_and_what_to_do(method):
     lost = cubic(jnp.array(1 / 1.1), method)
     assert not bool(lost.successful)
-    with pytest.raises(SimulationError) as raised:
+    with pytest.raises(SimulationError, match=r"^[^\n]*after 0\.5 s[^\n]*steps[^\n]*\.$"):
         lost.checked()
-    assert_says_when_and_what_to_do(str(raised.value))
 
 
 class Counting(AbstractSystem):
