@@ -11,9 +11,11 @@ import pytest
 from command_line import call, rejected, write_csv
 from test_own_recordings import MODEL, motion
 
+import riecjax as rx
 from riecjax.cli.identify import command as identify
 from riecjax.cli.init import assigned, form
 from riecjax.cli.job import JOB, given, input_files, key_of
+from riecjax.reporting.document import sealed
 
 PLAIN = ("--test-function", "hat", "--no-sweep", "--refine", "none")
 ODD = ('q "raw" [m]', "Längs-Kraft # 1 \\ N", "C:\\new\\x.py:y", "tab\tand\x7f", "a=b", "01", "1e3")
@@ -217,6 +219,13 @@ def test_a_result_runs_again_to_the_same_numbers(capsys, machine):
     assert without_command(json.loads(file.read_text())) == without_command(first)
     # A folder with results is its results.
     assert call(capsys, "check", "--job", out).status == 0
+
+    # Results of the first schema, which held the scatter over seeds beside, run as well.
+    old = {**json.loads(file.read_text()), "schema": 1, "seed_scatter": None}
+    earlier = out / "earlier.json"
+    earlier.write_text(json.dumps(sealed(old)))
+    assert call(capsys, "check", "--job", earlier).status == 0
+    assert rx.load(earlier).document["schema"] == 1
 
     with Path(name).open("a") as stream:
         stream.write("\n")

@@ -114,9 +114,9 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
             document = json.loads(text)
             if not all(isinstance(document[key], dict) for key in ("job", "provenance")):
                 raise KeyError("job")
-            from riecjax.reporting.document import SCHEMA, is_intact
+            from riecjax.reporting.document import READABLE, SCHEMA, is_intact
 
-            if (schema := document.get("schema", SCHEMA)) != SCHEMA:
+            if (schema := document.get("schema", SCHEMA)) not in READABLE:
                 raise click.UsageError(
                     f"--job {file}: it was written with schema {schema!r}, and this version reads "
                     f"{SCHEMA}."

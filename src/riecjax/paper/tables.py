@@ -159,7 +159,7 @@ def _printed(mode: Mode, like: PublishedMode) -> PublishedMode:
         None if mode.frequency is None else round(float(mode.frequency), 2),
         None if mode.damping_ratio is None else round(float(mode.damping_ratio), 2),
         *(_round(complex(part), 2) for part in parts),
-        like.digits,
+        digits=like.digits,
     )
 
 

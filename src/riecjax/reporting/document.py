@@ -19,6 +19,8 @@ SCHEMA = 2
 
 It is raised when the meaning of a key changes or a key is removed; new keys don't raise it.
 """
+READABLE = (1, SCHEMA)
+"""Schemas of documents that this version reads: 2 dropped `seed_scatter`, which no reader needs."""
 
 
 def sealed(document: Document) -> Document:

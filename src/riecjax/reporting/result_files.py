@@ -24,8 +24,8 @@ from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
 from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.refine import Refined
+from riecjax.reporting.document import READABLE, Document, is_intact
 from riecjax.reporting.document import SCHEMA as RESULTS_SCHEMA
-from riecjax.reporting.document import Document, is_intact
 from riecjax.reporting.tables import View
 from riecjax.reporting.verdict import reasons_in_words
 from riecjax.reporting.views import criterion_in_words, value_table
@@ -174,7 +174,7 @@ def _results(file: Path) -> Results:
             raise DataError(f"it is damaged, or no JSON: {error}.") from None
         if not isinstance(document, dict) or "schema" not in document:
             raise DataError("it is no results.json, which riecjax identify --out DIR writes.")
-        if document["schema"] != RESULTS_SCHEMA:
+        if document["schema"] not in READABLE:
             raise DataError(
                 f"it was written with schema {document['schema']}, this version reads "
                 f"{RESULTS_SCHEMA}: use the version of riecjax that wrote it."
