@@ -1,6 +1,6 @@
 """Steps of the simulation behind a refinement: chosen along the record, and judged by halving."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -107,23 +107,16 @@ class Covered(NamedTuple):
 
 def test_what_diverged_is_halved_without_a_warning(monkeypatch):
     """Sums of squares that overflow are infinite, and infinite over infinite is no number."""
-    infinite = np.full((2, 2), np.inf)
-    sums = infinite, infinite[0], np.array(100.0)
+    array: Any = np.array
+    infinite = array(np.full((2, 2), np.inf))
+    sums = infinite, infinite[0], array(100.0)
     monkeypatch.setattr("riecjax.refinement.refine._normal_equations", lambda *_: sums)
-    theta, none = np.array([1.0, 2.0]), np.zeros(2)
-    lost = Reached(theta, np.zeros((1, 0)), none, RefinementStatus.not_finite, np.array(3))
-    at = Optimum(
-        lost,
-        np.array(False),
-        Covered(infinite),
-        none,
-        none,
-        none > 0,
-        np.array(1),
-        np.array(1.0),
-        infinite[0],
-        np.zeros((2, 2)),
-    )
+    theta, none, start = array([1.0, 2.0]), array([0.0, 0.0]), array([[]])
+    lost = Reached(theta, start, none, RefinementStatus.not_finite, array(3))
+    covered: Any = Covered(infinite)
+    count, length = array(1), array(1.0)
+    rest = none > 0, count, length, infinite[0], array([none, none])
+    at = Optimum(lost, array(False), covered, none, none, *rest)
     halving = halve_steps(Stepped(), at, theta)
     assert not np.isfinite(halving.change).any()
     assert not halving.coarse.any()

@@ -99,9 +99,9 @@ def test_a_force_in_time_is_not_called_late(noise):
         one, found = delay_of(recorded(seed, noise=noise))
         assert not found
         assert abs(one.samples) < max(4 * one.error / STEP, 0.01)
-    for wrong in ({"friction": 0.3}, {"cubic": 0.05}):
+    for friction, cubic in ((0.3, 0.0), (0.0, 0.05)):
         # What a model leaves out is no delay.
-        one, found = delay_of(recorded(3, **wrong, noise=noise))
+        one, found = delay_of(recorded(3, friction=friction, cubic=cubic, noise=noise))
         assert not one.explains
         assert not found
 
