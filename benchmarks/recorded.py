@@ -73,5 +73,4 @@ def run_part(question: str, parts: Sequence[str]) -> None:
         else:
             kind = Path if default is None else type(default)
             options.add_argument(flag, type=kind, default=default)
-    status = module.main(**vars(options.parse_args(sys.argv[2:])))
-    sys.exit(status or 0)
+    sys.exit(module.main(**vars(options.parse_args(sys.argv[2:]))) or 0)
