@@ -71,6 +71,6 @@ def run_part(question: str, parts: Sequence[str]) -> None:
             kind = type(default[0])
             options.add_argument(flag, nargs="*", type=kind, choices=default, default=default)
         else:
-            options.add_argument(flag, type=type(default or Path()), default=default)
-    status = module.main(**vars(options.parse_args(sys.argv[2:])))
-    sys.exit(status or 0)
+            kind = Path if default is None else type(default)
+            options.add_argument(flag, type=kind, default=default)
+    sys.exit(module.main(**vars(options.parse_args(sys.argv[2:]))) or 0)
