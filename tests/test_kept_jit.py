@@ -1,10 +1,7 @@
 """Compiled functions that outlive their process, against `equinox.filter_jit`."""
 
 import functools
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -222,33 +219,3 @@ def local_class() -> object:
 def test_what_cannot_be_told_has_no_key(argument):
     with pytest.raises(NoKey):
         key_of(jnp.linalg.norm, functools.partial(jnp.sum, where=argument))
-
-
-RUN = "from riecjax.cli.main import main; main()"
-
-
-@pytest.fixture(scope="module")
-def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict]]:
-    """Where `identify` kept its programs, and what it found with none, and with these."""
-    home = tmp_path_factory.mktemp("home")
-    settings = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
-
-    def run(*arguments: str) -> str:
-        command = [sys.executable, "-c", RUN, *arguments]
-        environment = settings | {"XDG_CACHE_HOME": str(home)}
-        done = subprocess.run(command, cwd=home, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    run("simulate", "drag-oscillator", "--input", "white-noise", "--out", "a.csv")
-    arguments = ("identify", "a.csv", "--model", "drag-oscillator", "--json")
-    return home, [json.loads(run(*arguments)) for _ in range(2)]
-
-
-@pytest.mark.slow
-def test_kept_programs_give_the_same_bits(identified):
-    home, (first, again) = identified
-    assert len(list(home.glob("riecjax/*/*.program"))) > 5
-    for result in (first, again):
-        result.pop("provenance")
-    assert first == again

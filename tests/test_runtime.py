@@ -72,9 +72,3 @@ def test_processors_differ_where_their_abilities_are_not_told(monkeypatch):
         monkeypatch.setattr("platform.processor", lambda kind=kind: kind)
         names.add(processor())
     assert len(names) == 2
-
-
-@pytest.mark.parametrize("package", ["riecjax", "riecjax.runtime"])
-def test_imports_change_nothing(package):
-    run = process(f"import os; import {package}; print(os.environ.get('XLA_FLAGS'))")
-    assert run.stdout.split() == ["None"]

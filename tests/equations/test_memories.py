@@ -61,16 +61,6 @@ def test_a_model_with_hysteresis_is_identified_from_a_record_without_the_state()
         assert float(estimate[name]) == pytest.approx(value, rel=0.03)
 
 
-def test_a_model_with_hysteresis_is_simulated_with_its_state():
-    values = {"m": 1.5, "k": 20.0, "c": 0.8, "loop": 4.0}
-    system = rx.equation_system(HYSTERETIC.model, values)
-    assert "z" in system.state_names
-    clean = HYSTERETIC.signals()
-    drive = rx.Record({"u": clean["u"]}, 0.01)
-    run = rx.simulate(system, drive, method=rx.FixedStep(8))
-    assert np.std(np.asarray(run.record["x"]) - clean["x"]) < 0.01 * clean["x"].std()
-
-
 def test_elapsed_time_is_a_state_of_recordings_and_of_simulations():
     memory = Elapsed("age")
     record = rx.Record.from_samples({"u": np.ones(301), "x": np.zeros(301)}, time_step=0.01)

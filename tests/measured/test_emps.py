@@ -1,3 +1,5 @@
+"""EMPS, a measured axis: against published values, and least squares written out."""
+
 import json
 from pathlib import Path
 
@@ -33,15 +35,20 @@ def file() -> Path:
 
 
 @pytest.fixture
-def identified(file, capsys):
+def document(file, capsys):
     def identify(model: str, *options: object) -> dict:
         given = ("--map", "q=qm", "--map", "force=vir", "--scale", f"vir={GAIN}", "--json")
         windows = () if "dols" in options else TRAPEZOIDS
         arguments = ["identify", file, "--model", model, *AS_COMPARED, *windows, *given, *options]
         assert run([str(argument) for argument in arguments]) == 0
-        return json.loads(capsys.readouterr().out)["parameters"]
+        return json.loads(capsys.readouterr().out)
 
     return identify
+
+
+@pytest.fixture
+def identified(document):
+    return lambda *arguments: document(*arguments)["parameters"]
 
 
 @pytest.fixture(scope="module")
@@ -83,22 +90,18 @@ MODELS = {
 
 
 @pytest.mark.parametrize("model", ["emps", *nightly(["emps-asymmetric"])])
-def test_dols_is_near_the_published_values(identified, model):
-    published, _, tolerance = MODELS[model]
-    found = identified(model, *PUBLISHED_PREPARATION)
-    assert list(found) == list(published)
-    for name, value in published.items():
-        assert found[name]["value"] == pytest.approx(value, rel=tolerance), name
-
-
-@pytest.mark.parametrize("model", ["emps", *nightly(["emps-asymmetric"])])
-def test_dols_is_least_squares_on_filtered_differences(identified, raw, model):
-    published, friction, _ = MODELS[model]
+def test_dols_is_least_squares_on_filtered_differences_and_near_the_published_values(
+    identified, raw, model
+):
+    published, friction, tolerance = MODELS[model]
     _, velocity, acceleration, force = (part[::10] for part in motion(raw, 100.0))
     regressors = np.column_stack([acceleration, *friction(velocity)])
     expected = np.linalg.lstsq(regressors, force)[0]
     found = identified(model, *PUBLISHED_PREPARATION)
-    assert [found[name]["value"] for name in published] == pytest.approx(expected, rel=1e-6)
+    assert list(found) == list(published)
+    assert [entry["value"] for entry in found.values()] == pytest.approx(expected, rel=1e-6)
+    for name, value in published.items():
+        assert found[name]["value"] == pytest.approx(value, rel=tolerance), name
 
 
 def integral_fit(position, velocity, force, windows: int, seed: int) -> np.ndarray:
@@ -137,35 +140,6 @@ def test_riec_sees_a_lighter_axis_than_dols_does(identified, options):
     assert not low <= dols <= high
 
 
-@pytest.mark.slow
-def test_low_pass_hardly_matters_to_riec(identified):
-    raw, filtered = identified("emps"), identified("emps", *FILTERED)
-    for name, entry in raw.items():
-        low, high = entry["interval95"]
-        assert abs(filtered[name]["value"] - entry["value"]) < 0.1 * (high - low)
-
-
-def test_settings_in_the_file_are_left_out(file):
-    from riecjax.records.recording import read_record
-
-    record = read_record(file)
-    assert set(record.arrays) == {"qm", "qg", "vir"}
-    assert record.sample_count == 24841
-    assert float(record.time_step) == pytest.approx(1e-3)
-
-
-@pytest.fixture
-def document(file, capsys):
-    def identify(model: str, *options: object) -> dict:
-        given = ("--map", "q=qm", "--map", "force=vir", "--scale", f"vir={GAIN}", "--json")
-        windows = () if "dols" in options else TRAPEZOIDS
-        arguments = ["identify", file, "--model", model, *AS_COMPARED, *windows, *given, *options]
-        assert run([str(argument) for argument in arguments]) == 0
-        return json.loads(capsys.readouterr().out)
-
-    return identify
-
-
 def test_the_verdict_doubts_what_drifts_and_what_noise_does_not_explain(document):
     found = document("emps")
     sweep = found["window_sweep"]
@@ -178,53 +152,3 @@ def test_the_verdict_doubts_what_drifts_and_what_noise_does_not_explain(document
     assert mass["level"] == "caution"
     # The published value, by another method.
     assert mass["doubt"][0] < 95.11 < mass["doubt"][1]
-
-
-def test_sensors_and_sampling_of_the_record_are_sound(document):
-    codes = {w["code"] for w in document("emps", "--no-sweep")["warnings"]}
-    assert codes == set()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", ["emps", "emps-asymmetric"])
-def test_hat_windows_on_the_position_agree_with_the_velocity_form(identified, model):
-    settings = ("--windows", 60000, "--no-sweep")
-    velocity = identified(model, *settings)
-    position = identified(model, "--test-function", "hat", *settings)
-    for name, entry in velocity.items():
-        assert position[name]["value"] == pytest.approx(entry["value"], rel=5e-3)
-
-
-@pytest.mark.slow
-def test_held_out_motion_is_predicted_from_the_recorded_force(document):
-    found = document("emps-asymmetric", "--hold-out", 0.3, "--no-sweep")
-    (validation,) = found["validation"]
-    assert validation["predicts"] is True
-    assert validation["signals"]["dq"]["fit_percent"] > 90
-
-
-@pytest.mark.slow
-def test_a_mask_about_standstill_moves_the_forward_friction(file):
-    """The sign of a velocity below 0.5 mm/s is noise; windows that touch it are left out."""
-    import jax
-
-    from riecjax.criteria.criterion import RIEC
-    from riecjax.criteria.windows import RandomWindows
-    from riecjax.equations.equation import Equation
-    from riecjax.equations.term import faster_than
-    from riecjax.estimation.identify import identify
-    from riecjax.models.emps import emps_asymmetric_equation
-    from riecjax.records.preparation import differentiate
-    from riecjax.records.recording import read_record
-
-    record = differentiate(
-        read_record(file, rename={"q": "qm", "force": "vir"}, scale={"vir": GAIN}), "q", "dq"
-    )
-    criterion = RIEC(RandomWindows(0.05, 0.5, 20000))
-    plain = emps_asymmetric_equation()
-    masked = Equation(*plain.terms, where=faster_than("dq", 0.5e-3), unit="N")
-    key = jax.random.key(0)
-    before, after = (identify(model, record, criterion, key=key) for model in (plain, masked))
-    change = float(after["Fv_pos"] / before["Fv_pos"]) - 1
-    assert 0.01 < abs(change) < 0.08
-    assert "rows_left_out" in [finding.code for finding in after.findings()]

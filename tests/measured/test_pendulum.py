@@ -1,4 +1,4 @@
-import json
+"""A measured pendulum in four pieces, against published values."""
 
 import jax
 import numpy as np
@@ -7,15 +7,12 @@ import scipy.io
 
 from conftest import measured_data
 from nightly import nightly
-from riecjax.cli.main import run
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import pendulum_equation
-from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
-from riecjax.records.writing import write_record
 
 STEP = 1e-3
 
@@ -31,70 +28,6 @@ def angles() -> list[np.ndarray]:
 @pytest.fixture(scope="module")
 def records(angles) -> list[Record]:
     return [Record.from_samples({"theta": angle}, time_step=STEP) for angle in angles]
-
-
-def riec(records: list[Record], seed: int = 0):
-    derived = [differentiate(record, "theta", "dtheta") for record in records]
-    criterion = RIEC(RandomWindows(0.05, 0.5, 8000))
-    return identify(pendulum_equation(), derived, criterion, key=jax.random.key(seed))
-
-
-@pytest.mark.slow
-def test_four_pieces_at_once(records):
-    estimate = riec(records)
-    assert 63.9 < float(estimate["p1"]) < 64.4
-    # The damping of 0.056 1/s that central differences of the angle give.
-    assert float(estimate["p2"]) == pytest.approx(0.056, abs=0.002)
-    # Four pieces of 9.2 s: three times 0.5 s to a block, or longer where errors are correlated
-    # longer, and twenty blocks at least.
-    assert 20 <= estimate.block_count <= 4 * 9.2 / 1.5
-
-
-@pytest.mark.slow
-def test_draws_scatter_by_less_than_a_tenth_of_a_permille(records):
-    found = [float(riec(records, seed)["p1"]) for seed in range(4)]
-    assert len(set(found)) == 4
-    # A standard deviation of 0.002 was found over many draws; four of them reach this far.
-    assert np.ptp(found) < 0.012
-
-
-def test_an_independent_draw_gives_the_same(records, angles):
-    rng = np.random.default_rng(0)
-    targets, regressors = [], []
-    for theta in angles:
-        velocity = np.gradient(theta, STEP, edge_order=2)
-        lag = rng.integers(50, 501, 40_000)
-        start = rng.integers(0, theta.size, 40_000)
-        start, lag = start[start + lag < theta.size], lag[start + lag < theta.size]
-        stop = start + lag
-        sine = np.sin(theta)
-        running = np.concatenate([[0], np.cumsum((sine[1:] + sine[:-1]) / 2)]) * STEP
-        targets.append(velocity[stop] - velocity[start])
-        columns = [running[stop] - running[start], theta[start] - theta[stop]]
-        regressors.append(np.column_stack(columns))
-    expected = np.linalg.lstsq(np.concatenate(regressors), np.concatenate(targets))[0]
-    estimate = riec(records)
-    # Four standard deviations of a draw, 0.002 and 0.0003.
-    assert float(estimate["p1"]) == pytest.approx(expected[0], abs=0.008)
-    assert float(estimate["p2"]) == pytest.approx(expected[1], abs=0.0012)
-
-
-@pytest.mark.slow
-def test_through_files_on_the_command_line(records, tmp_path, capsys):
-    paths = [tmp_path / f"piece{i}.csv" for i in range(4)]
-    for path, record in zip(paths, records):
-        write_record(path, record)
-    arguments = ["identify", *map(str, paths), "--model", "pendulum", "--refine", "none", "--json"]
-    arguments += ["--windows", "8000", "--test-function", "boxcar"]
-    arguments += ["--differentiate", "dtheta=theta", "--outliers", "keep", "--align", "none"]
-    assert run(arguments) == 0
-    parameters = json.loads(capsys.readouterr().out)["parameters"]
-    estimate = riec(records)
-    for name in ("p1", "p2"):
-        # The time step is formed from the file's times, to one rounding in 1e16; noise in the
-        # velocity, divided by it, is alike in both.
-        assert parameters[name]["value"] == pytest.approx(float(estimate[name]), rel=1e-9)
-    assert 63.9 < parameters["p1"]["value"] < 64.4
 
 
 def from_the_angle(records, windows, test_function):

@@ -47,13 +47,6 @@ def test_the_integral_estimate_simulates_within_the_reference_scores(record, fin
 
 
 @pytest.mark.slow
-def test_quadrature_of_high_order_does_without_more_samples(record, fine):
-    estimate = estimate_from(record.part(*TRAIN), Hat(8))
-    assert float(estimate["m"]) == pytest.approx(5.375e-6, rel=2e-3)
-    assert score(estimate, fine, *SLICES["arrow"]) <= REFERENCE["arrow"]
-
-
-@pytest.mark.slow
 def test_trapezoids_on_the_raw_samples_bias_the_mass_and_the_check_says_so(record):
     train = record.part(*TRAIN)
     raw = estimate_from(train, Hat(2))

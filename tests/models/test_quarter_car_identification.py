@@ -1,44 +1,32 @@
-"""The identification model against eq. (21) written out, and round trips through it."""
+"""The identification model against eq. (21) written out; break points found by refinement."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nightly import nightly
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import RandomWindows
-from riecjax.estimation.identify import identify
+from riecjax.criteria.windows import AllWindows
 from riecjax.models.quarter_car.identification import (
     BREAK_POINTS,
+    FORCES,
+    INNER,
     QuarterCar,
-    quarter_car_at_once,
-    quarter_car_by_body,
-    quarter_car_by_wheel,
+    body_balance,
+    quarter_car_of_break_points,
+    wheel_balance,
 )
 from riecjax.records.record import Record
+from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.optimum import LevenbergMarquardt
+from riecjax.refinement.refine import refine
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 
-PARAMETERS = {
-    "K_t": 175e3,
-    "M_us": 28.0,
-    "M_s": 290.0,
-    "K_s": 22e3,
-    "F_1": -1300.0,
-    "F_2": -700.0,
-    "F_3": 500.0,
-    "F_4": 900.0,
-}
-PROCEDURES = {
-    "body": quarter_car_by_body,
-    "wheel": quarter_car_by_wheel,
-    "at once": quarter_car_at_once,
-}
-
-
-def model(parameters=PARAMETERS) -> QuarterCar:
-    return QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in parameters.items()})
+MASSES = {"K_t": 175e3, "M_us": 28.0, "M_s": 290.0, "K_s": 22e3}
+PARAMETERS = MASSES | dict(zip(FORCES, (-1300.0, -700.0, 500.0, 900.0)))
 
 
 def damper_force(velocity: float) -> float:
@@ -54,32 +42,25 @@ def test_derivative_is_equation_21(velocity):
     x3 = x4 + velocity
     suspension = 22e3 * x2 + damper_force(velocity)
     expected = [v_r - x3, velocity, (175e3 * x1 - suspension) / 28.0, suspension / 290.0]
-    found = model().derivative(jnp.array([x1, x2, x3, x4]), jnp.array([v_r]))
+    car = QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in PARAMETERS.items()})
+    found = car.derivative(jnp.array([x1, x2, x3, x4]), jnp.array([v_r]))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def recording(refinement: int, parameters=PARAMETERS) -> Record:
-    """One motion, its input piecewise linear at 200 Hz, sampled at 200 Hz times `refinement`."""
-    coarse = np.asarray(
-        band_limited_noise(jax.random.key(7), 2001, 0.005, bandwidth=20.0, rms=0.55)
-    )
-    fine = np.interp(np.arange(2000 * refinement + 1) / refinement, np.arange(2001), coarse)
-    record = Record({"v_r": fine}, 0.005 / refinement)
-    return simulate(model(parameters), record, method=FixedStep(16 // refinement)).checked().record
-
-
-def riec_errors(procedure: str, refinement: int, parameters=PARAMETERS) -> np.ndarray:
-    criterion = RIEC(RandomWindows(0.05, 0.5, 1000, between_samples=True))
-    record = recording(refinement, parameters)
-    estimate = identify(PROCEDURES[procedure](), record, criterion, key=jax.random.key(1))
-    return np.array([float(estimate[name]) / value - 1 for name, value in parameters.items()])
-
-
-@pytest.mark.slow
-def test_riec_converges_to_the_parameters_in_second_order_of_the_time_step():
-    # Forces on one line: without kinks between samples only the quadrature is left. The motion and
-    # its windows stay the same. What the average over windows leaves of its error changes sign from
-    # grid to grid, so the order shows over a wide range of steps only.
-    straight = {**PARAMETERS, **{f"F_{i}": 1800.0 * v for i, v in enumerate(BREAK_POINTS, 1)}}
-    coarse, fine = (np.linalg.norm(riec_errors("wheel", r, straight)) for r in (1, 16))
-    np.testing.assert_allclose(np.log2(coarse / fine) / 4, 2.0, atol=0.3)
+@pytest.mark.parametrize(
+    ("balance", "mass"), [(body_balance(), "M_s"), *nightly([(wheel_balance(), "M_us")])]
+)
+def test_integral_refinement_finds_the_break_points_of_a_map_that_has_them(balance, mass):
+    truth = MASSES | dict(zip(FORCES, (-1200.0, -800.0, 700.0, 1130.0)))
+    truth |= {"v_2": -0.2, "v_3": 0.15}
+    noise = band_limited_noise(jax.random.key(6), 4000, 0.005, bandwidth=30.0, rms=0.55)
+    system = quarter_car_of_break_points(truth)
+    record = simulate(system, Record({"v_r": noise}, 0.005), method=FixedStep(4)).checked().record
+    start = {"K_s": 15e3, "v_2": -0.3, "v_3": 0.3} | {name: 0.8 * truth[name] for name in FORCES}
+    by = IntegralError(RIEC(AllWindows(0.05, 0.5)))
+    # Samples that cross a break point are kinks, at which no gradient vanishes to rounding.
+    solver = LevenbergMarquardt(1e-3)
+    refined = refine(balance, record, start, by, known={mass: truth[mass]}, solver=solver)
+    assert bool(refined.converged)
+    for name in ("K_s", *INNER):
+        np.testing.assert_allclose(refined[name], truth[name], rtol=0.02)

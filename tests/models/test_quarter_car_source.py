@@ -4,11 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car.source import (
-    GRAVITY,
     BumpStopSpring,
     DigressiveDamper,
     HardeningMount,
@@ -16,12 +14,6 @@ from riecjax.models.quarter_car.source import (
     QuarterCarSource,
     SplineDamper,
 )
-from riecjax.records.record import Record
-from riecjax.simulation.inputs import band_limited_noise
-from riecjax.simulation.method import FixedStep
-from riecjax.simulation.simulate import simulate
-
-STEP = 0.005
 
 
 def built_in(**settings: float) -> QuarterCarSource:
@@ -109,32 +101,3 @@ def test_derivative_is_equation_19(state):
     np.testing.assert_allclose(
         source.output(jnp.asarray(state), jnp.array([0.7]))["F_t"], tyre, rtol=1e-13
     )
-
-
-def test_tyre_force_saturates_at_the_static_load_in_extension_only():
-    source = built_in()
-    load = 330 * GRAVITY
-    np.testing.assert_allclose(source.lift_off_force, load, rtol=1e-14)
-    lift_off = load / 180e3
-    for extension in (lift_off * 1.0001, 0.1, 5.0):
-        np.testing.assert_allclose(source.tyre_force(jnp.asarray(extension)), load, rtol=1e-14)
-    for extension in (-0.3, -0.01, 0.0, 0.9 * lift_off):
-        np.testing.assert_allclose(source.tyre_force(jnp.asarray(extension)), 180e3 * extension)
-
-
-def road(rms: float = 0.55, seed: int = 0, count: int = 1600) -> Record:
-    key = jax.random.key(seed)
-    return Record({"v_r": band_limited_noise(key, count, STEP, bandwidth=30.0, rms=rms)}, STEP)
-
-
-def test_momentum_of_all_masses_changes_by_the_tyre_force_only():
-    source = built_in()
-    record = simulate(source, road(), method=FixedStep(16)).checked().record
-    rate = 30 * record["dx3"] + 200 * record["dx4"] + 100 * record["dx6"]
-    np.testing.assert_allclose(rate, record["F_t"], rtol=1e-9, atol=1e-8)
-    # The same over the record: momentum is what the tyre's impulse adds up to.
-    momentum = 30 * record["x3"] + 200 * record["x4"] + 100 * record["x6"]
-    impulse = scipy.integrate.cumulative_simpson(np.asarray(record["F_t"]), dx=STEP, initial=0)
-    # The quadrature's own error: kinks of F_t where the tyre lifts, and 30 Hz at 6.7 samples.
-    scatter = np.max(np.abs(momentum - impulse)) / np.max(np.abs(momentum))
-    assert scatter < 0.02

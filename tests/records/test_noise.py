@@ -217,13 +217,6 @@ def test_noise_of_uneven_samples_that_are_resampled(tmp_path):
     assert 0.7 * 0.02 < float(smooth.std("a")) < 0.02
 
 
-def test_noise_of_a_data_frame_can_be_given():
-    pandas = pytest.importorskip("pandas")
-    frame = pandas.DataFrame({"t": TIME, "x": SMOOTH + white(0.02)})
-    assert std(rx.from_dataframe(frame), "x") == pytest.approx(0.02, rel=0.1)
-    assert std(rx.from_dataframe(frame, noise={"x": 0.3}), "x") == 0.3
-
-
 @pytest.mark.parametrize("size", [7, 256, 1001])
 def test_the_window_of_spectra_is_scipys(size):
     reference = scipy.signal.get_window("blackmanharris", size, fftbins=False)

@@ -61,18 +61,6 @@ def test_a_unit_of_another_kind_is_pointed_out():
     np.testing.assert_allclose(corrected.record["q"], 0.01 * np.arange(40.0), rtol=1e-15)
 
 
-def test_what_may_be_grams_or_gravity_is_asked():
-    write(rows("t,a [g],x", "{i}", "{i}"))
-    with pytest.raises(DataError, match="--unit a=gn or --unit a=gram"):
-        rx.read_recording("a.csv", rename={"a": "a"})
-    assert dict(rx.read_recording("a.csv", rename={"x": "x"}).record.units) == {"a": "g"}
-    found = rx.read_recording("a.csv", units={"a": "gn"}).record
-    np.testing.assert_allclose(found["a"][1], 9.80665)
-    accelerating = Model("cart", "", signals=(Quantity("a", "m/s^2", ""),))
-    found = rx.read_recording("a.csv", model=accelerating).record
-    np.testing.assert_allclose(found["a"][1], 9.80665)
-
-
 def test_a_unit_goes_to_one_column_and_not_beside_a_scale():
     write(rows("t,x", "{i}"))
     with pytest.raises(DataError, match="both a scale and a unit"):

@@ -14,7 +14,6 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.models.emps import Axis, ControlledAxis
 from riecjax.models.oscillators import drag_oscillator_equation
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.optimum import Coordinates
@@ -80,36 +79,6 @@ def test_gradients_through_friction_are_those_of_differences():
     assert np.all(np.isfinite(slope))
     assert np.max(np.abs(slope)) > 0.5
     np.testing.assert_allclose(slope, differences, rtol=1e-3, atol=1e-4)
-
-
-def test_gradients_through_contact_and_saturation_are_those_of_differences():
-    """The tyre leaves the road (a force that saturates), and the spring meets its stops."""
-    t = np.arange(400) / 200
-    road = Record.from_samples({"v_r": 1.8 * np.sin(2 * np.pi * 2.2 * t)}, time_step=1 / 200)
-    source = quarter_car_source(reconstructed())
-
-    @jax.jit
-    def states(stiffness):
-        own = eqx.tree_at(lambda s: s.tyre_stiffness, source, stiffness)
-        run = simulate(own, road, method=FixedStep(16))
-        return jnp.stack([run.record[name][::40] for name in ("x1", "x2", "x3")])
-
-    at = source.tyre_stiffness
-    record = simulate(source, road, method=FixedStep(16)).record
-    assert float(jnp.mean(record["x1"] > source.lift_off_force / at)) > 0.02
-    slope, differences = slopes_and_differences(states, at, 1.0)
-    assert np.all(np.isfinite(slope))
-    scale = np.max(np.abs(differences), axis=1, keepdims=True)
-    assert np.all(np.abs(slope - differences) < 2e-3 * scale)
-
-
-def test_at_a_kink_the_derivative_is_one_sided_and_finite():
-    """At rest exactly, friction has no derivative by the velocity; what comes out is finite."""
-    axis = Axis(*(jnp.asarray(v) for v in (95.0, 200.0, 20.0, 200.0, 20.0, 0.0)))
-    slope = jax.jacfwd(lambda v: axis.acceleration(v, jnp.asarray(5.0)))(jnp.zeros(()))
-    assert np.isfinite(float(slope))
-    smooth = jax.jacfwd(lambda v: axis.acceleration(v, jnp.asarray(5.0), 1e-3))(jnp.zeros(()))
-    assert float(smooth) == pytest.approx(-(200.0 + 20.0 / 1e-3) / 95.0)
 
 
 @pytest.mark.parametrize(

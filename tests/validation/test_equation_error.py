@@ -1,3 +1,5 @@
+"""Equation errors of samples, against quadrature of motions in closed form."""
+
 import jax.numpy as jnp
 import numpy as np
 import pytest

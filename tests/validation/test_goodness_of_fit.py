@@ -23,16 +23,20 @@ def pair(seed: int = 0, shape: tuple[int, ...] = (60,)) -> tuple[jax.Array, jax.
     return jnp.asarray(measured + 0.3 * rng.normal(size=shape) + 0.2), jnp.asarray(measured)
 
 
-def test_fit_by_hand():
-    # About the mean 3: (-2, 0, 2), of length sqrt 8; the error (1, 0, 1) of length sqrt 2.
-    found = nrmse_fit(jnp.array([2.0, 3.0, 6.0]), jnp.array([1.0, 3.0, 5.0]))
-    np.testing.assert_allclose(found, 50.0, rtol=1e-14)
-
-
-def test_variance_accounted_for_by_hand():
-    # Error (1, 0, 1): variance 2/9; measured 8/3.
-    found = variance_accounted_for(jnp.array([2.0, 3.0, 6.0]), jnp.array([1.0, 3.0, 5.0]))
-    np.testing.assert_allclose(found, 100 * (1 - (2 / 9) / (8 / 3)), rtol=1e-14)
+@pytest.mark.parametrize(
+    ("measure", "predicted", "measured", "expected"),
+    [
+        # About the mean 3: (-2, 0, 2), of length sqrt 8; the error (1, 0, 1) of length sqrt 2.
+        (nrmse_fit, [2.0, 3.0, 6.0], [1.0, 3.0, 5.0], 50.0),
+        # Error (1, 0, 1): variance 2/9; measured 8/3.
+        (variance_accounted_for, [2.0, 3.0, 6.0], [1.0, 3.0, 5.0], 100 * (1 - (2 / 9) / (8 / 3))),
+        # Difference (3, 4), measured (6, 8): 100 * 5 / 10.
+        (percentage_error, [9.0, 12.0], [6.0, 8.0], 50.0),
+    ],
+)
+def test_measures_are_as_by_hand(measure, predicted, measured, expected):
+    found = measure(jnp.array(predicted), jnp.array(measured))
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize("measure", MEASURES)
@@ -60,48 +64,28 @@ def test_derivative_of_the_fit_is_finite_at_perfection_and_right_elsewhere():
     np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * h), rtol=1e-6)
 
 
-def test_validate_leaves_out_what_either_record_lacks():
+def test_validate_gives_each_signal_and_leaves_out_what_either_record_lacks():
     predicted, measured = (np.asarray(x).copy() for x in pair(5))
     holes = measured.copy()
     holes[[4, 5, 30]] = np.nan
-    one = Record.from_samples({"x": predicted}, time_step=0.1)
-    other = Record.from_samples({"x": holes}, time_step=0.1)
+    made, held = ({"x": x, "y": 2 * x} for x in (predicted, measured))
+    one = Record.from_samples(made, time_step=0.1)
+    other = Record.from_samples(held | {"x": holes}, time_step=0.1)
     keep = ~np.isnan(holes)
-    expected = 100 * np.linalg.norm((predicted - measured)[keep]) / np.linalg.norm(measured[keep])
-    np.testing.assert_allclose(validate(one, other, ["x"])["x"], expected, rtol=1e-13)
-    swapped = 100 * np.linalg.norm((predicted - measured)[keep]) / np.linalg.norm(predicted[keep])
-    np.testing.assert_allclose(validate(other, one, ["x"])["x"], swapped, rtol=1e-13)
-
-
-def test_error_of_three_four_five_is_as_by_hand():
-    # Difference (3, 4), measured (6, 8): 100 * 5 / 10.
-    found = percentage_error(jnp.array([9.0, 12.0]), jnp.array([6.0, 8.0]))
-    np.testing.assert_allclose(found, 50.0, rtol=1e-15)
-
-
-def records() -> tuple[Record, Record]:
-    rng = np.random.default_rng(3)
-    names = ("x1", "x2", "x3")
-    made = [Record({name: rng.normal(size=30) for name in names}, 0.1) for _ in range(2)]
-    return made[0], made[1]
-
-
-def test_validate_gives_each_asked_signal_and_total_is_their_sum():
-    predicted, measured = records()
-    found = validate(predicted, measured, ["x3", "x1"])
-    assert list(found) == ["x3", "x1"]
-    expected = {
-        s: 100 * np.linalg.norm(predicted[s] - measured[s]) / np.linalg.norm(measured[s])
-        for s in found
-    }
-    for name, value in expected.items():
-        np.testing.assert_allclose(found[name], value)
-    np.testing.assert_allclose(found.total, sum(expected.values()))
+    error = 100 * np.linalg.norm((predicted - measured)[keep])
+    whole = 100 * np.linalg.norm(predicted - measured) / np.linalg.norm(measured)
+    found = validate(one, other, ["y", "x"])
+    assert list(found) == ["y", "x"]
+    np.testing.assert_allclose(found["x"], error / np.linalg.norm(measured[keep]), rtol=1e-13)
+    np.testing.assert_allclose(found["y"], whole, rtol=1e-13)
+    np.testing.assert_allclose(found.total, found["x"] + found["y"])
+    swapped = validate(other, one, ["x"])["x"]
+    np.testing.assert_allclose(swapped, error / np.linalg.norm(predicted[keep]), rtol=1e-13)
 
 
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_signal_missing_on_either_side_is_a_data_error(side):
-    pair = list(records())
-    pair[side] = pair[side].select("x1")
-    with pytest.raises(DataError, match="no signal 'x2'"):
-        validate(pair[0], pair[1], ["x1", "x2"])
+    pair = [Record({"x": np.ones(9), "y": np.ones(9)}, 0.1)] * 2
+    pair[side] = pair[side].select("x")
+    with pytest.raises(DataError, match="no signal 'y'"):
+        validate(pair[0], pair[1], ["x", "y"])

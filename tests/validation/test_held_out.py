@@ -4,14 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.equations.equation import Equation
 from riecjax.errors import DataError, ModelError
+from riecjax.models.catalogue import built_in_model
 from riecjax.models.oscillators import (
     Duffing,
     pendulum_equation,
     two_mass_equation,
 )
-from riecjax.models.quarter_car.identification import quarter_car_system
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.method import FixedStep
@@ -119,36 +118,32 @@ def test_each_stretch_restarts_from_its_measured_state(truth):
 
 def test_short_stretches_are_skipped_and_none_at_all_is_an_error(truth):
     lost = np.array(truth["u"])
-    lost[10:1000] = np.nan
-    record = Record.from_samples({"u": lost, "y": truth["y"], "dy": truth["dy"]}, time_step=STEP)
-    assert validate_held_out(duffing(), record).stretches == ((1000, COUNT),)
-    lost[::15] = np.nan
-    record = Record.from_samples({"u": lost, "y": truth["y"], "dy": truth["dy"]}, time_step=STEP)
-    with pytest.raises(DataError, match="no unbroken stretch of 20 samples"):
-        validate_held_out(duffing(), record)
-
-
-def free_mass() -> tuple[Equation, Record]:
-    equation = two_mass_equation()
-    inputs = Record({"F": 10 * np.cos(5 * STEP * np.arange(4000))}, STEP)
-    truth = simulate(equation_system(equation, {"M": 2.0}), inputs).record
-    return equation, truth
+    for gap, stretches in ((slice(10, 1000), ((1000, COUNT),)), (slice(None, None, 15), ())):
+        lost[gap] = np.nan
+        record = recorded(truth, "y", "dy", u=lost)
+        if stretches:
+            assert validate_held_out(duffing(), record).stretches == stretches
+            continue
+        with pytest.raises(DataError, match="no unbroken stretch of 20 samples"):
+            validate_held_out(duffing(), record)
 
 
 def test_free_body_whose_velocity_predicts_and_whose_position_drifts_is_explained():
-    equation, truth = free_mass()
+    system = equation_system(two_mass_equation(), {"M": 2.0})
+    inputs = Record({"F": 10 * np.cos(5 * STEP * np.arange(4000))}, STEP)
+    truth = simulate(system, inputs).record
     time = np.asarray(truth.time)
     # The sensor misses a small constant force that the body felt.
     measured = truth.with_signals(
         {"dz": truth["dz"] + 0.01 * time, "z": truth["z"] + 0.005 * time**2}
     ).select("F", "z", "dz")
-    found = validate_held_out(equation_system(equation, {"M": 2.0}), measured)
+    found = validate_held_out(system, measured)
     assert found.signals["dz"].grade in ("well", "roughly")
     assert found.signals["z"].grade in ("not", "worse than its mean")
     assert found.drifting == ("z",)
     assert not found.predicts
     assert "z drifts since it only adds up dz, which is predicted" in found.verdict
-    velocity = validate_held_out(equation_system(equation, {"M": 2.0}), measured, signals=["dz"])
+    velocity = validate_held_out(system, measured, signals=["dz"])
     assert velocity.predicts
     assert "z" not in velocity.signals
 
@@ -172,17 +167,7 @@ def test_a_free_swing_needs_no_input():
 
 
 def test_outputs_and_accelerations_are_compared_but_the_states_are_judged():
-    values = {
-        "K_t": 180e3,
-        "M_us": 45.0,
-        "M_s": 300.0,
-        "K_s": 20e3,
-        "F_1": -900.0,
-        "F_2": -500.0,
-        "F_3": 700.0,
-        "F_4": 1300.0,
-    }
-    system = quarter_car_system({name: jnp.asarray(v) for name, v in values.items()})
+    system = built_in_model("quarter-car").build_system({})
     inputs = Record({"v_r": 0.05 * drive(600)}, 0.005)
     truth = simulate(system, inputs).record
     spoiled = truth.with_signals({"F_t": -truth["F_t"]}).select("v_r", "x4", "dx4", "F_t")

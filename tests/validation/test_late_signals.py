@@ -13,7 +13,7 @@ from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import Sandwich
-from riecjax.validation.late_signals import advanced, course_of, late_signals, signal_delays
+from riecjax.validation.late_signals import course_of, late_signals, signal_delays
 
 STEP, SAMPLES = 0.005, 6000
 TRUTH = {"m": 2.0, "c": 9.0, "k": 400.0}
@@ -92,22 +92,6 @@ def test_a_delay_is_found_within_five_percent_of_a_sample(delay):
     assert float(value.removeprefix("F=")) == pytest.approx(delay * STEP, abs=0.05 * STEP)
 
 
-@pytest.mark.raises_finding("late_signal")
-def test_a_finding_says_how_far_the_delay_moves_each_parameter():
-    late, (finding,) = delay_of(recorded(1, delay=2.0))
-    moved = fitted(recorded(1, delay=2.0))[1]
-    records, right = fitted(advanced(recorded(1, delay=2.0), ["F"], 2, 32))
-    errors = dict(zip(right.parameters, np.asarray(right.standard_errors)))
-    for name, truth in TRUTH.items():
-        assert float(right[name]) == pytest.approx(truth, abs=4 * errors[name])
-        share = float(right[name]) / float(moved[name]) - 1
-        assert late.moved[name] == pytest.approx(share, abs=0.02 * abs(share) + 2e-3)
-        assert finding.doubts[name] == abs(late.moved[name])
-    far = max(abs(s) * TRUTH[n] / errors[n] for n, s in late.moved.items())
-    assert far > 10
-    assert not list(late_signals(AXIS, records, right))
-
-
 @pytest.mark.no_finding("late_signal", "low_passed", "two_clocks", "lost_rows")
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
 def test_a_force_in_time_is_not_called_late(noise):
@@ -115,13 +99,9 @@ def test_a_force_in_time_is_not_called_late(noise):
         one, found = delay_of(recorded(seed, noise=noise))
         assert not found
         assert abs(one.samples) < max(4 * one.error / STEP, 0.01)
-
-
-@pytest.mark.no_finding("late_signal", "low_passed", "two_clocks", "lost_rows")
-@pytest.mark.parametrize("wrong", [{"friction": 0.3}, {"cubic": 0.05}])
-def test_what_a_model_leaves_out_is_not_called_a_delay(wrong):
-    for seed in range(3):
-        one, found = delay_of(recorded(seed, **wrong))
+    for friction, cubic in ((0.3, 0.0), (0.0, 0.05)):
+        # What a model leaves out is no delay.
+        one, found = delay_of(recorded(3, friction=friction, cubic=cubic, noise=noise))
         assert not one.explains
         assert not found
 
@@ -150,12 +130,9 @@ def test_a_clock_that_runs_slow_is_told_by_its_rate():
     assert float(clock.removeprefix("F=")) == pytest.approx(200, rel=0.05)
 
 
-ROWS = [(1, 2500), *nightly([(5, 2500)]), (5, 5000), (20, 2500)]
-
-
 @pytest.mark.raises_finding("lost_rows")
 @pytest.mark.no_finding("late_signal", "two_clocks")
-@pytest.mark.parametrize(("lost", "at"), ROWS)
+@pytest.mark.parametrize(("lost", "at"), [(1, 2500), (5, 5000), *nightly([(20, 2500)])])
 def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
     one, (finding,) = delay_of(
         recorded(0, delay=-lost * np.heaviside(np.arange(SAMPLES) - at, 0.0))

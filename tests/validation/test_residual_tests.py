@@ -1,3 +1,5 @@
+"""What models leave, against brute force, SciPy and closed forms, and what it is named."""
+
 from functools import partial
 
 import jax
@@ -6,24 +8,24 @@ import numpy as np
 import pytest
 import scipy.signal
 import scipy.stats
+from tests.machines import PROBLEMS, STROKE
 
-from nightly import nightly
+import riecjax as rx
+from nightly import by_day, nightly
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.test_functions import Hat
 from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
-from riecjax.models.oscillators import Duffing, duffing_equation
-from riecjax.models.quarter_car.identification import QuarterCar, quarter_car_by_body
+from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
-from riecjax.simulation.simulate import simulate
 from riecjax.uncertainty.intervals import Naive
 from riecjax.validation.equation_errors import EquationError
 from riecjax.validation.residuals import (
+    ResidualTests,
     autocorrelation,
     bartlett_variance,
     cross_correlation,
@@ -35,7 +37,6 @@ from riecjax.validation.residuals import (
 CRITERION = RIEC(AllWindows(0.05, 0.5))
 fit = partial(identify, intervals=Naive())
 """No test here asks for intervals."""
-BY_POSITION = RIEC(AllWindows(0.1, 1.0), Hat())
 STEP = 0.005
 
 
@@ -59,27 +60,6 @@ def filtered(b, a, values) -> np.ndarray:
 
 def low_pass(order, hertz) -> tuple[np.ndarray, np.ndarray]:
     return scipy.signal.butter(order, 2 * hertz * STEP)  # pyright: ignore[reportReturnType]
-
-
-def quarter_car_of_the_model(seed: int) -> Record:
-    """The identification model itself on the road of Table 2: an exact model."""
-    road = band_limited_noise(jax.random.key(seed), 8000, STEP, bandwidth=30.0, rms=0.55)
-    masses = {"K_t": 180e3, "M_us": 30.0, "M_s": 300.0, "K_s": 20e3}
-    forces = {"F_1": -1200.0, "F_2": -900.0, "F_3": 850.0, "F_4": 1150.0}
-    car = QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in {**masses, **forces}.items()})
-    return simulate(car, Record({"v_r": road}, STEP)).record.select("F_t", "x1", "x2", "x3", "x4")
-
-
-def duffing(seed: int) -> Record:
-    force = band_limited_noise(jax.random.key(seed), 4000, STEP, bandwidth=8.0, rms=5.0)
-    system = Duffing(*(jnp.asarray(value) for value in (1.0, 0.3, 60.0, 20.0, 300.0)))
-    return simulate(system, Record({"u": force}, STEP)).record.select("y", "dy", "u")
-
-
-def with_noise(record: Record, share: float, names, seed: int) -> Record:
-    rng = np.random.default_rng(seed)
-    noise = {n: share * np.std(record[n]) * rng.normal(size=record.sample_count) for n in names}
-    return record.with_signals({name: record[name] + noise[name] for name in names})
 
 
 # Correlations.
@@ -226,25 +206,6 @@ def test_the_engine_on_its_mount_shows_in_the_quarter_car(seed):
     assert not any("does not use it" in finding.message for finding in again)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("where", "share"), [("nowhere", 0.0), ("force", 0.05), ("sensors", 0.01), ("sensors", 0.05)]
-)
-def test_an_exact_model_with_noise_gives_no_finding(where, share):
-    found = []
-    for seed in range(4):
-        car, oscillator = quarter_car_of_the_model(seed), duffing(seed)
-        cases = [
-            (quarter_car_by_body(), car, CRITERION, "F_t"),
-            (duffing_equation(), oscillator.select("y", "u"), BY_POSITION, "u"),
-        ]
-        for model, record, criterion, force in cases:
-            disturbed = [force] if where == "force" else list(record.arrays)
-            noisy = with_noise(record, share, disturbed, seed)
-            found += residual_tests(model, noisy, fit(model, noisy, criterion)).findings()
-    assert found == []
-
-
 @pytest.mark.raises_finding("uneven_errors")
 def test_uneven_and_shared_errors_are_named():
     rng = np.random.default_rng(0)
@@ -260,3 +221,57 @@ def test_uneven_and_shared_errors_are_named():
         tests = residual_tests(spring, record, fit(spring, record, CRITERION))
         (finding,) = [f for f in tests.findings() if f.code == "uneven_errors"]
         assert words in finding.message, finding.message
+
+
+HYSTERETIC = PROBLEMS["hysteresis"]
+
+
+def left(model: object, record: rx.Record) -> ResidualTests:
+    return residual_tests(model, record, rx.identify(model, record))  # pyright: ignore
+
+
+@pytest.mark.raises_finding("hysteresis")
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_missing_state_is_named_with_its_width(noise):
+    tests = left(HYSTERETIC.start, HYSTERETIC.record(noise, 3, drive=1))
+    found = tests["mass"].loop
+    assert found is not None
+    assert STROKE / 3 < found.width < 3 * STROKE
+    (finding,) = [one for one in tests.findings() if one.code == "hysteresis"]
+    assert finding.message.startswith("mass: what the model leaves runs in loops over dx: ")
+    assert "riecjax discover --alpha 0.02 --beta 0.1" in finding.message
+    assert finding.parameters == ("m", "k")
+
+
+@pytest.mark.parametrize("name", by_day(("duffing", "drag", "axis", "dead_zone"), "axis"))
+@pytest.mark.parametrize("noise", [*nightly([0.0]), 0.05])
+def test_friction_and_springs_that_are_missing_are_no_loops(name, noise):
+    problem = PROBLEMS[name]
+    tests = left(problem.start, problem.record(noise, 5, drive=2))
+    assert tests["mass"].loop is None
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_right_model_has_no_loop(noise):
+    record = HYSTERETIC.record(noise, 5, drive=2)
+    assert left(HYSTERETIC.model, record).equations[0].loop is None
+
+
+@pytest.mark.raises_finding("residual_follows_signal")
+def test_a_voltage_that_changes_dry_friction_is_named_with_what_it_changes():
+    times = np.arange(6000) / 200
+    x = np.sin(7 * times) + 0.4 * np.sin(11 * times + 1)
+    v = 7 * np.cos(7 * times) + 4.4 * np.cos(11 * times + 1)
+    volt = 1 + np.sin(0.9 * times)
+    force = 3 * v + 5 * x + 4 * volt * np.sign(v)
+    record = rx.Record.from_samples({"x": x, "v": v, "F": force, "volt": volt}, time_step=1 / 200)
+    damper = rx.Equation(
+        rx.Term("c", "x", derivative=1, measured=("v",)),
+        rx.Term("k", "x"),
+        -rx.Term(1.0, "F"),
+        name="damper",
+    )
+    (finding,) = [f for f in left(damper, record).findings() if f.code[:8] == "residual"]
+    assert finding.signals == ("volt",)
+    assert "follows volt times the direction of v" in finding.message
+    assert "volt changes a friction force" in finding.message

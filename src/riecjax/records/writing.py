@@ -3,14 +3,13 @@
 import csv
 import os
 import re
-import stat
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from riecjax.errors import DataError, printable
+from riecjax.errors import DataError
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import STEP_TOLERANCE
 from riecjax.whole_files import require_plain, temporary
@@ -47,8 +46,8 @@ def check_writable(file: Path) -> None:
             f"cannot write '{file.name}': its ending must be one of {', '.join(WRITERS)}."
         )
     try:
-        if not stat.S_ISDIR(file.parent.stat().st_mode):
-            raise OSError(0, f"'{file.parent}' is no folder")
+        if not file.parent.is_dir():
+            raise DataError(f"cannot write '{file}': there is no folder '{file.parent}'.")
         require_plain(file)
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
@@ -91,11 +90,16 @@ def _pauses(time: np.ndarray, values: Columns, step: float) -> np.ndarray:
     return empty & midway & (np.append(off, False) | np.insert(off, 0, False))
 
 
+def _in_one_line(name: str) -> str:
+    """A signal's name for a message, its tabs and line ends as escapes such as `\\n`."""
+    return "".join(each if each.isprintable() else ascii(each)[1:-1] for each in name)
+
+
 def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         if not name.isprintable() or name != name.strip() or not name.strip('"') == name != "":
             raise DataError(
-                f"'{printable(name)}' cannot name a column in CSV; rename it or write NPZ."
+                f"'{_in_one_line(name)}' cannot name a column in CSV; rename it or write NPZ."
             )
     header = [re.sub(FORMULA, r"\1'", name) for name in columns]
     table = np.column_stack(list(columns.values()))
@@ -123,7 +127,7 @@ def _write_npz(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         # What unpacks an archive would write these elsewhere, and cut at a null character.
         if re.search(r"^[A-Za-z]:|^[/\\]|(^|[/\\])\.\.([/\\]|$)|\0", name):
-            raise DataError(f"'{printable(name)}' cannot be a member of an archive; rename it.")
+            raise DataError(f"'{_in_one_line(name)}' cannot be a member of an archive; rename it.")
     write_npz(file, columns)
 
 
@@ -133,7 +137,8 @@ def _write_mat(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         if not (name.isidentifier() and name.isascii() and name[0].isalpha()) or len(name) > 31:
             raise DataError(
-                f"'{name}' cannot be a variable in a MAT file; rename it or write CSV or NPZ."
+                f"'{_in_one_line(name)}' cannot be a variable in a MAT file; rename it or write CSV"
+                " or NPZ."
             )
     with file.open("wb") as stream:
         scipy.io.savemat(stream, dict(columns), oned_as="column")

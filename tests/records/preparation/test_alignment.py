@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.models.catalogue import find_model
-from riecjax.records.preparation.alignment import align, declared_pairs, set_clocks
+from riecjax.records.preparation.alignment import align, set_clocks
 from riecjax.records.record import Record, samples_with_nan
-from riecjax.records.recording import read_recording
 
 STEP = 0.005
 TIME = STEP * np.arange(4000)
@@ -48,13 +46,6 @@ def test_a_signal_of_another_clock_is_brought_to_the_records(ppm):
         assert record.sample_count - start - set_.sample_count < 110
 
 
-@pytest.mark.no_finding("late_signal")
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
-def test_what_is_in_time_stays(noise):
-    record = recorded(noise)
-    assert align(record, PAIRS).record is record
-
-
 @pytest.mark.raises_finding("late_signal")
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 @pytest.mark.parametrize(
@@ -85,20 +76,3 @@ def test_a_wrong_sign_is_no_delay():
     late = recorded()
     turned = late.with_signals({"dq": -late["dq"]})
     assert align(turned, [("q", "dq")]).record is turned
-
-
-def test_a_file_is_aligned_as_its_model_pairs_its_signals(tmp_path):
-    model = find_model("emps")
-    assert ("q", "dq") in declared_pairs(model)
-    late = recorded(0.005, dq=1.0)
-    columns = {"t": TIME, "q": late["q"], "dq": late["dq"], "force": np.ones(TIME.size)}
-    table = np.column_stack(list(columns.values()))
-    file = tmp_path / "drive.csv"
-    np.savetxt(file, table, delimiter=",", header=",".join(columns), comments="")
-    read = read_recording(file, model=model)
-    assert [finding.code for finding in read.findings] == ["late_signal"]
-    assert any(step.startswith("dq: advanced by 0.00") for step in read.steps)
-    assert read_recording(file, model=model, align="none").findings == ()
-    by_hand = read_recording(file, model=model, shifts={"dq": STEP})
-    assert [f.code for f in by_hand.findings] == []
-    assert "advanced: dq by 0.005 s" in by_hand.steps

@@ -38,27 +38,6 @@ def test_prepare_filters_then_differentiates_then_thins_out():
     np.testing.assert_allclose(prepared["ddq"], acceleration[::10], rtol=0, atol=1e-5)
 
 
-def test_prepare_keeps_a_recorded_derivative():
-    recorded = np.cos(3 * TIME)
-    prepared, _ = prepare(record(q=TIME**3, dq=recorded), AXIS.derived, Preparation())
-    np.testing.assert_array_equal(prepared["dq"], recorded)
-    np.testing.assert_allclose(
-        prepared["ddq"], np.gradient(recorded, 1 / RATE, edge_order=2), atol=1e-9
-    )
-
-
-def test_the_steps_that_were_taken_in_words():
-    asked = Preparation(cutoffs={"q": 100.0}, every=10)
-    _, words = prepare(record(q=TIME**3), AXIS.derived, asked)
-    assert words == [
-        "zero-phase 4th-order Butterworth low-pass: q at 100 Hz",
-        "dq: central differences of q",
-        "ddq: central differences of dq",
-        "every 10th sample",
-    ]
-    assert prepare(record(q=TIME), {}, Preparation())[1] == []
-
-
 def test_every_step_of_a_preparation_is_taken_in_order():
     asked = Preparation(
         start=1.0,
@@ -81,11 +60,6 @@ def test_every_step_of_a_preparation_is_taken_in_order():
     np.testing.assert_allclose(prepared["v"][1:-1], 9 * np.cos(9 * prepared.time)[1:-1], atol=1e-3)
 
 
-def test_a_cut_outside_the_record_is_refused_with_its_times():
-    with pytest.raises(DataError, match=r"lasts from 0 to 3\.999 s"):
-        prepare(record(q=TIME), AXIS.derived, Preparation(start=7.0))
-
-
 EPOCH = 1.7e9
 
 
@@ -100,27 +74,6 @@ def test_a_cut_counts_from_the_first_sample_whatever_its_stamp():
     assert float(prepared.start_time) == pytest.approx(EPOCH + 1.0, abs=3e-7)
     again, _ = prepare(prepared, {}, Preparation(start=2.0))
     assert float(again["q"][0]) == 2.0
-
-
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        (Preparation(start=0.0), ["from 0 s on removes nothing"]),
-        (Preparation(start=-2.0, stop=9.0), ["from -2 s on", "up to 9 s removes nothing"]),
-        (Preparation(start=1.0, stop=9.0), ["up to 9 s removes nothing: the record lasts from 0"]),
-        (Preparation(start=1.0, stop=2.0), []),
-    ],
-)
-def test_a_cut_that_removes_nothing_is_not_said_to_be_made(asked, words):
-    stamped = Record.from_samples({"q": TIME}, time=EPOCH + TIME)
-    idle = list(asked.idle_cuts(stamped).values())
-    assert len(idle) == len(words)
-    assert all(word in message for word, message in zip(words, idle))
-    assert all("to 3.999 s, counted from its first sample, stamped 1700000000." in m for m in idle)
-    _, steps = prepare(stamped, {}, asked)
-    assert steps == (
-        [] if asked.start in (0, -2) else [f"cut from 1 s to {'the end' if words else '2 s'}"]
-    )
 
 
 VALUES = np.arange(100.0)

@@ -48,6 +48,7 @@ STEPS = {
     "upsample": (lambda r: upsample(r, 3), 44, motion),
     "decimate": (lambda r: decimate(r, 3), 78, motion),
     "resample": (lambda r: resample(r, 173.3), 31, motion),
+    "resample up": (lambda r: resample(r, 333.3), 44, motion),
     "differentiate": (lambda r: differentiate(r, "q", "v"), 0, lambda t: motion(t, 1)),
     "with_local_derivative": (
         lambda r: with_local_derivative(r, "q", "v", 0.015)[0],

@@ -5,7 +5,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -49,19 +48,6 @@ def test_whatever_the_library_does(tmp_path, monkeypatch, capfd, library):
         with pytest.raises(DataError, match=r"^a\.mf4: not a readable MDF file: .*\.$|: two$"):
             read_channels(tmp_path / "a.mf4")
     assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.portable
-def test_windows_shows_no_dialog_after_a_crash(monkeypatch):
-    shown = []
-    windows = SimpleNamespace(
-        SEM_FAILCRITICALERRORS=1, SEM_NOGPFAULTERRORBOX=2, SetErrorMode=shown.append
-    )
-    monkeypatch.setattr(sys, "platform", "win32")
-    monkeypatch.setitem(sys.modules, "msvcrt", windows)
-    monkeypatch.setitem(sys.modules, "resource", None)
-    child_process._limit_resources()
-    assert shown == [3]
 
 
 def test_modules_in_the_working_folder_are_not_imported(whole, tmp_path, monkeypatch):

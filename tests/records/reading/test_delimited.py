@@ -38,15 +38,12 @@ TX = {"t": [0.0, 0.5, 1.0], "x": [1.5, -2e-3, 3.25]}
 READABLE = {
     "comma": "t,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
     "semicolon": "t;x\n0;1.5\n0.5;-2e-3\n1;3.25\n",
-    "tab": "t\tx\n0\t1.5\n0.5\t-2e-3\n1\t3.25\n",
     "bar": "t|x\n0|1.5\n0.5|-2e-3\n1|3.25\n",
     "blanks": "   t     x\n   0   1.5\n 0.5 -2e-3\n   1  3.25\n",
     "comma and blank": "t, x\n0, 1.5\n0.5, -2e-3\n1, 3.25\n",
     "decimal comma": "t;x\n0;1,5\n0,5;-2e-3\n1;3,25\n",
     "decimal comma and tab": "t\tx\n0\t1,5\n0,5\t-2E-03\n1,0\t3,25\n",
     "decimal comma in quotes": 't,x\n"0","1,5"\n"0,5","-2e-3"\n"1","3,25"\n',
-    "decimal comma, blanks": "t x\n0 1,5\n0,5 -2e-3\n1 3,25\n",
-    "quotes": '"t","x"\n"0","1.5"\n"0.5","-2e-3"\n"1","3.25"\n',
     "no line end": "t,x\n0,1.5\n0.5,-2e-3\n1,3.25",
     "old line ends": "t,x\r0,1.5\r0.5,-2e-3\r1,3.25\r",
     "blank lines": "\n\nt,x\n\n0,1.5\n0.5,-2e-3\n   \n1,3.25\n\n\n",
@@ -56,11 +53,8 @@ READABLE = {
     "empty rows of a spreadsheet": "t,x,,\n0,1.5,,\n0.5,-2e-3,,\n1,3.25,,\n,,,\n,,,\n",
     "comments": "# by a logger\n%two\nt,x\n0,1.5\n# paused, twice\n0.5,-2e-3\n//x\n1,3.25\n",
     "header in a comment": "# made by savetxt\n# t x\n0 1.5\n0.5 -2e-3\n1 3.25\n",
-    "preamble": "Logger 7\nOperator: Ann\nRate,100,Hz\nGain,2\n\nt,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
     "preamble as wide as the table": "Title,Run 7\nGain,2\nt,x\n0,1.5\n0.5,-2e-3\n1,3.25\n",
     "rows quoted as a whole": '"t,x"\n"0,1.5"\n"0.5,-2e-3"\n"1,3.25"\n',
-    "trailing semicolons": "t,x;\n0,1.5;\n0.5,-2e-3;\n1,3.25;\n",
-    "plus signs": "t,x\n+0,+1.5\n+0.5,-2e-3\n+1,+3.25\n",
     "Fortran": "t,x\n0.,.15D+01\n.5,-2d-3\n1.,3.25D0\n",
     "semicolon comments": ";by a logger\nt,x\n0,1.5\n;paused\n0.5,-2e-3\n1,3.25\n",
 }
@@ -75,9 +69,7 @@ def test_one_table_in_every_dialect_and_encoding(tmp_path, case, encoding):
 
 
 NAMELESS = {
-    "bare": "0,1.5\n0.5,-2e-3\n1,3.25\n",
     "comments above": "# logger 7\n0,1.5\n0.5,-2e-3\n1,3.25\n",
-    "decimal comma": "0;1,5\n0,5;-2e-3\n1;3,25\n",
     "tabs at the end": "0\t1.5\t\n0.5\t-2e-3\t\n1\t3.25\t\n",
 }
 
@@ -94,26 +86,12 @@ def test_columns_without_names_have_numbers_or_those_given(tmp_path, case):
     assert {k: v.tolist() for k, v in named.items()} == {"clock": TX["t"], "F": TX["x"]}
 
 
-@pytest.mark.parametrize("decimals", [1, 12, 60])
-@pytest.mark.parametrize("sign", [".", ","])
-def test_whole_numbers_at_the_end_of_a_column_without_a_name(tmp_path, decimals, sign):
-    """All rows are read, however few of them have a decimal sign."""
-    rows = [f"{30 / (i + 1):.3f}".replace(".", sign) for i in range(decimals)] + ["0"] * 50
-    given = {"decimal": ","} if sign == "," else {}
-    found = columns(tmp_path, "\n".join(rows) + "\n", **given).columns["column 1"]
-    expected = [round(30 / (i + 1), 3) for i in range(decimals)] + [0.0] * 50
-    assert found.tolist() == expected
-
-
 LONG_ROWS = [f"{i / 8},{i},{2 * i}" for i in range(60)]
 ODD = {
     "rows in brackets": (["[" + row + "]" for row in LONG_ROWS], r"line 1: '\[' stands before"),
-    "as Python prints it": (["[[0,1,2],", *(f" [{r}]," for r in LONG_ROWS)], r"'\[\[' stands bef"),
     "a MATLAB matrix": (["x = [", *LONG_ROWS, "];"], r"line 1: 'x = \[' stands before"),
-    "labels": ([f"t:{i},x:{i / 2}" for i in range(60)], "no line holds.*Take off brackets and lab"),
     "a heading again": (["t,a,b", *LONG_ROWS, "t,a,b", *LONG_ROWS], "line 62: 't' is not a number"),
     "means below": (["t,a,b", *LONG_ROWS, "Mean,1,2"], "line 62: 'Mean' is not a number; take off"),
-    "a remark below": (["t,a,b", *LONG_ROWS, "", "made by hand"], "line 63 has 1 values for 3"),
     "a word among": (
         ["t,a,b", *LONG_ROWS, "6.0,1,abc"],
         "line 62: 'abc' is not a number; take off",
@@ -142,16 +120,6 @@ def test_only_a_last_line_that_is_not_ended_is_cut_off(tmp_path):
     assert "the last line is cut off and left out" in found.notes
 
 
-def test_columns_of_one_name_are_numbered_where_they_differ(tmp_path):
-    found = columns(tmp_path, "\n".join(["t,x [mm],x [mm]", *LONG_ROWS]))
-    assert list(found.columns) == ["t", "x #1 [mm]", "x #2 [mm]"]
-    record = read_record(tmp_path / "a.csv", rename={"x": "x #2"})
-    np.testing.assert_allclose(record["x"], 2e-3 * np.arange(60), rtol=1e-12)
-    copies = columns(tmp_path, "t,x,t\n" + "".join(f"{i},{i * i},{i}\n" for i in range(9)))
-    assert list(copies.columns) == ["t", "x"]
-    assert "1 copies of columns left out" in copies.notes
-
-
 KINDS = {b"PK\x03\x04...": "zip archive", b"\x1f\x8b\x08": "gzip", b"\x89HDF\r\n": "HDF5"}
 
 
@@ -169,14 +137,6 @@ def test_missing_samples_open_quotes_and_unknown_units(tmp_path):
     assert found.units == {"t": "s", "a": "mm", "b": "furlong"}
     tabbed = "\n".join(row.replace(",", "\t") for row in ["t,a,b", *LONG_ROWS])
     assert columns(tmp_path, tabbed, delimiter="\\t").columns["a"][-1] == 59
-
-
-def test_columns_without_names_are_mapped_by_number(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("".join(f"{0.25 * i},{i * i},{-i}\n" for i in range(9)))
-    record = read_record(path, rename={"x": "3"})
-    assert record["x"].tolist() == [-float(i) for i in range(9)]
-    assert float(record.time_step) == 0.25
 
 
 @pytest.mark.parametrize("case", [name for name in READABLE if "empty rows" not in name])
@@ -204,41 +164,9 @@ def test_missing_values_are_nan(tmp_path, text, delimiter):
     np.testing.assert_array_equal(found["y"], [2, 3, np.nan, 8])
 
 
-def test_missing_samples_are_marked_in_the_record(tmp_path):
-    (tmp_path / "a.csv").write_text("t,x,y\n0,1,2\n1,,3\n2,5,4\n")
-    record = read_record(tmp_path / "a.csv")
-    assert np.asarray(record.missing["x"]).tolist() == [False, True, False]
-    assert set(record.missing) == {"x"}
-
-
 def test_a_blank_line_in_a_single_column_is_a_missing_sample(tmp_path):
     # Leaving it out would move all later samples by a time step.
     np.testing.assert_array_equal(values(tmp_path, "x\n1\n\n3\n\n")["x"], [1, np.nan, 3])
-
-
-UNITS = {
-    "in square brackets": "t [s],a [m/s2],F\n0,1,2\n1,2,3\n",
-    "in round brackets": "t (s),a (m/s2),F\n0,1,2\n1,2,3\n",
-    "in a row": "t,a,F\ns,m/s2,\n0,1,2\n1,2,3\n",
-    "in a row of brackets": "t,a,F\n[s],[m/s2],[]\n0,1,2\n1,2,3\n",
-    "apart by blanks": "t [s]  a [m/s2]  F\n0 1 2\n1 2 3\n",
-}
-
-
-@pytest.mark.parametrize("case", UNITS)
-def test_units(tmp_path, case):
-    channels = columns(tmp_path, UNITS[case])
-    by_place = [channels.units.get(name) for name in channels.columns]
-    assert by_place == ["s", "m/s2", None]
-    record = read_record(tmp_path / "a.csv", rename={"acc": "a"})
-    assert dict(record.units) == {"acc": "m/s2"}
-    assert record["acc"].tolist() == [1.0, 2.0]
-
-
-def test_what_stands_in_round_brackets_need_not_be_a_unit(tmp_path):
-    channels = columns(tmp_path, "t,speed (left),speed (right),x[0]\n0,1,2,3\n1,2,3,4\n")
-    assert channels.units == {}
-    assert list(channels.columns) == ["t", "speed (left)", "speed (right)", "x[0]"]
 
 
 def test_a_name_without_its_unit_must_be_the_only_one(tmp_path):
@@ -257,25 +185,14 @@ def test_an_unknown_unit_of_time_is_asked_for(tmp_path):
 
 
 STAMPS = {
-    "ISO": ["2024-05-01T23:59:59.5", "2024-05-02T00:00:00.25", "2024-05-02T00:00:01"],
-    "blank": ["2024-05-01 10:00:00", "2024-05-01 10:00:00.750", "2024-05-01 10:00:01.5"],
     "zone": ["2024-03-31T01:59:59.5+01:00", "2024-03-31T03:00:00.25+02:00", "2024-03-31T01:00:01Z"],
-    "clock": ["10:00:00.0", "10:00:00.75", "10:00:01.50"],
-    "past midnight": ["23:59:59.5", "00:00:00.25", "00:00:01"],
     "elapsed": ["100:00:00.0", "100:00:00.75", "100:00:01.50"],
-    "ISO, compact": ["20240501T235959.5Z", "20240502T000000.25Z", "20240502T000001Z"],
     "ISO, zone after a blank": ["2024-05-01 10:00:00 +0200", "2024-05-01 08:00:00.75 UTC",
                                 "2024-05-01 10:00:01.5 +02"],
-    "day first, past midnight": ["31.12.2024 23:59:59.5", "01.01.2025 00:00:00.25",
-                                 "01.01.2025 00:00:01"],
     "day first, both below 13": ["1/2/2024 23:59:59.5", "2/2/2024 0:00:00.25", "2/2/2024 0:00:01"],
     "month first, both below 13": ["2/1/2024 23:59:59.5", "2/2/2024 0:00:00.25",
                                    "2/2/2024 0:00:01"],
-    "month first, halves of a day": ["3/31/2024 11:59:59.5 AM", "3/31/2024 12:00:00.25 PM",
-                                     "3/31/2024 12:00:01 PM"],
-    "MATLAB": ["31-Mar-2024 23:59:59.5", "01-Apr-2024 00:00:00.25", "01-Apr-2024 00:00:01"],
     "year of two digits": ["31.03.24 23:59:59.5", "01.04.24 00:00:00.25", "01.04.24 00:00:01"],
-    "milliseconds after a colon": ["10:00:00:000", "10:00:00:750", "10:00:01:500"],
     "minutes and seconds": ["59:59.5", "00:00.25", "00:01.0"],
     "weekday": [f'"Fri, 01 Mar 2024 12:00:{s} +0000"' for s in ("00.0", "00.75", "01.5")],
     "days elapsed": ["0 days 23:59:59.5", "1 days 00:00:00.25", "1 days 00:00:01"],
@@ -296,20 +213,6 @@ def test_nanoseconds_of_time_stamps_survive(tmp_path):
     )
 
 
-def test_a_text_column_is_left_out_with_a_note(tmp_path):
-    channels = columns(tmp_path, "t,x,remark\n0,1,ok\n1,2,late\n2,3,\n")
-    assert list(channels.columns) == ["t", "x"]
-    assert "'ok' on line 2" in channels.left_out["remark"]
-    assert any("remark" in note for note in channels.notes)
-    with pytest.raises(DataError, match="'remark' cannot be a signal: it holds text, 'ok'"):
-        read_record(tmp_path / "a.csv", rename={"x": "remark"})
-
-
-def test_remarks_may_hold_the_delimiter_in_quotes(tmp_path):
-    text = 't,remark,x\n0,"cold, wet",1.5\n0.5,"say ""no""",-2e-3\n1,plain,3.25\n'
-    assert values(tmp_path, text) == TX
-
-
 @pytest.mark.parametrize("bad", ["abc", "1.2.3", "1,5", "0x10", "1_000", "--5", "1e"])
 def test_one_bad_number_among_many_is_an_error_that_names_its_line(tmp_path, bad):
     rows = [[str(i), str(2 * i)] for i in range(700)]
@@ -326,18 +229,14 @@ def test_the_line_of_a_bad_number_counts_comments_and_blank_lines(tmp_path):
 
 ERRORS = {
     "empty": ("", "first row must name the columns"),
-    "blank": ("\n \n", "first row must name the columns"),
     "header only": ("t,x\n", "no samples below the column names"),
     "prose": ("Once upon a time\nthere was a file\n", "no line holds numbers"),
     "too few names": ("t,x\n0,1,5\n1,2,5\n", "2 column names but 3 columns"),
     "too many names": ("t,x,y\n0,1\n1,2\n", "3 column names but 2 columns"),
     "ragged": ("t,x\n0,1\n1\n2,3\n", "line 3 has 1 values for 2 columns"),
-    "late ragged": ("t,x\n" + "0,1\n" * LONG + "5,6,7\n", "line 902 has 3 values for 2"),
-    "cut off and bad": ("t,x\n" + "0,1\n" * LONG + "5\n6", "line 902 has 1 values for 2"),
     "two times": ("t,a,t\n0,1,1\n1,1,1\n", "'t' and differ; name all columns"),
     "binary": (bytes(range(256)) * 20, "not a text file"),
     "null byte": (b"t,x\n0,\x00\n1,2\n", "not a text file"),
-    "control characters": (b"\x89\x01\x02\xff,\n" * 9, "not a text file"),
     "comma twice": ("t,x\n0,0,1,5\n0,5,2,5\n", "2 column names but 4 columns"),
     "long line": (b"t,x\n" + b"1" * (LONGEST_LINE + 9), "no table of numbers"),
     "million columns": ("a," * 10**6 + "b\n" + "1," * 10**6 + "1\n", "at most 10000 are read"),
@@ -395,24 +294,9 @@ def test_the_dialect_can_be_given(tmp_path):
 def test_notes_say_what_was_decided(tmp_path):
     text = "Logger 7\n\nKraft;Zeit größer\n1,5;2\n# Pause\n2,5;3\n"
     notes = "; ".join(columns(tmp_path, text.encode("latin-1")).notes)
-    for words in (
-        "Latin-1",
-        "semicolon",
-        "decimal comma",
-        "1 line above",
-        "1 comment line skipped",
-    ):
+    for words in ("Latin-1", "semicolon", "decimal comma", "1 line above", "1 comment line sk"):
         assert words in notes
     assert columns(tmp_path, "t,x\n0,1\n1,2\n").notes == []
-
-
-def test_an_index_without_a_name_gets_one(tmp_path):
-    assert list(values(tmp_path, ",t,x\n0,0.0,1\n1,0.5,2\n")) == ["column 1", "t", "x"]
-
-
-def test_a_row_that_went_wrong_below_the_header_is_not_taken_for_it(tmp_path):
-    rows = "".join(f"{i},{i}\n" for i in range(1, 30))
-    assert "line 2: 'abc' is not a number" in message(tmp_path, f"t,x\nabc,0\n{rows}")
 
 
 def test_numbers_are_read_to_the_last_bit(tmp_path):
@@ -422,9 +306,6 @@ def test_numbers_are_read_to_the_last_bit(tmp_path):
 
 
 def test_signs_between_thousands(tmp_path):
-    for sign in ("'", "’", "\u202f", "\u00a0"):
-        text = f"t;x\n0;1{sign}234.5\n0.5;-12{sign}345{sign}678\n1;3.25\n"
-        assert values(tmp_path, text)["x"] == [1234.5, -12345678.0, 3.25]
     # Not in threes: feet and inches, or a slip.
     assert "x" not in values(tmp_path, "t;x\n0;1'23\n0.5;4'5\n1;6'7\n")
     # With a fraction, commas between thousands cannot be decimal; without one they may be.
@@ -437,13 +318,6 @@ def test_words_above_the_numbers(tmp_path):
     rows = "0;1.5\n0.5;-2e-3\n1;3.25\n"
     assert values(tmp_path, "t;x;Comment\n" + rows) == TX
     assert values(tmp_path, "Signal;t;x\nDATA\n" + rows) == TX
-    assert values(tmp_path, "t;x\ns;m\nclock;LVDT 17\n" + rows) == TX
     assert values(tmp_path, "t;1\nsecond;Volt\n" + rows)["1"] == TX["x"]
     # A name too many is no remark.
     assert "3 column names but 2" in message(tmp_path, "t;x;y\n" + rows)
-
-
-def test_a_note_keeps_the_date_from_which_seconds_count(tmp_path):
-    text = "Zeit;x\n12.03.2024 09:14:03,120;1\n12.03.2024 09:14:03,125;2\n"
-    found = columns(tmp_path, text)
-    assert "column 'Zeit': time stamps, as seconds from 12.03.2024 09:14:03,120" in found.notes

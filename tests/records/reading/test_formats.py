@@ -7,7 +7,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import openpyxl
-import pandas as pd
 import pyarrow as pa
 import pytest
 import scipy.io
@@ -164,17 +163,6 @@ def test_objects_of_matlab_are_named(tmp_path, monkeypatch):
     assert _variables_v5(tmp_path / "b.mat") == ({}, {"TT": "timetable"})
 
 
-def test_sparse_complex_and_text_in_matlab_files(tmp_path):
-    columns = {"t": ["on"] * N, "x": scipy.sparse.csc_matrix(COLUMN), "y": X + 0j, "z": X * 1j}
-    scipy.io.savemat(tmp_path / "a.mat", {**columns, "log": {"who": "me"}})
-    channels = read_channels(tmp_path / "a.mat")
-    for name in ("x", "y"):
-        np.testing.assert_array_equal(channels.columns[name], X)
-    assert channels.left_out == dict.fromkeys(("t", "z", "log.who"), "it holds no real numbers")
-    with pytest.raises(DataError, match=r"no time column.*; column 't' was left out: it holds no"):
-        rx.read_record(tmp_path / "a.mat")
-
-
 BESIDE = {
     "a variable": ({"t": TIME, "x": 1e3 * X, "x_unit": "mm"}, {}),
     "a field": ({"t": TIME, "x": {"values": 1e3 * X, "unit": "mm"}}, {"x": "x.values"}),
@@ -193,23 +181,13 @@ def test_units_beside_their_columns(tmp_path, case):
         np.testing.assert_allclose(rx.read_record(path, rename=names)["x"], X, rtol=1e-12)
 
 
-def test_groups_and_tables_of_hdf5(tmp_path):
+def test_tables_of_hdf5(tmp_path):
     kind = [("t", "f8"), ("x", "f4"), ("acc", "f8", (2,)), ("name", "S4")]
     table = np.zeros(N, kind)
     table["t"], table["x"], table["acc"][:, 1] = TIME, X, 2 * X
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        run = file.create_group("rig/run")
-        run["time"], run["position"], run["force"] = TIME, X, X
-        run["position"].attrs["units"] = "mm"
-        run["force"].attrs["unit"] = np.bytes_("N")
-        run["label"], file["rig/rate"] = "a remark", 8.0
     with h5py.File(tmp_path / "b.h5", "w") as file:
         file["log"] = table
         file["log"].attrs["units"] = ["s", "m", "m/s^2", ""]
-    channels = read_channels(tmp_path / "a.h5")
-    # Names begin below the group of all.
-    assert set(channels.columns) == {"time", "position", "force"}
-    assert channels.units == {"position": "mm", "force": "N"}
     fields = read_channels(tmp_path / "b.h5")
     assert fields.units == {"t": "s", "x": "m", "acc[0]": "m/s^2", "acc[1]": "m/s^2"}
     np.testing.assert_array_equal(fields.columns["acc[1]"], 2 * X)
@@ -373,7 +351,7 @@ def test_parquet_times(tmp_path, case):
     np.testing.assert_allclose(channels.columns["time"], TIME, atol=2e-7)
 
 
-def test_parquet_nulls_kinds_and_the_index_of_a_frame(tmp_path):
+def test_nulls_and_kinds_of_parquet(tmp_path):
     counts = pa.array([None, 2**60, *range(N - 2)], pa.int64())
     flags, codes = [True, False] * (N // 2), pa.array(X).dictionary_encode()
     table = {"t": TIME, "count": counts, "flag": flags, "code": codes, "list": [[1.0]] * N}
@@ -383,11 +361,6 @@ def test_parquet_nulls_kinds_and_the_index_of_a_frame(tmp_path):
     expected = [np.nan, 2.0**60, *map(float, range(N - 2))]
     np.testing.assert_array_equal(channels.columns["count"], expected)
     np.testing.assert_array_equal(channels.columns["code"], X)
-    index = pd.date_range("2024-05-01", periods=N, freq="50ms")
-    pd.DataFrame({"x": X}, index=index).to_parquet(tmp_path / "b.parquet")
-    record = rx.read_record(tmp_path / "b.parquet")
-    assert set(record.arrays) == {"x"}
-    np.testing.assert_allclose(record.time_step, 0.05, rtol=1e-12)
 
 
 def test_what_parquet_takes_is_counted_before_it_is_read(tmp_path, monkeypatch):
@@ -428,14 +401,6 @@ def test_sheets(tmp_path):
     words = workbook(tmp_path / "c.xlsx", Notes=[["only words", "and more"]])
     with pytest.raises(DataError, match=r"^c\.xlsx: no sheet holds a table of numbers: sheet 'N"):
         read_channels(words)
-
-
-def test_dates_and_numbers_as_text_in_sheets(tmp_path):
-    since = [START + datetime.timedelta(milliseconds=50 * i) for i in range(N)]
-    rows = [(t, f"{x:.6f}".replace(".", ",")) for t, x in zip(since, X)]
-    record = rx.read_record(workbook(tmp_path / "a.xlsx", S=[("Time", "x"), *rows]))
-    np.testing.assert_allclose(float(record.time_step), 0.05, rtol=1e-6)
-    np.testing.assert_allclose(record["x"], X, atol=5e-7)
 
 
 def write_tdms(path, *channels):

@@ -60,18 +60,6 @@ def test_frames_with_all_kinds_of_columns():
     assert dict(record.units) == {"y": "m"}
 
 
-def test_missing_dates_and_gaps_in_frames():
-    index = pd.date_range("2024-05-01", periods=N, freq="50ms").delete([10, 11, 12])
-    record = from_dataframe(pd.DataFrame({"x": np.delete(X, [10, 11, 12])}, index=index))
-    assert record.segments() == [slice(0, 10), slice(11, 28)]
-
-
-def test_columns_of_the_same_name_in_a_frame():
-    frame = pd.DataFrame(np.stack([TIME, X, X], axis=1), columns=["t", "x", "x"])
-    with pytest.raises(DataError, match="two columns are called 'x'"):
-        from_dataframe(frame)
-
-
 def dataset(**options: object) -> xr.Dataset:
     return xr.Dataset(
         {

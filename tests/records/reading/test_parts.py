@@ -17,32 +17,17 @@ RUNS = [
 ]
 
 
-def cell(values):
-    made = np.empty((len(values), 1), dtype=object)
-    for i, value in enumerate(values):
-        made[i, 0] = value
-    return made
-
-
-def as_cells(path):
-    scipy.io.savemat(path, {f"{n}_id": cell([run[n] for run in RUNS]) for n in ("t", "x", "F")})
-    return {"rename": {"t": "t_id", "x": "x_id", "F": "F_id"}}
-
-
 def as_structures(path):
     kind = [(name, object) for name in RUNS[0]]
     runs = np.array([tuple(run.values()) for run in RUNS], dtype=kind)
     scipy.io.savemat(path, {"runs": runs, "remark": "a Tuesday"})
-    return {}
 
 
 def as_numbered_structures(path):
     scipy.io.savemat(path, {f"run{i + 1}": run for i, run in enumerate(RUNS)})
-    return {}
 
 
 MADE = {
-    "cells": (as_cells, ["{1}", "{2}", "{3}"]),
     "array of structures": (as_structures, ["runs(1)", "runs(2)", "runs(3)"]),
     "numbered structures": (as_numbered_structures, ["run1", "run2", "run3"]),
 }
@@ -51,18 +36,18 @@ MADE = {
 @pytest.mark.parametrize("case", MADE)
 def test_matlab_files_with_several_recordings(tmp_path, case):
     write, ends = MADE[case]
-    settings = write(tmp_path / "a.mat")
-    read = rx.read_recordings(tmp_path / "a.mat", **settings)
+    write(tmp_path / "a.mat")
+    read = rx.read_recordings(tmp_path / "a.mat")
     assert [one.part.endswith(end) for one, end in zip(read, ends, strict=True)] == [True] * 3
     for one, run in zip(read, RUNS, strict=True):
         np.testing.assert_allclose(one.record["x"], run["x"], rtol=1e-15)
         np.testing.assert_allclose(one.record["F"], run["F"], rtol=1e-15)
-    alone = rx.read_record(tmp_path / "a.mat", part=read[1].part, **settings)
+    alone = rx.read_record(tmp_path / "a.mat", part=read[1].part)
     np.testing.assert_array_equal(alone["x"], read[1].record["x"])
     with pytest.raises(DataError, match=r"^a\.mat: it holds 3 recordings: .*--part NAME"):
-        rx.read_record(tmp_path / "a.mat", **settings)
+        rx.read_record(tmp_path / "a.mat")
     with pytest.raises(DataError, match=r"there is no part 'run9'; there are: "):
-        rx.read_record(tmp_path / "a.mat", part="run9", **settings)
+        rx.read_record(tmp_path / "a.mat", part="run9")
 
 
 def test_groups_stand_in_the_order_of_their_numbers(tmp_path):
@@ -90,9 +75,6 @@ def test_a_broken_part_is_left_out_and_said(tmp_path):
 
 def sensors():
     """Channels of one recording whose names look like parts."""
-    time = {"rec.X.Data": TIME}
-    each = {f"rec.Y({i}).Data": i * np.sin(TIME) for i in (1, 2, 3)}
-    yield Channels({**time, **each}, nested=True)
     # Simulink's structures with time, one for each signal.
     scopes = {f"{n}.{k}": TIME for n in ("X", "U") for k in ("time", "signals.values")}
     yield Channels(scopes, nested=True)

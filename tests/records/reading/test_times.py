@@ -1,7 +1,5 @@
 """Which column is time, what its numbers count, and what is said where they are none."""
 
-import datetime
-
 import numpy as np
 import pytest
 
@@ -37,32 +35,13 @@ def test_a_column_called_time_or_the_first_that_rises_evenly_is_time(tmp_path, n
     np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-12)
 
 
-EPOCHS = {
-    "s": (1_700_000_000 + T, 1e-6),
-    "ms": (1_700_000_000_000 + (1e3 * T).round().astype(int), 1e-6),
-    "ns": ((1_700_000_000 * 10**9 + (1e9 * T).round().astype(np.int64)), 1e-6),
-    "days of a spreadsheet": ([f"{45352.5 + t / 86400:.10f}" for t in T], 2e-5),
-    "days of MATLAB": ([f"{739312.5 + t / 86400:.10f}" for t in T], 2e-5),
-}
-
-
-@pytest.mark.parametrize("case", EPOCHS)
-def test_counts_since_an_epoch_are_known_by_their_size(tmp_path, case):
-    stamps, rtol = EPOCHS[case]
-    recording = read(tmp_path, {"timestamp": stamps, "x": X})
-    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=rtol)
-    assert not recording.findings
-
-
 def test_uptime_in_seconds_is_no_day(tmp_path):
     recording = read(tmp_path, {"time": 45352.5 + T, "x": X})
     np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-6)
 
 
 OTHERS = {
-    "a temperature called T": ({"T": 20 + 0.1 * np.sin(T), "timestamp": T, "x": X}, "timestamp"),
     "a constant timestamp": ({"timestamp": np.full(N, 7.0), "t": T, "x": X}, "t"),
-    "two that rise": ({"timestamp": 1.7e9 + T, "t": T, "x": X}, "t"),
     "a temperature with its unit": ({"t [degC]": 20 + T, "Zeit": T, "x": X}, "Zeit"),
     "a row number": ({"n": np.arange(N), "time": T, "x": X}, "time"),
 }
@@ -129,35 +108,11 @@ def test_time_that_leaves_the_models_windows_less_than_a_sample_is_doubted(
     assert not read(tmp_path, {"zeit": T + start, **signals}, model=model).findings
 
 
-@pytest.mark.parametrize("digits", [4, 5, 6])
-@pytest.mark.parametrize("step", [0.005, 0.001, 1 / 60])
-def test_stamps_of_few_significant_digits(step, digits):
-    stamps = np.array([float(f"{t:.{digits}g}") for t in step * np.arange(20000)])
-    base = time_base(stamps)
-    assert base.pauses.size == 0
-    np.testing.assert_allclose(base.step, step, rtol=2e-5)
-
-
 def test_stamps_that_jitter_by_more_than_their_digits_are_uneven():
     rng = np.random.default_rng(0)
     jitter = np.cumsum(rng.uniform(0.5, 1.5, 3000)) * STEP
     with pytest.raises(DataError, match="evenly spaced"):
         time_base(np.array([float(f"{t:.5g}") for t in jitter]))
-
-
-def test_a_channel_that_no_equation_reads_does_not_decide_the_common_time(tmp_path):
-    path = tmp_path / "a.csv"
-    signals = {"t": T, "x": X, "dx": X, "u": X, "temperature": np.where(T < 0.5, np.nan, X)}
-    text = [",".join(signals)]
-    text += [",".join("" if np.isnan(v[i]) else repr(float(v[i])) for v in signals.values())
-             for i in range(N)]  # fmt: skip
-    path.write_text("\n".join(text) + "\n")
-    model = find_model("drag-oscillator")
-    read = read_recording(path, model=model, resample=200.0).record
-    assert read.sample_count == N
-    assert "temperature" in read.missing
-    plain = read_recording(path, resample=200.0).record
-    assert plain.sample_count == N - 100
 
 
 SPELLED = {
@@ -191,20 +146,6 @@ def test_a_first_column_of_another_name_is_doubted(tmp_path, name):
     assert finding.code == "time_unit_doubtful"
     assert f"nothing says that '{name}' is time" in finding.message
     assert "--map t=COLUMN" in finding.message
-
-
-def test_a_counter_of_32_bits_is_carried_on(tmp_path):
-    stamps = [(2**32 - 10**6 + 5000 * i) % 2**32 for i in range(N)]
-    recording = read(tmp_path, {"time_us": stamps, "x": X})
-    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
-
-
-def test_durations_of_python_past_a_day(tmp_path):
-    start = datetime.timedelta(hours=23, minutes=59, seconds=59)
-    stamps = [f'"{start + datetime.timedelta(seconds=t)}"' for t in T]
-    recording = read(tmp_path, {"time": stamps, "x": X})
-    np.testing.assert_allclose(recording.record.time_step, STEP, rtol=1e-9)
-    assert recording.record.sample_count == N
 
 
 @pytest.mark.parametrize("rate", [667, 700, 800, 950, 1024])

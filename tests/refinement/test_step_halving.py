@@ -1,7 +1,6 @@
 """Steps of the simulation behind a refinement: chosen along the record, and judged by halving."""
 
-import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -17,31 +16,11 @@ from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit
 from riecjax.refinement.optimum import Optimum, Reached, RefinementStatus
 from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import StepHalving, halve_steps, refine, with_finer_steps
-from riecjax.simulation.method import AbstractMethod, Adaptive, FixedStep
+from riecjax.refinement.refine import halve_steps, refine
+from riecjax.simulation.method import Adaptive, FixedStep
 
 RATE = 100
 HARD = {"d": 2.0, "k1": 100.0, "k3": 3e6}
-
-
-def exact(slope, inputs, first) -> np.ndarray:
-    """States by SciPy at tight tolerance, from sample to sample of an input that is linear between.
-
-    `slope` has the arguments (state, input).
-    """
-    states = [np.asarray(first, float)]
-    for low, high in itertools.pairwise(inputs):
-        run = scipy.integrate.solve_ivp(
-            lambda share, s, low=low, high=high: slope(s, low + share * (high - low)) / RATE,
-            (0, 1),
-            states[-1],
-            method="DOP853",
-            rtol=1e-11,
-            atol=1e-13,
-            max_step=0.25,
-        )
-        states.append(run.y[:, -1])
-    return np.array(states)
 
 
 def duffing() -> Duffing:
@@ -53,10 +32,16 @@ def hardening() -> dict[str, np.ndarray]:
     """Slow at rest, ten times as fast where it is deflected most."""
     t = np.arange(2001) / RATE
     u = 60 * np.sin(2 * np.pi * t) * np.minimum(t / 2, 1)
-    y, dy = exact(
-        lambda s, u: np.array([s[1], u - 2 * s[1] - 100 * s[0] - 3e6 * s[0] ** 3]), u, [0, 0]
-    ).T
-    return {"u": u, "y": y, "dy": dy}
+
+    def slope(now, s):
+        force = np.interp(now, t, u)
+        return [s[1], force - 2 * s[1] - 100 * s[0] - 3e6 * s[0] ** 3]
+
+    # Input is linear between samples: no step is longer than half a sample.
+    run = scipy.integrate.solve_ivp(
+        slope, (0, t[-1]), [0, 0], "DOP853", t, rtol=1e-11, atol=1e-13, max_step=0.005
+    )
+    return {"u": u, "y": run.y[0], "dy": run.y[1]}
 
 
 def record_of(signals, *names) -> Record:
@@ -91,19 +76,12 @@ def test_steps_that_change_the_answer_are_a_finding_with_the_change(recording):
         assert 0.5 < -float(refined.step_change[refined.parameters.index(name)]) / off < 1.2
 
 
-def steps_for(system, records, start, by=None) -> int:
-    """How many steps a sample a refinement begins with."""
-    by = OutputError() if by is None else by
-    records = records if isinstance(records, list) else [records]
-    method = by.misfit(by.specify(system, records, start, {}, (), None)).method
-    assert isinstance(method, FixedStep)
-    return method.steps_per_sample
-
-
 def test_a_slow_motion_takes_one_step(hardening):
     """The same spring, deflected a thousandth: sqrt(k1 / m) is 10 rad/s."""
     small = {name: 1e-3 * values for name, values in hardening.items()}
-    assert steps_for(duffing(), record_of(small, "u", "y", "dy"), HARD) == 1
+    by, records = OutputError(), [record_of(small, "u", "y", "dy")]
+    method = by.misfit(by.specify(duffing(), records, HARD, {}, (), None)).method
+    assert method == FixedStep(1)
 
 
 class Stepped(AbstractMisfit):
@@ -129,61 +107,23 @@ class Covered(NamedTuple):
 
 def test_what_diverged_is_halved_without_a_warning(monkeypatch):
     """Sums of squares that overflow are infinite, and infinite over infinite is no number."""
-    infinite = np.full((2, 2), np.inf)
-    sums = infinite, infinite[0], np.array(100.0)
+    array: Any = np.array
+    infinite = array(np.full((2, 2), np.inf))
+    sums = infinite, infinite[0], array(100.0)
     monkeypatch.setattr("riecjax.refinement.refine._normal_equations", lambda *_: sums)
-    theta, none = np.array([1.0, 2.0]), np.zeros(2)
-    lost = Reached(theta, np.zeros((1, 0)), none, RefinementStatus.not_finite, np.array(3))
-    at = Optimum(
-        lost,
-        np.array(False),
-        Covered(infinite),
-        none,
-        none,
-        none > 0,
-        np.array(1),
-        np.array(1.0),
-        infinite[0],
-        np.zeros((2, 2)),
-    )
+    theta, none, start = array([1.0, 2.0]), array([0.0, 0.0]), array([[]])
+    lost = Reached(theta, start, none, RefinementStatus.not_finite, array(3))
+    covered: Any = Covered(infinite)
+    count, length = array(1), array(1.0)
+    rest = none > 0, count, length, infinite[0], array([none, none])
+    at = Optimum(lost, array(False), covered, none, none, *rest)
     halving = halve_steps(Stepped(), at, theta)
     assert not np.isfinite(halving.change).any()
     assert not halving.coarse.any()
     assert halving._replace(allowed=infinite[0]).excess(infinite[0]) == np.inf
 
 
-def halved(change, coarse=True) -> StepHalving:
-    allowed = np.array([0.1, np.inf])
-    return StepHalving(np.array([change, 1e9]), allowed, np.array([coarse, False]))
-
-
-@pytest.mark.parametrize(
-    ("steps", "now", "before", "then"),
-    [
-        (2, halved(0.05, coarse=False), None, None),
-        (2, halved(1.0), None, 8),
-        (2, halved(0.1 * 6**4), None, 12),
-        (2, halved(1e9), None, 64),
-        (2, halved(np.nan), None, 64),
-        (32, halved(1.0), None, 64),
-        (64, halved(1.0), None, None),
-        (8, halved(0.5), halved(1.1), 32),
-        (8, halved(0.5), halved(0.9), None),
-    ],
-)
-def test_steps_are_made_shorter_for_as_long_as_that_helps(steps, now, before, then):
-    finer = with_finer_steps(Stepped(steps=steps), now, before)
-    assert then == (finer.steps if isinstance(finer, Stepped) else None)
-
-
 def test_an_adjoint_that_only_goes_backward_is_refused():
     method = Adaptive(1e-8, 1e-10, adjoint=diffrax.RecursiveCheckpointAdjoint())
     with pytest.raises(ModelError, match="Jacobians forward, which RecursiveCheckpointAdjoint"):
         OutputError(method=method)
-
-
-def test_every_method_has_a_finer_one_or_none():
-    assert FixedStep(3).finer(4) == FixedStep(12)
-    finer = Adaptive(3.2e-5, 3.2e-8, max_steps=50).finer(2)
-    assert (finer.rtol, finer.atol, finer.max_steps) == pytest.approx((1e-6, 1e-9, 100))
-    assert AbstractMethod().finer(2) is None
