@@ -57,11 +57,10 @@ LEAST = 0.1
 """The same from which a wrong zero is told where the target varies."""
 MOST_MOVED = 1e3
 """Share by which a value may be said to move at most."""
-ROUNDING = 64.0
-"""Times the root of eps: share of a column that its factor, of moments, may hold as rounding.
-
-Sums of thousands of rows are exact to some 100 eps, eigenvalues of columns of unlike size to 1000.
-"""
+ROUNDING = 8.0
+"""Times the root of eps: share of a column that its factor, of moments, may hold as rounding."""
+FACTORED = 1e-6
+"""The same at least: eigenvalues of columns of unlike size are exact to 1000 eps of 64 bits."""
 Rows = Float[np.ndarray, " rows"]
 
 
@@ -253,7 +252,7 @@ class _Averaged:
             for one in summary.recordings
         )
         dtype = np.asarray(recordings[0].moments).dtype
-        self.rounding = ROUNDING * float(np.finfo(dtype).eps) ** 0.5
+        self.rounding = max(ROUNDING * float(np.finfo(dtype).eps) ** 0.5, FACTORED)
         individual = bool(sharing.own.intersection(equation.parameters))
         names = [sharing.of_record(one.parameters, i) for i, one in enumerate(recordings)]
         rows, noise = zip(*(_factors(one, slice(*summary.band)) for one in recordings))
