@@ -56,7 +56,7 @@ bench-check-motion: .venv/bench
 	$(BIN)/python -m benchmarks.speed --small --check --only simulation
 
 bench-check-estimates: .venv/bench
-	$(BIN)/python -m benchmarks.speed --small --check --only estimation study
+	$(BIN)/python -m benchmarks.speed --small --check --only estimation
 
 .venv/bench: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,bench]'

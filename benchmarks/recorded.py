@@ -6,6 +6,7 @@ behind it, `python -m benchmarks.calibration verdicts --systems 2`, and has opti
 
 import argparse
 import importlib
+import inspect
 import json
 import os
 import subprocess
@@ -52,10 +53,24 @@ def last_line(command: Sequence[str], **settings: Any) -> Any:
 
 
 def run_part(question: str, parts: Sequence[str]) -> None:
-    """Run the part that the command line names, with the options behind it."""
+    """Run the `main` of the part that the command line names, with the options behind it.
+
+    Its keywords are the options: `False` is a flag, a tuple holds the choices, all of which are
+    taken unless some are named, and `None` stands for no path.
+    """
     parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{question}")
     parser.add_argument("part", choices=parts)
     part = parser.parse_args(sys.argv[1:2]).part
-    sys.argv = [f"{question} {part}", *sys.argv[2:]]
-    status = importlib.import_module(f"benchmarks.{question}.{part}").main()
+    module = importlib.import_module(f"benchmarks.{question}.{part}")
+    options = argparse.ArgumentParser(f"{question} {part}", description=module.__doc__)
+    for name, keyword in inspect.signature(module.main).parameters.items():
+        flag, default = f"--{name.replace('_', '-')}", keyword.default
+        if default is False:
+            options.add_argument(flag, action="store_true")
+        elif isinstance(default, tuple):
+            kind = type(default[0])
+            options.add_argument(flag, nargs="*", type=kind, choices=default, default=default)
+        else:
+            options.add_argument(flag, type=type(default or Path()), default=default)
+    status = module.main(**vars(options.parse_args(sys.argv[2:])))
     sys.exit(status or 0)

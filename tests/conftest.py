@@ -31,7 +31,7 @@ import hypothesis  # noqa: E402
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
-from finding_marks import held_to  # noqa: E402
+from riecjax.findings import Finding  # noqa: E402
 
 # The same cases in every run; new ones where a night is there to look at what they find.
 hypothesis.settings.register_profile("repeated", derandomize=True, deadline=None)
@@ -117,6 +117,25 @@ def _blank(_: object) -> Any:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(0.1, 0.1))
+
+
+@contextlib.contextmanager
+def held_to(raised: set[str], absent: set[str]) -> Iterator[None]:
+    """Fails unless findings of all codes `raised` are made meanwhile, and of none `absent`."""
+    made: set[str] = set()
+    new = Finding.__new__
+
+    def noted(cls, code, *args, **kwargs):
+        made.add(code)
+        return new(cls, code, *args, **kwargs)
+
+    Finding.__new__ = noted
+    try:
+        yield
+    finally:
+        Finding.__new__ = new
+    assert raised <= made, f"no finding {sorted(raised - made)} was made, as the mark says"
+    assert not absent & made, f"a finding {sorted(absent & made)} was made, against the mark"
 
 
 @pytest.hookimpl(wrapper=True)

@@ -124,32 +124,21 @@ class Given:
     """A motion in closed form, and the force that it takes.
 
     **Fields:** `load`, the force from position, velocity and acceleration; `names` of these three
-    and of the force; `travel` and `band` in hertz of the motion; `late`: by how many samples a
-    signal is late.
+    and of the force; `travel` and `band` in hertz of the motion.
     """
 
     load: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
     names: tuple[str, str, str, str] = ("x", "dx", "ddx", "u")
     travel: float = 0.3
     band: tuple[float, float] = (0.1, 3.0)
-    late: tuple[tuple[str, float], ...] = ()
 
     def __call__(self, seed: int, shape: Shape) -> dict[str, np.ndarray]:
-        late = dict(self.late)
-        signals = {}
-        for i, name in enumerate(self.names):
-            times = shape.times - late.get(name, 0.0) * shape.step
-            moved = waves(times, seed, self.travel, self.band)
-            signals[name] = self.load(*moved) if i == 3 else moved[i]
-        return signals
+        moved = waves(shape.times, seed, self.travel, self.band)
+        return dict(zip(self.names, [*moved, self.load(*moved)]))
 
 
 def _sine(signals: Signals) -> Any:
     return jnp.sin(signals["x"])
-
-
-def _direction(signals: Signals) -> Any:
-    return jnp.sign(signals["dx"])
 
 
 _INERTIA = rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg")
@@ -162,7 +151,6 @@ def mass(*terms: rx.Term | rx.Terms) -> rx.Equation:
     return rx.Equation(_INERTIA, *terms, -rx.Term(1.0, "u"), name="mass", unit="N")
 
 
-_AXIS = ("q", "dq", "ddq", "force")
 MACHINES = {
     "linear": Machine(
         mass(_VISCOUS, _SPRING),
@@ -181,31 +169,6 @@ MACHINES = {
         {"m": 1.0, "d": 0.5, "k1": 100.0, "k2": 0.0, "k3": 1000.0},
         Given(lambda y, v, a: a + 0.5 * v + 100 * y + 1000 * y**3, ("y", "dy", "ddy", "u")),
         sensors=("y", "dy", "ddy"),
-    ),
-    "dry": Machine(
-        mass(_VISCOUS, _SPRING, rx.Term("f", _direction, unit="N")),
-        {"m": 2.0, "c": 3.0, "k": 200.0, "f": 4.0},
-        Given(lambda x, v, a: 2 * a + 3 * v + 200 * x + 4 * np.sign(v)),
-        sensors=("x", "dx", "ddx"),
-    ),
-    "axis": Machine(
-        "emps",
-        {"M": 95.1, "Fv": 203.5, "Fc": 20.4, "offset": -3.16},
-        Given(lambda q, v, a: 95.1 * a + 203.5 * v + 20.4 * np.sign(v) - 3.16, _AXIS),
-        sensors=("q", "dq", "ddq"),
-    ),
-    "pendulum": Machine(
-        rx.Equation(
-            rx.Term("J", "x", derivative=2, measured=("dx",), unit="kg m^2"),
-            rx.Term("c", "x", derivative=1, measured=("dx",), unit="N m s"),
-            rx.Term("g", _sine, unit="N m"),
-            -rx.Term(1.0, "u"),
-            name="pendulum",
-            unit="N m",
-        ),
-        {"J": 0.4, "c": 0.25, "g": 8.0},
-        Given(lambda x, v, a: 0.4 * a + 0.25 * v + 8 * np.sin(x), travel=1.0),
-        sensors=("x", "dx", "ddx"),
     ),
 }
 """Machines of one coordinate, exact to rounding; the acceleration is recorded too."""
@@ -569,20 +532,27 @@ def body_matrix(
     return a
 
 
-def body(a: np.ndarray, count: int = STANDARD.count, seed: int = 3) -> dict[str, np.ndarray]:
+def body(
+    a: np.ndarray,
+    count: int = STANDARD.count,
+    seed: int = 3,
+    *,
+    mass: float = LAG_TRUTH["m"],
+    force: float = 300.0,
+) -> dict[str, np.ndarray]:
     """Position, velocity and force at 200 Hz of a body of this state matrix, x and v first.
 
     The force is noise up to 40 Hz, linear between samples of eight times the rate.
     """
     finer, step = 8, STANDARD.step
     b = np.zeros((len(a), 1))
-    b[1] = 1 / LAG_TRUTH["m"]
+    b[1] = 1 / mass
     rng = np.random.default_rng(seed)
     sharp = scipy.signal.butter(6, 40.0, fs=finer / step, output="sos")
-    force = 300 * np.asarray(scipy.signal.sosfilt(sharp, rng.standard_normal(count * finer)))
-    times = np.arange(force.size) * step / finer
-    _, states, _ = scipy.signal.lsim((a, b, np.eye(len(a)), np.zeros_like(b)), force, times)
-    return {"x": states[::finer, 0], "v": states[::finer, 1], "F": force[::finer]}
+    drive = force * np.asarray(scipy.signal.sosfilt(sharp, rng.standard_normal(count * finer)))
+    times = np.arange(drive.size) * step / finer
+    _, states, _ = scipy.signal.lsim((a, b, np.eye(len(a)), np.zeros_like(b)), drive, times)
+    return {"x": states[::finer, 0], "v": states[::finer, 1], "F": drive[::finer]}
 
 
 def body_with_mode(mode: bool = True, count: int = STANDARD.count) -> dict[str, np.ndarray]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import riecjax
-from riecjax.errors import DataError, ModelError, users_code
+from riecjax.errors import ModelError, users_code
 
 FAILING = """
 import json
@@ -57,10 +57,3 @@ def test_a_name_that_nothing_has_is_an_ordinary_attribute_error():
     with pytest.raises(AttributeError, match="attribute nonsense"):
         _ = riecjax.nonsense  # pyright: ignore[reportAttributeAccessIssue]
     assert not hasattr(riecjax, "nonsense")
-
-
-@pytest.mark.parametrize("name", ["", " "])
-def test_a_name_that_is_empty_is_said_to_be(name):
-    record = riecjax.Record.from_samples({"x": np.arange(50.0)}, time_step=0.01)
-    with pytest.raises(DataError, match="name is empty; the record has: x"):
-        riecjax.records.leave_out(record, name)

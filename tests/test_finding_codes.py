@@ -10,10 +10,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.machines import MACHINES, Shape
 
 import riecjax
 import riecjax as rx
-from finding_marks import held_to
+from conftest import held_to
 from riecjax.assessment.assessment import Refinement
 from riecjax.assessment.trust import validated
 from riecjax.estimation.excitation import Excitation
@@ -150,25 +151,23 @@ def test_enough_roads_without_a_loss():
     assert not list(road_findings(roads))  # type: ignore[arg-type]
 
 
+def assessed(**settings) -> rx.Assessment:
+    """A right model of two sound recordings, of which the second is predicted."""
+    machine = MACHINES["linear"]
+    runs = [machine.record(0.005, seed, drive=seed, shape=Shape(3000, 100)) for seed in (1, 2)]
+    recordings = [rx.Recording(run, f"{i}.csv") for i, run in enumerate(runs)]
+    return rx.assess(machine.model, recordings[:1], validate_on=recordings[1:], **settings)
+
+
+@pytest.mark.raises_finding("does_not_predict")
+def test_a_wrong_stiffness_does_not_predict_another_recording():
+    (said,) = [f for f in assessed(known={"k": 20.0}).findings() if f.code == "does_not_predict"]
+    assert said.message.startswith("1.csv: ")
+
+
 # This one makes no finding of any code, so that no code lacks a test that must not raise it.
 @pytest.mark.no_finding(*CODES)
 def test_a_right_model_of_sound_recordings_makes_none():
-    t = 0.01 * np.arange(3000)
-    body = rx.Equation(
-        rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
-        rx.Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
-        rx.Term("k", "x", unit="N/m"),
-        -rx.Term(1.0, "F"),
-    )
-    recordings = []
-    for seed in (1, 2):
-        rng = np.random.default_rng(seed)
-        w, p = rng.uniform(2, 30, (40, 1)), rng.uniform(0, 6, (40, 1))
-        x, v = np.sum(np.sin(w * t + p) / w, 0), np.sum(np.cos(w * t + p), 0)
-        force = 2.0 * np.sum(-w * np.sin(w * t + p), 0) + 30.0 * v + 800.0 * x
-        signals = {"x": x, "v": v, "F": force}
-        noisy = {n: s + 0.005 * np.std(s) * rng.standard_normal(t.size) for n, s in signals.items()}
-        recordings.append(rx.Recording(rx.Record(noisy, 0.01), f"{seed}.csv"))
-    assessment = rx.assess(body, recordings[:1], validate_on=recordings[1:])
+    assessment = assessed()
     assert assessment.findings() == []
     assert {one.level for one in assessment.verdict.parameters.values()} == {"good"}

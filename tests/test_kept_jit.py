@@ -49,19 +49,6 @@ def _evaluate(curve: Curve, x: Any, power: int) -> Found:
 evaluate = kept_jit(_evaluate)
 
 
-def _doubled(x: jax.Array) -> jax.Array:
-    return 2 * x
-
-
-def _reported(x: jax.Array, report: Callable) -> jax.Array:
-    TRACED.append("reported")
-    jax.debug.callback(report, x[0])
-    return x + 1
-
-
-reported = kept_jit(_reported)
-
-
 def heard(_: Any) -> None:
     pass
 
@@ -96,18 +83,6 @@ def assert_right(found: Found, factor: float = 1.0, x: np.ndarray = X, power: in
     assert float(found.curve.level) == 6.0
     np.testing.assert_allclose(found.curve.shape(x), factor * np.sin(x), rtol=1e-12)
     assert found.nothing is None
-
-
-def test_a_process_holds_no_more_than_so_many(folder, monkeypatch):
-    monkeypatch.setattr(module, "MOST_HELD", 2)
-    twice = kept_jit(_doubled)
-    for size in (3, 4, 3, 5):
-        np.testing.assert_array_equal(twice(jnp.ones(size)), 2)
-    # 4 is what was not used for longest.
-    assert len(module._programs) == 2
-    before = set(module._programs)
-    twice(jnp.ones(3))
-    assert set(module._programs) == before
 
 
 def test_the_next_process_traces_nothing(folder):
@@ -185,13 +160,6 @@ def test_what_the_last_of_a_kind_called_is_loaded_ahead(folder, monkeypatch):
     module.load_ahead("identify", "sine")
     assert_right(evaluate(curve(), X, 2))
     assert TRACED == ["evaluate"]
-    (calls,) = folder.glob("*.calls")
-    for foreign in (b'{"not": "keys", "../../etc": 1}', b"[1, null]", b"7", b"\xff", b""):
-        calls.write_bytes(foreign)
-        another_process()
-        module._ahead.clear()
-        module.load_ahead("identify", "sine")
-        assert module._ahead == {}
 
 
 GAINS = {"low": 2.0}
@@ -243,13 +211,10 @@ def local_class() -> object:
     [
         lambda x: open("table") * x,  # noqa: SIM115
         lambda x: os.environ["GAIN"] * x,
-        lambda x: np.random.default_rng().random() * x,
         lambda x: Curve(x, heard, "own").level,
         lambda: helper(1),
         with_own_derivative,
         local_class(),
-        {frozenset({(1, 2)})},
-        np.array([object()]),
         object(),
         curve(),
     ],

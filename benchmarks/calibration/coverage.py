@@ -14,7 +14,6 @@ Beside the bootstrap stand the HAC sandwich with Student's t, and least squares'
 which takes overlapping windows for independent ones.
 """
 
-import argparse
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -181,43 +180,21 @@ def study(case: Case, roads: int, seed: int = 0) -> dict[str, Any]:
     return report
 
 
-def print_case(name: str, report: dict[str, Any]) -> None:
-    """One case as a table, with the range of each kind below it."""
-    print(f"\n{name}\n{'':12}{'bias':>9}" + "".join(f"{kind:>12}" for kind in INTERVALS))
-    for variant, rows in report.items():
-        for parameter, row in rows.items():
-            bias = "" if row["bias_percent"] is None else f"{row['bias_percent']:.1f} %"
-            shares = "".join(f"{row[kind]:>11.1%} " for kind in INTERVALS)
-            print(f"{variant:7}{parameter:5}{bias:>9}{shares}")
-    for kind in INTERVALS:
-        shares = [row[kind] for rows in report.values() for row in rows.values()]
-        print(f"{kind}: nominal 95 % intervals cover {min(shares):.1%} to {max(shares):.1%}")
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--roads", type=int, default=800)
-    parser.add_argument("--out", type=Path, help="write the figures as JSON")
-    arguments = parser.parse_args()
+def main(roads: int = 800, out: Path | None = None) -> None:
     jax.config.update("jax_enable_x64", True)
     source = quarter_car_source(reconstructed())
     truth = {"K_t": 180e3, **TRUE_MASSES}
+    exact, disturbed = (partial(source_record, source=source, noise=share) for share in (0.0, 0.05))
     cases = {
-        "source model": Case(partial(source_record, source=source, noise=0.0), truth, TRUE_MASSES),
-        "5 % measurement noise": Case(
-            partial(source_record, source=source, noise=0.05), truth, TRUE_MASSES
-        ),
-        "no model error": Case(
-            reduced_record, REDUCED, {name: REDUCED[name] for name in TRUE_MASSES}
-        ),
+        "source model": Case(exact, truth, TRUE_MASSES),
+        "5 % measurement noise": Case(disturbed, truth, TRUE_MASSES),
+        "no model error": Case(reduced_record, REDUCED, {n: REDUCED[n] for n in TRUE_MASSES}),
     }
     reports = {}
     for name, case in cases.items():
-        reports[name] = study(case, arguments.roads)
-        print_case(name, reports[name])
-    if arguments.out is not None:
-        write_json(arguments.out, {"roads": arguments.roads, "cases": reports})
-
-
-if __name__ == "__main__":
-    main()
+        reports[name] = study(case, roads)
+        for kind in INTERVALS:
+            shares = [row[kind] for rows in reports[name].values() for row in rows.values()]
+            print(f"{name}, {kind}: 95 % intervals cover {min(shares):.1%} to {max(shares):.1%}")
+    if out is not None:
+        write_json(out, {"roads": roads, "cases": reports})

@@ -1,6 +1,6 @@
 """What hidden modes are found to be, over systems of known truth. Written to hidden_modes.json.
 
-    python -m benchmarks.calibration hidden_modes [problem ...] [--seeds N] [--out FILE]
+    python -m benchmarks.calibration hidden_modes [--only PROBLEM ...] [--seeds N] [--out FILE]
 
 `mounts`: the paper's source model with each engine mount of its Table 6, at 0 to 10 % noise, whose
 engine the quarter car does not know. `random`: bodies with a random oscillator on them, and with
@@ -11,7 +11,6 @@ Every recording is identified by itself, with nothing said but the model and the
 is on, and its noise is judged from its samples.
 """
 
-import argparse
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -26,7 +25,7 @@ from tests.machines import BODY, noisy
 import riecjax as rx
 from benchmarks.calibration.noise_problems import car_motion
 from benchmarks.recorded import FOLDER, write_json
-from riecjax.estimation.mode_evidence import mode_evidence
+from riecjax.estimation.mode_evidence import ModeEvidence, mode_evidence
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.published import TABLE_6
 from riecjax.studies import over_keys
@@ -70,13 +69,9 @@ def mounts(seeds: int) -> dict[str, Any]:
                 carried.append(mode_evidence(model, estimate)[0].carried)
             median = 100 * np.median(np.abs(errors), axis=0)
             of[f"{100 * noise:g} %"] = {
-                "median_error_percent": dict(zip(FOUND, median.round(3).tolist())),
-                "mean_error_percent": dict(
-                    zip(FOUND, (100 * np.mean(errors, axis=0)).round(3).tolist())
-                ),
-                "coverage_percent": dict(
-                    zip(FOUND, (100 * np.mean(covered, axis=0)).round(1).tolist())
-                ),
+                "median_error_percent": _named(median, 3),
+                "mean_error_percent": _named(100 * np.mean(errors, axis=0), 3),
+                "coverage_percent": _named(100 * np.mean(covered, axis=0), 1),
                 "pooled_coverage_percent": round(100 * float(np.mean(covered)), 1),
                 "coverage_of_effective_stiffness_percent": round(100 * float(np.mean(moved)), 1),
                 "carried_percent": round(100 * float(np.mean(carried)), 1),
@@ -87,6 +82,10 @@ def mounts(seeds: int) -> dict[str, Any]:
             )
             print(name, noise, of[f"{100 * noise:g} %"], flush=True)
     return report
+
+
+def _named(values: np.ndarray, digits: int) -> dict[str, float]:
+    return dict(zip(FOUND, values.round(digits).tolist()))
 
 
 def mount_roads(
@@ -157,7 +156,8 @@ def _solved(
 ) -> np.ndarray:
     step = STEP / FINER
     if extra is None:
-        return _exactly(a, drive, force, step)
+        system = (a, drive, np.eye(len(a)), np.zeros_like(drive))
+        return scipy.signal.lsim(system, force, step * np.arange(force.size))[1]
     # The body's further force is held over each step.
     table = np.block([[a, drive], [np.zeros((1, len(a) + 1))]])
     advance = scipy.linalg.expm(table * step)
@@ -169,25 +169,16 @@ def _solved(
     return np.array(states)
 
 
-def _exactly(a: np.ndarray, drive: np.ndarray, force: np.ndarray, step: float) -> np.ndarray:
-    """States of a linear system from rest, for a force that is linear between steps.
-
-    x' = A x + b u has x[k + 1] = E x[k] + b_0 u[k] + b_1 u[k + 1], E = exp(A h), all three from one
-    exponential. Along E's eigenvectors it is one recursion of first order each.
-    """
-    n = len(a)
-    table = np.zeros((n + 2, n + 2))
-    table[:n, :n], table[:n, n : n + 1], table[n, n + 1] = a * step, drive * step, 1.0
-    table = scipy.linalg.expm(table)
-    later = table[:n, n + 1]
-    now = table[:n, n] - later
-    rates, vectors = np.linalg.eig(table[:n, :n])
-    pushes = np.linalg.solve(vectors, np.stack([now, later], axis=1).astype(complex))
-    each = [scipy.signal.lfilter([p[1], p[0]], [1.0, -r], force) for r, p in zip(rates, pushes)]
-    # From rest: what the first sample of the force would have done before it is taken off.
-    fading = rates[:, None] ** np.arange(force.size)[None, :]
-    each = np.stack(each) - pushes[:, 1:] * force[0] * fading
-    return (vectors @ each).real.T
+def _evidence(
+    model: Any, signals: Mapping[str, np.ndarray], noise: float, seed: int
+) -> tuple[rx.Estimate, ModeEvidence] | None:
+    """The estimate and what it says of its first mode; `None` where there is no answer."""
+    measured = noisy(signals, dict.fromkeys(signals, noise), seed)
+    try:
+        estimate = rx.identify(model, rx.Record(measured, STEP))
+    except rx.RiecjaxError:
+        return None
+    return estimate, mode_evidence(model, estimate)[0]
 
 
 def random(seeds: int) -> dict[str, Any]:
@@ -196,25 +187,19 @@ def random(seeds: int) -> dict[str, Any]:
     for modes, count in ((1, seeds), (2, max(seeds // 4, 1))):
         model = rx.staged(BODY).with_modes(*(rx.HiddenMode("v") for _ in range(modes)))
         for noise in (0.0, 0.01):
-            worst, carried = [], []
+            worst, carried = np.full(count, np.inf), np.zeros(count)
             for seed in range(count):
                 _progress(seed + 1, count)
                 truth, signals = body_motion(seed, modes)
-                measured = noisy(signals, dict.fromkeys(signals, noise), seed)
-                try:
-                    estimate = rx.identify(model, rx.Record(measured, STEP))
-                except rx.RiecjaxError:
-                    worst.append(np.inf)
-                    carried.append(False)
-                    continue
-                worst.append(_worst(estimate, truth, modes))
-                carried.append(mode_evidence(model, estimate)[0].carried)
+                if (found := _evidence(model, signals, noise, seed)) is not None:
+                    worst[seed] = _worst(found[0], truth, modes)
+                    carried[seed] = found[1].carried
             of = report[f"{modes} modes, {100 * noise:g} %"] = {
                 "systems": count,
-                "within_5_percent": round(100 * float(np.mean(np.array(worst) < 0.05)), 1),
+                "within_5_percent": round(100 * float(np.mean(worst < 0.05)), 1),
                 "carried_percent": round(100 * float(np.mean(carried)), 1),
                 "median_worst_error_percent": round(100 * float(np.median(worst)), 3),
-                "off": [int(i) for i in np.flatnonzero(np.array(worst) >= 0.05)],
+                "off": np.flatnonzero(worst >= 0.05).tolist(),
             }
             print(modes, noise, of, flush=True)
     return report
@@ -260,15 +245,9 @@ def right(seeds: int) -> dict[str, Any]:
                 _, signals = body_motion(seed, 0, extra if callable(extra) else None)
                 if extra == "late":
                     signals["v"] = np.concatenate([signals["v"][:1], signals["v"][:-1]])
-                measured = noisy(signals, dict.fromkeys(signals, noise), seed)
-                try:
-                    estimate = rx.identify(model, rx.Record(measured, STEP))
-                except rx.RiecjaxError:
-                    carried.append(False)
-                    continue
-                evidence = mode_evidence(model, estimate)[0]
-                carried.append(evidence.carried)
-                explained.append(evidence.explained)
+                found = _evidence(model, signals, noise, seed)
+                carried.append(found is not None and found[1].carried)
+                explained += [] if found is None else [found[1].explained]
             of = report[f"{label}, {100 * noise:g} %"] = {
                 "systems": count,
                 "called_carried_percent": round(100 * float(np.mean(carried)), 1),
@@ -291,19 +270,10 @@ PROBLEMS: dict[str, tuple[Callable[[int], dict[str, Any]], int]] = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("problems", nargs="*", choices=[*PROBLEMS, []], default=list(PROBLEMS))
-    parser.add_argument("--seeds", type=int)
-    parser.add_argument("--out", type=Path, default=OUT)
-    asked = parser.parse_args()
+def main(only: tuple[str, ...] = tuple(PROBLEMS), seeds: int = 0, out: Path = OUT) -> None:
     rx.start_jax()
-    report = json.loads(asked.out.read_text()) if asked.out.exists() else {}
-    for name in asked.problems:
-        problem, seeds = PROBLEMS[name]
-        report[name] = problem(asked.seeds or seeds)
-        write_json(asked.out, report)
-
-
-if __name__ == "__main__":
-    main()
+    report = json.loads(out.read_text()) if out.exists() else {}
+    for name in only:
+        problem, usual = PROBLEMS[name]
+        report[name] = problem(seeds or usual)
+        write_json(out, report)

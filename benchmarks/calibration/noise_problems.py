@@ -5,22 +5,18 @@ seed)`. Motions are simulated finely, by SciPy where a sign or long free motion 
 """
 
 import functools
-import tempfile
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.integrate
 from jaxtyping import Array, Key
 from tests.machines import (
     DRAG,
     Signals,
     drag_force,
     drag_oscillator,
-    drag_signals,
     noisy,
     slide,
 )
@@ -35,63 +31,17 @@ from riecjax.studies.monte_carlo import over_keys
 CAR_SENSORS: tuple[str, ...] = ("x1", "x2", "x3", "x4", "F_t")
 
 
-def as_recorded(model: Any, signals: Signals, time_step: float) -> Any:
-    """What a user hands to `identify`: the record, or what is read of a file of these signals.
-
-    A file is read where identification refuses the bare record because a derivative is missing,
-    which reading with the model forms.
-    """
-    record = rx.Record.from_samples(dict(signals), time_step=time_step)
-    # Equations say of no signal what it is the derivative of.
-    derived = set(getattr(model, "derived", {})) - set(signals)
-    if not (derived and _must_be_read(model, tuple(signals))):
-        return record
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "rig.npz"
-        columns: dict[str, Any] = {"t": np.arange(record.sample_count) * time_step, **signals}
-        np.savez(path, **columns)
-        return rx.read_recording(path, model=model)
-
-
-@functools.cache
-def _must_be_read(model: Any, names: tuple[str, ...]) -> bool:
-    rng = np.random.default_rng(0)
-    arrays = {name: np.cumsum(rng.standard_normal(4000)) for name in names}
-    try:
-        rx.identify(model, rx.Record.from_samples(arrays, time_step=0.01), intervals=rx.Naive())
-    except rx.DataError:
-        return True
-    except rx.RiecjaxError:
-        return False  # it looked at the samples, and walked off at random
-    return False
-
-
-def drag_sensors(seed: int | None, noise: float, *, velocity: bool) -> dict[str, np.ndarray]:
-    found = drag_signals(seed, noise)
-    return found if velocity else {name: found[name] for name in ("x", "u")}
-
-
 def drag_bound(noise: float, *, velocity: bool) -> np.ndarray:
-    """Least standard deviation of each parameter."""
+    """Cramer-Rao bounds of the standard deviations, the initial state being unknown too."""
     clean = DRAG.signals()
     sigma = {name: noise * clean[name].std() for name in ("x", "dx")[: 1 + velocity]}
     record = DRAG.record()
-    covariance = bound(drag_oscillator(), DRAG.truth, record, sigma)
-    return np.sqrt(np.diagonal(covariance))
-
-
-def bound(
-    system: Any,
-    values: Mapping[str, float],
-    record: rx.Record,
-    sigma: Mapping[str, float],
-    **settings: Any,
-) -> np.ndarray:
-    """Cramer-Rao bound of the parameters' covariance, the initial state being unknown too."""
-    plan = plan_experiment(system, values, record, channels=tuple(sigma), sigma=sigma, **settings)
+    plan = plan_experiment(
+        drag_oscillator(), DRAG.truth, record, channels=tuple(sigma), sigma=sigma
+    )
     information, _ = plan.information(levels_of(plan, record))
-    size = np.abs(list(values.values()))
-    return np.asarray(inverse(information))[: size.size, : size.size] * np.outer(size, size)
+    size = np.array(list(DRAG.truth.values()))
+    return size * np.sqrt(np.diagonal(np.asarray(inverse(information)))[: size.size])
 
 
 CARS: dict[str, dict[str, float]] = {
@@ -186,63 +136,9 @@ def dry_motion() -> dict[str, np.ndarray]:
     return {"x": x, "u": _dry_force(times)}
 
 
-DUFFING = {"d": 0.15, "k1": 4.0, "k3": 1.5}
-
-
-def _cube(signals: Mapping[str, Array]) -> Array:
-    return signals["y"] ** 3
-
-
-FREE_DUFFING = rx.Equation(
-    rx.Term(1.0, "y", derivative=2, measured=("dy", "ddy")),
-    rx.Term("d", "y", derivative=1, measured=("dy",)),
-    rx.Term("k1", "y"),
-    rx.Term("k3", _cube),
-    name="duffing",
-)
-"""y'' + d y' + k1 y + k3 y^3 = 0: the mass is known, and nothing drives it."""
-
-
-@functools.cache
-def duffing_motion(count: int) -> dict[str, np.ndarray]:
-    d, k1, k3 = DUFFING.values()
-    run = scipy.integrate.solve_ivp(
-        lambda _, s: [s[1], -d * s[1] - k1 * s[0] - k3 * s[0] ** 3],
-        (0, 20),
-        [1.5, 0.0],
-        t_eval=np.linspace(0, 20, count),
-        rtol=1e-10,
-        atol=1e-12,
-    )
-    return {"y": run.y[0], "dy": run.y[1]}
-
-
-def relative_norms(errors: np.ndarray, truth: Mapping[str, float]) -> np.ndarray:
-    """|error| / |truth| of parameter vectors in percent."""
-    return 100 * np.linalg.norm(errors, axis=-1) / np.linalg.norm(list(truth.values()))
-
-
-def duffing_bound(count: int, noise: float) -> float:
-    """Median relative norm, in percent, of errors that are normal with the bound's covariance."""
-    clean = duffing_motion(count)
-    record = rx.Record.from_samples({**clean, "u": np.zeros(count)}, time_step=20 / (count - 1))
-    sigma = {name: noise * values.std() for name, values in clean.items()}
-    covariance = bound(
-        rx.find_model("duffing"),
-        DUFFING,
-        record,
-        sigma,
-        known={"m": 1.0, "k2": 0.0},
-        initial_state={"y": 1.5},
-    )
-    rng = np.random.default_rng(0)
-    draws = rng.multivariate_normal(np.zeros(len(DUFFING)), covariance, 200_000)
-    return float(np.median(relative_norms(draws, DUFFING)))
-
-
 def recordings(
-    model: Any, signals: Signals, shares: Mapping[str, float], step: float, seeds: int
-) -> Iterator[Any]:
+    signals: Signals, shares: Mapping[str, float], step: float, seeds: int
+) -> Iterator[rx.Record]:
     """One recording for each seed of the noise."""
     for seed in range(seeds):
-        yield as_recorded(model, noisy(signals, shares, seed), step)
+        yield rx.Record.from_samples(noisy(signals, shares, seed), time_step=step)

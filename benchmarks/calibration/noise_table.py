@@ -1,10 +1,10 @@
 """The tables of docs/sensor_noise.md from what was measured: `--page` of `sensor_noise`."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from benchmarks.recorded import FOLDER, filled_in
+from benchmarks.recorded import FOLDER, filled_in, table
 
 PAGE = FOLDER.parent / "docs" / "sensor_noise.md"
 BEGIN = "<!-- measured: python -m benchmarks.calibration sensor_noise -->"
@@ -17,7 +17,7 @@ Document = Mapping[str, Any]
 def tables(document: Document) -> str:
     """In Markdown; a dash stands where nothing was measured."""
     parts = [drag(document, motion) for motion in ("with velocity", "position only")]
-    parts += [quarter_car(document), dry_friction(document), duffing(document), cost(document)]
+    parts += [quarter_car(document), dry_friction(document)]
     return "\n\n".join(parts)
 
 
@@ -73,36 +73,6 @@ def dry_friction(document: Document) -> str:
     return _table("Dry friction", head, map(row, cases))
 
 
-def duffing(document: Document) -> str:
-    head = ("of 20 s", "bound", "`none`", "`auto`", "answer", "refined")
-
-    def row(count: str) -> list[str]:
-        plain, found = (_at(document, way, "duffing", count) for way in WAYS)
-        final = found.get("final", {})
-        values = (plain.get("linear"), found.get("linear"), final)
-        return [
-            count,
-            f"{_number((plain or found)['bound'])} %",
-            *(f"{_number(one['value'])} %" if one else "-" for one in values),
-            f"{final['refined']} of {found['seeds']}" if final else "-",
-        ]
-
-    counts = (name for name in _there(document, "duffing") if name.endswith("samples"))
-    return _table("Free Duffing oscillator, median error", head, map(row, counts))
-
-
-def cost(document: Document) -> str:
-    head = ("model, samples", "`none`", "`auto`", "more")
-
-    def row(name: str) -> list[str]:
-        found = _at(document, "auto", "cost", name)
-        seconds = (f"{1e3 * found['seconds'][way]:.3g} ms" for way in WAYS)
-        return [name.removesuffix(" samples"), *seconds, f"{100 * (found['ratio'] - 1):.0f} %"]
-
-    names = (name for name in _there(document, "cost") if name.endswith("samples"))
-    return _table("Time to identify, warm", head, map(row, names))
-
-
 def _at(document: Document, *path: str) -> Document:
     """What stands there, empty if nothing was measured."""
     found: Any = document
@@ -130,10 +100,8 @@ def _number(value: float) -> str:
     return f"{value:.2g}" if value < 100 else f"{value:.0f}"
 
 
-def _table(title: str, head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    names = list(head)
-    lines = "\n".join(f"| {' | '.join(line)} |" for line in [names, ["---"] * len(names), *rows])
-    return f"**{title}**\n\n{lines}"
+def _table(title: str, head: Sequence[str], rows: Iterable[Iterable[str]]) -> str:
+    return f"**{title}**\n\n{table(head, list(map(list, rows)))}"
 
 
 def page() -> str:

@@ -1,9 +1,9 @@
 """What sensor noise does to answers, and whether intervals know. Written to sensor_noise.json.
 
-    python -m benchmarks.calibration sensor_noise [problem ...] [--seeds N] [--noise none] [--check]
+    python -m benchmarks.calibration sensor_noise [--only PROBLEM] [--seeds N] [--noise none]
 
-`drag`, `quarter-car`, `coulomb` and `duffing` are noisy recordings whose truth is known; `cost` is
-the seconds that the correction for noise takes; `--page` writes the tables of docs/sensor_noise.md.
+`drag`, `quarter-car` and `coulomb` are noisy recordings whose truth is known; `--page`
+writes the tables of docs/sensor_noise.md.
 Every recording is identified by itself, as a user would, with nothing said but the model.
 
 Each figure stands beside what is asked of it and whether that is met, with its Monte Carlo standard
@@ -11,7 +11,6 @@ error. It is `clearly_missed` more than three of those beyond: then `--check`, w
 seeds and writes nothing, exits with 1. A bias is in units of the estimate's own standard deviation.
 """
 
-import argparse
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -19,9 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
-from tests.machines import DRAG, DRAG_BOUND, drag_force, noisy
+from tests.machines import DRAG, DRAG_BOUND, noisy
 
 import riecjax as rx
 from benchmarks.calibration import noise_problems as problems
@@ -53,8 +51,8 @@ def drag(run: Run) -> dict[str, Any]:
         for noise in (0.001, 0.01, 0.05, 0.2):
 
             def all_of(seeds: int, noise: float = noise, velocity: bool = velocity) -> Any:
-                drawn = (problems.drag_sensors(s, noise, velocity=velocity) for s in range(seeds))
-                return (problems.as_recorded(model, one, 0.01) for one in drawn)
+                seen = ("x", "dx", "u") if velocity else ("x", "u")
+                return (DRAG.record(noise, seed).select(*seen) for seed in range(seeds))
 
             bound = problems.drag_bound(noise, velocity=velocity)
             asked = {
@@ -90,7 +88,7 @@ def quarter_car(run: Run) -> dict[str, Any]:
         def records(noise: float, roads: list[Any] = roads) -> list[rx.Record]:
             shares = dict.fromkeys(problems.CAR_SENSORS, noise)
             drawn = (noisy(r, shares, seed) for seed, r in enumerate(roads))
-            return [problems.as_recorded(model, one, 0.005) for one in drawn]
+            return [rx.Record.from_samples(one, time_step=0.005) for one in drawn]
 
         exact = records(0.0)
         clean = fit_all(exact, identified(model, run))
@@ -129,7 +127,7 @@ def coulomb(run: Run) -> dict[str, Any]:
         seeds = max(FEWEST, run.seeds // share)
         for noise in (0.01, 0.05):
             shares = dict.fromkeys(sensors, noise)
-            drawn = partial(problems.recordings, model, signals, shares, problems.DRY_STEP, seeds)
+            drawn = partial(problems.recordings, signals, shares, problems.DRY_STEP, seeds)
             report[f"{label}, {100 * noise:g} %"] = {
                 "linear": accuracy(fit_all(drawn(), identified(model, run)), problems.DRY),
                 "final": accuracy(
@@ -139,81 +137,11 @@ def coulomb(run: Run) -> dict[str, Any]:
     return report
 
 
-def duffing(run: Run) -> dict[str, Any]:
-    """Median relative norm of the error in percent, of the linear stage and of the final answer."""
-    model, report = problems.FREE_DUFFING, {}
-    true = np.array(list(problems.DUFFING.values()))
-    for count, asked in ((401, 0.25), (1001, 0.15), (2001, 0.09)):
-
-        def norms(fit: Callable[[Any], Any], most: float | None, count: int = count) -> Any:
-            signals, step = problems.duffing_motion(count), 20 / (count - 1)
-            shares = dict.fromkeys(signals, 0.05)
-            found = fit_all(problems.recordings(model, signals, shares, step, run.final_seeds), fit)
-            norm = problems.relative_norms(found.theta - true, problems.DUFFING)
-            # The standard error of a median, were it normal, is 1.25 times a mean's.
-            error = 1.25 * norm.std() / np.sqrt(norm.size)
-            return {**judged(np.median(norm), most, None, error), "refined": found.refined}
-
-        report[f"{count} samples"] = {
-            "seeds": run.final_seeds,
-            "bound": problems.duffing_bound(count, 0.05),
-            "linear": norms(identified(model, run), None),
-            "final": norms(answered(model, run), asked),
-        }
-    return report
-
-
-def cost(run: Run, repeats: int = 41) -> dict[str, Any]:
-    """Warm seconds to identify, medians, with the correction and without in turn."""
-    report: dict[str, Any] = {}
-    ways = ("none", "auto")
-    for count, times in ((8000, repeats), (1_000_000, 11), (10_000_000, 3)):
-        for name, record in long_records(count).items():
-            model, seconds = rx.find_model(name), {way: [] for way in ways}
-            fits = {way: identified(model, Run(run.seeds, way)) for way in ways}
-            for i in range(times + 1):
-                for way, fit in fits.items():
-                    began = time.perf_counter()
-                    jax.block_until_ready(fit(record).theta)
-                    seconds[way] += [time.perf_counter() - began] if i else []  # the first compiles
-            medians = {way: float(np.median(taken)) for way, taken in seconds.items()}
-            own: dict[str, Any] = {"seconds": medians}
-            report[f"{name}, {count} samples"] = own
-            # Each pair ran side by side, under the same load.
-            own["ratio"] = float(np.median(np.divide(seconds["auto"], seconds["none"])))
-    return report
-
-
-def long_records(count: int) -> dict[str, rx.Record]:
-    """Of so many samples, with 1 % noise."""
-    t = np.arange(count) / DRAG.shape.rate
-    driven = rx.Record.from_samples({"u": drag_force(t)}, time_step=DRAG.shape.step)
-    system = rx.find_model("drag-oscillator").build_system({})
-    source = rx.find_model("quarter-car-source").build_system({})
-    made = {
-        "drag-oscillator": (rx.simulate(system, driven).record, ("x", "dx"), ("u",)),
-        "quarter-car": (
-            problems.car_motion(jax.random.key(0), source, count),
-            problems.CAR_SENSORS,
-            (),
-        ),
-    }
-    found = {}
-    for name, (record, sensors, exact) in made.items():
-        signals = {n: np.asarray(record[n]) for n in (*sensors, *exact)}
-        disturbed = noisy(signals, dict.fromkeys(sensors, 0.01), 0)
-        found[name] = rx.Record.from_samples(disturbed, time_step=float(record.time_step))
-    return found
-
-
 PROBLEMS: dict[str, Callable[[Run], dict[str, Any]]] = {
     "drag": drag,
     "quarter-car": quarter_car,
     "coulomb": coulomb,
-    "duffing": duffing,
-    "cost": cost,
 }
-CHECKED = ("drag", "quarter-car", "coulomb", "duffing")
 
 
 def figures_of(report: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -242,37 +170,30 @@ def show(problem: str, report: dict[str, Any]) -> int:
     return clearly
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("problem", nargs="*", help=f"of {', '.join(PROBLEMS)}; all by default")
-    parser.add_argument("--seeds", type=int, help="of the noise of `drag`; others take a share")
-    parser.add_argument("--noise", choices=("auto", "none"), default="auto")
-    parser.add_argument("--check", action="store_true", help="few seeds; fail if clearly missed")
-    parser.add_argument("--page", action="store_true", help="write the documentation's tables")
-    parser.add_argument("--out", type=Path, default=OUT)
-    arguments = parser.parse_args()
-    chosen = arguments.problem or (CHECKED if arguments.check else tuple(PROBLEMS))
-    if unknown := set(chosen) - set(PROBLEMS):
-        parser.error(f"unknown problem {', '.join(unknown)}; there are {', '.join(PROBLEMS)}.")
-    if arguments.page:
+def main(
+    only: tuple[str, ...] = tuple(PROBLEMS),
+    seeds: int = 0,
+    noise: str = "auto",
+    check: bool = False,
+    page: bool = False,
+    out: Path = OUT,
+) -> int:
+    """`seeds` are those of the noise of `drag`; other problems take a share."""
+    if page:
         noise_table.PAGE.write_text(noise_table.page(), encoding="utf-8")
         return 0
     rx.start_jax()
-    run = Run(arguments.seeds or (40 if arguments.check else 400), arguments.noise)
-    document = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
+    run = Run(seeds or (40 if check else 400), noise)
+    document = json.loads(out.read_text()) if out.exists() else {}
     missed = 0
-    for problem in chosen:
+    for problem in only:
         began = time.perf_counter()
         report = PROBLEMS[problem](run)
         seconds = time.perf_counter() - began
         missed += show(problem, report)
         print(f"{problem}: {seconds:.0f} s", flush=True)
-        if not arguments.check:
+        if not check:
             entry = {"seeds": run.seeds, "seconds": seconds, **report}
             document.setdefault(run.noise, {})[problem] = entry
-            write_json(arguments.out, document)
-    return int(arguments.check and missed > 0)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+            write_json(out, document)
+    return int(check and missed > 0)

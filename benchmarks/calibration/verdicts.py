@@ -14,7 +14,6 @@ benchmarks/verdicts.json.
 - A *doubt* holds if it reaches the truth.
 """
 
-import argparse
 import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -132,21 +131,17 @@ def _state(one: Judged) -> str:
     return "right" if one.inside else "within 10 %, outside its interval"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--systems", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=2)
-    parser.add_argument("--only", nargs="+", choices=FAULTS, help="faults; nothing is written then")
-    arguments = parser.parse_args()
+def main(systems: int = 5, seed: int = 2, only: tuple[str, ...] = FAULTS) -> None:
+    """Nothing is written where some faults are left out."""
     pairs = [
-        (k, f, arguments.seed, arguments.systems)
+        (k, f, seed, systems)
         for k in range(len(KINDS))
         for f in range(len(FAULTS))
-        if arguments.only is None or FAULTS[f] in arguments.only
+        if FAULTS[f] in only
     ]
     spawning = multiprocessing.get_context("spawn")
+    answers = []
     with spawning.Pool(PROCESSES, maxtasksperchild=PAIRS_IN_A_PROCESS) as pool:
-        answers = []
         for done, found in enumerate(pool.imap(judged_pair, pairs)):
             answers += found
             print(f"{done + 1} of {len(pairs)} pairs", end="\r", flush=True)
@@ -177,9 +172,5 @@ def main() -> None:
         )
     for level, states in result["confusion"].items():
         print(f"{level:<12} {states}")
-    if arguments.only is None:
+    if set(only) == set(FAULTS):
         write_json(FILE, result)
-
-
-if __name__ == "__main__":
-    main()

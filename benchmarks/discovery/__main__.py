@@ -1,7 +1,7 @@
-"""Missing terms: how often exactly those are found, what right models are given, and how fast.
+"""Missing terms: how often exactly those are found, and what right models are given.
 
     python -m benchmarks.discovery [--seeds 200] [--noise 0.01 0.05] [--only duffing drag ...]
-        [--parts found false speed peers measured] [--json FILE]
+        [--parts found false peers measured] [--json FILE]
     python -m benchmarks.discovery --page
 
 Ten motions of each problem, noise of every seed its own. `--page` writes docs/discovery.md.
@@ -24,7 +24,7 @@ from riecjax.runtime import start_jax
 
 MOTIONS = 10
 FOUND, FALSE = (0.01, 0.05), (0.0, 0.01, 0.05, 0.1)
-PARTS = ("found", "false", "speed", "peers", "measured")
+PARTS = ("found", "false", "peers", "measured")
 EVERY = {**PROBLEMS, **OTHERS}
 PAGE = FOLDER.parent / "docs" / "discovery.md"
 BEGIN = "<!-- measured: python -m benchmarks.discovery -->"
@@ -69,43 +69,6 @@ def false(problem: Machine, noise: float, seeds: int) -> dict[str, Any]:
     return {"seeds": seeds, "added": added / seeds, "others": dict(others)}
 
 
-def speed() -> dict[str, Any]:
-    """Searches among ten, twenty and a hundred candidates, on sums that are made."""
-    import riecjax as rx
-    from riecjax.discovery.search import Folds, Offer, Search
-
-    problem = PROBLEMS["duffing"]
-    assert isinstance(problem.model, rx.Equation)
-    record = record_of(problem, 0.01, 0)
-    times = {}
-    for count in (10, 20, 100):
-        names = [f"c{i}" for i in range(count)]
-        rest = [rx.Term(name, _ripple(i)) for i, name in enumerate(names)]
-        whole = rx.Equation(*problem.model.terms, *rest, name="mass", unit="N")
-        (equations,) = rx.summarise(whole, record).equations()
-        folds = Folds.of(equations[0])
-        offered = [Offer(n, (n,), n) for n in folds.parameters if n != "m"][:count]
-        took = []
-        for _ in range(5):
-            began = time.perf_counter()
-            Search(folds, ["m"], offered).found()
-            took.append(time.perf_counter() - began)
-        times[str(count)] = float(np.median(took))
-    return {"seconds": times}
-
-
-def _ripple(number: int) -> Any:
-    import jax.numpy as jnp
-
-    rng = np.random.default_rng(number)
-    a, b, phase = rng.uniform(0.3, 3.0, 3)
-
-    def ripple(signals: Any) -> Any:
-        return jnp.sin(a * signals["x"] + b * signals["dx"] + phase)
-
-    return ripple
-
-
 def peers(problem: Machine, noise: float, seeds: int) -> dict[str, Any]:
     """PySINDy's weak form with the same candidates on the same data."""
     from benchmarks.discovery.peer import SETTINGS, structure
@@ -148,9 +111,6 @@ def words(document: dict[str, Any]) -> list[str]:
                 f"| {name} | {', '.join(sorted(problem.missing))} | {100 * float(noise):g} % | "
                 f"{_share(own, 'exact')} | {_share(best, 'exact')} | {_share(wrong, 'added')} |"
             )
-    if (quick := document.get("speed")) is not None:
-        said = ", ".join(f"{n}: {1e3 * s:.0f} ms" for n, s in quick["seconds"].items())
-        lines += ["", f"A search on sums that are made, by how many candidates there are: {said}."]
     if (measured := document.get("measured")) is not None:
         lines += _of_measured(measured)
     return lines
@@ -218,9 +178,6 @@ def main() -> None:
     start_jax(keep_compiled=True)
     of_problem = {"found": (found, FOUND), "false": (false, FALSE), "peers": (peers, FOUND)}
     for part in given.parts:
-        if part == "speed":
-            _keep(given.json, ["speed"], speed())
-            continue
         if part == "measured":
             for name, of in MEASURED.items():
                 _keep(given.json, ["measured", name], of(DATA))

@@ -1,7 +1,7 @@
-"""A fleet of recordings: speed, memory, discoveries, what breaks, tasks that do nothing.
+"""A fleet of recordings: speed, memory, more cores, what breaks, weeks in one recording.
 
     python -m benchmarks.fleet [--recordings 10000] [--folder DIR] [--kills 50] [--samples 10000000]
-        [--only speed discoveries breaks tasks one_pass long soak scaling] [--json FILE]
+        [--only speed breaks long soak scaling] [--json FILE]
     python -m benchmarks.fleet --page
 
 Twenty groups, two of which have dampers that are worn by 15 %, and one file in a hundred cut off.
@@ -24,17 +24,16 @@ from tests.machines import DRAG_TRUTH, drag_fleet
 
 from benchmarks.fleet.breaks import breaks
 from benchmarks.fleet.commands import MODEL, command, run
-from benchmarks.fleet.weeks import long, one_pass
+from benchmarks.fleet.weeks import long
 from benchmarks.recorded import FOLDER, filled_in, write_json
 from riecjax.fleets.engine import SETTINGS, cores
-from riecjax.fleets.order import TOGETHER
 from riecjax.records.writing import write_record
 from riecjax.runtime import start_jax
 
 GROUPS, WORN = 20, (4, 11)
 COMPARED = 300
 """Recordings that `identify` is timed on."""
-REPETITIONS = 100
+PARTS = ("speed", "breaks", "long", "soak", "scaling")
 PAGE = FOLDER.parent / "docs" / "scale.md"
 BEGIN = "<!-- measured: python -m benchmarks.fleet -->"
 LENGTHS, WEAR, BROKEN = (4000, 8000, 12000), 0.15, 0.01
@@ -140,61 +139,6 @@ def scaling(folder: Path, work: Path) -> dict[str, Any]:
     }
 
 
-def discoveries(table: Path) -> dict[str, Any]:
-    """Groups that are called different, of recordings drawn again with replacement from each."""
-    from riecjax.fleets.groups import Settings, estimated, group, part_of
-    from riecjax.fleets.kept import read_rows
-    from riecjax.fleets.order import Order
-    from riecjax.fleets.spread import RATE, spreads
-    from riecjax.fleets.sums import DONE
-    from riecjax.models.catalogue import find_model
-    from riecjax.summaries.summary import Summary
-
-    start_jax(keep_compiled=True)
-    rows = [row for row in read_rows(table) if row.status == DONE]
-    by_group: dict[str, list[Any]] = {}
-    for row in rows:
-        by_group.setdefault(json.loads(row.keys)["vehicle"], []).append(part_of(row, 10**6))
-    criterion = Summary.from_bytes(rows[0].sums).criterion
-    packed = Order(find_model(MODEL), criterion, None, by=("vehicle",)).packed()
-    rng, shares, missed = np.random.default_rng(0), [], 0
-    worn = {f"{number:02}" for number in WORN}
-    for _ in range(REPETITIONS):
-        drawn = []
-        for name, parts in by_group.items():
-            picked = rng.integers(len(parts), size=len(parts))
-            drawn.append(group(name, [parts[i]._replace(lengths=None) for i in picked]))
-        found = spreads(estimated(packed, Settings(), drawn))
-        called = [(one.group, spread.parameter) for spread in found for one in spread.differing]
-        wrong = [pair for pair in called if not (pair[0] in worn and pair[1] in ("r", "r2"))]
-        shares.append(len(wrong) / max(len(called), 1))
-        missed += len({(name, "r") for name in worn} - set(called))
-    return {
-        "repetitions": REPETITIONS,
-        "rate": RATE,
-        "false_share": float(np.mean(shares)),
-        "worn_missed": missed,
-        "worn": REPETITIONS * len(worn),
-    }
-
-
-def nothing(number: int) -> int:
-    """A task that takes no time."""
-    return number
-
-
-def tasks(count: int) -> dict[str, Any]:
-    """Tasks that do nothing: what handing them over costs."""
-    from riecjax.fleets.engine import Cluster
-
-    with Cluster(2) as runs:
-        list(runs.each(nothing, ((n,) for n in range(100))))
-        began = time.perf_counter()
-        done = sum(1 for _ in runs.each(nothing, ((n,) for n in range(count))))
-        seconds = time.perf_counter() - began
-    return {"tasks": done, "seconds": seconds, "milliseconds_a_task": 1e3 * seconds / done}
-
-
 def page() -> str:
     """docs/scale.md with the figures that are recorded."""
     return filled_in(PAGE, BEGIN, words(json.loads((FOLDER / "fleet.json").read_text())))
@@ -224,26 +168,12 @@ def words(document: dict[str, Any]) -> str:
             f"{found['summary_bytes'] / 1e3:.0f} kB on disk, and all groups are estimated again "
             f"from them in {found['estimated_again_seconds']:.0f} s.",
         ]
-    if (found := document.get("discoveries")) is not None:
-        said += [
-            f"\n**Worn dampers** (15 %, two of twenty groups), in {found['repetitions']} "
-            f"repetitions of recordings drawn again from the sums: "
-            f"{found['worn'] - found['worn_missed']} of {found['worn']} found; of all that was "
-            f"called different {100 * found['false_share']:.1f} % was not (stated rate "
-            f"{100 * found['rate']:.0f} %).",
-        ]
     if (found := document.get("breaks")) is not None:
         said += [
             f"\n**Broken off**: {found['workers_killed']} workers killed at random moments; the "
-            f"command killed {found['commands_killed']} times, Dask's scheduler "
-            f"{found['schedulers_killed']} times, the disk full {found['disks_full']} times, each "
-            f"time run again; {found['files_changed']} files changed meanwhile: {found['wrong']} "
-            f"results that differ by a bit.",
-        ]
-    if (found := document.get("tasks")) is not None:
-        said += [
-            f"\n**Scheduler**: {found['tasks']} tasks that do nothing take {found['seconds']:.0f} "
-            f"s, {found['milliseconds_a_task']:.2f} ms each.",
+            f"command killed {found['commands_killed']} times, the disk full "
+            f"{found['disks_full']} times, each time run again: {found['wrong']} results that "
+            f"differ by a bit.",
         ]
     if (found := document.get("long")) is not None:
         said += [
@@ -257,12 +187,6 @@ def words(document: dict[str, Any]) -> str:
             f"\nA soak of {found['seconds'] / 60:.0f} minutes since, {found['samples']:,} samples "
             f"beside other work on the same cores: {found['peak_bytes'] / 1e9:.1f} GB"
             f"{_growth(found)}.",
-        ]
-    if (found := document.get("one_pass")) is not None:
-        said += [
-            f"\nThe sums of {found['samples']:,} samples, read in {found['stretches']} stretches "
-            f"with what their windows reach beside, differ from those of one pass over all of them "
-            f"by {found['difference']:.1g} of their size; windows counted: {found['counted']}.",
         ]
     if (found := document.get("scaling")) is not None:
         first = found["runs"][0]
@@ -278,8 +202,6 @@ def words(document: dict[str, Any]) -> str:
             "|---|---|---|---|",
             *rows,
         ]
-    if {"speed", "tasks"} <= {*document}:
-        said += ["", *_further(document["speed"], document["tasks"])]
     return "\n".join(said)
 
 
@@ -288,39 +210,13 @@ def _growth(found: dict[str, Any]) -> str:
     return f", in the last quarter {more:+.0f} % against the second" if "growth" in found else ""
 
 
-def _further(speed: dict[str, Any], tasks: dict[str, Any]) -> list[str]:
-    """What more workers and samples take, from a core's rate and the cost of a task."""
-    rate = speed["runs"][1]["samples_per_second"] / 2
-    task = TOGETHER * speed["runs"][0]["seconds"] / speed["recordings"]
-    most = 1e3 * task / tasks["milliseconds_a_task"]
-    rows = []
-    for workers in (10, 100, 1000):
-        busy = min(workers, most)
-        rows.append(
-            f"| {workers} | {busy * rate:,.0f} | {1e10 / (busy * rate) / 60:,.3g} min | "
-            f"{1e12 / (busy * rate) / 3600:,.3g} h |"
-        )
-    return [
-        f"A task sums {TOGETHER} recordings in {task:.2g} s, and costs the scheduler "
-        f"{tasks['milliseconds_a_task']:.2g} ms: it keeps up to about {most:,.0f} workers busy. "
-        f"With {rate:,.0f} samples a second and core, as here with two, that makes\n",
-        "| workers | samples a second | 1e10 samples | 1e12 samples |",
-        "|---|---|---|---|",
-        *rows,
-    ]
-
-
-PARTS = ("speed", "discoveries", "breaks", "tasks", "one_pass", "long")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--recordings", type=int, default=10_000)
     parser.add_argument("--folder", type=Path, help="where they are, or are to be")
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--samples", type=int, default=10_000_000, help="of the long recording")
-    parser.add_argument("--tasks", type=int, default=100_000, help="that do nothing")
-    parser.add_argument("--only", nargs="+", choices=(*PARTS, "soak", "scaling"), default=PARTS)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=("speed", "breaks", "long"))
     parser.add_argument("--json", type=Path, help="where results are kept")
     parser.add_argument("--page", action="store_true", help="write the documentation's page")
     given = parser.parse_args()
@@ -332,16 +228,11 @@ def main() -> None:
         folder = given.folder or work / "fleet"
         if not folder.exists():
             write_fleet(folder, given.recordings)
-        if "discoveries" in given.only and "speed" not in given.only:
-            run(folder, work / "out2", 2)
         for part in given.only:
             found = {
                 "speed": lambda: speed(folder, work),
                 "scaling": lambda: scaling(folder, work),
-                "discoveries": lambda: discoveries(work / "out2" / "summaries.parquet"),
                 "breaks": lambda: breaks(folder, work, given.kills),
-                "tasks": lambda: tasks(given.tasks),
-                "one_pass": lambda: one_pass(work),
                 "long": lambda: long(work, given.samples),
                 "soak": lambda: long(work, given.samples),
             }[part]()

@@ -1,14 +1,11 @@
 """Runs that are broken off in every way and begun again: do they end in the same bits?"""
 
 import contextlib
-import re
 import resource
 import shutil
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +14,10 @@ import psutil
 
 from benchmarks.fleet.commands import command, run
 
-COMMANDS, SCHEDULERS, DISKS, CHANGES = 3, 3, 3, 1
-"""Runs of which the command or the scheduler is killed, the disk is full, files change."""
+COMMANDS, DISKS = 3, 3
+"""Runs of which the command is killed, or the disk is full."""
 AT_ONCE = 12
 """Workers that are killed of one run, at most: each takes its time to begin anew."""
-MOST_CHANGED = 7
-"""Files that change during a run: once all are summed again, tenths are told anew."""
 RESULTS = ("summaries.parquet", "estimates.parquet")
 
 
@@ -37,9 +32,7 @@ def breaks(folder: Path, work: Path, count: int) -> dict[str, Any]:
     found: dict[str, Any] = {"workers_killed": killed, "wrong_in": ["workers"] * wrong}
     for name, each, times in (
         ("commands_killed", _command_killed, COMMANDS),
-        ("schedulers_killed", _scheduler_killed, SCHEDULERS),
         ("disks_full", _disk_full, DISKS),
-        ("files_changed", _files_changed, CHANGES),
     ):
         found[name] = 0
         for number in range(times):
@@ -78,52 +71,6 @@ def _command_killed(
     return killed, _alike_again(folder, out, reference)
 
 
-def _scheduler_killed(
-    folder: Path, out: Path, reference: Path, seconds: float, rng: np.random.Generator
-) -> tuple[bool, bool]:
-    """The run must end by status 1 and one line; begun again on other processes, it goes on."""
-    with _cluster() as (scheduler, address):
-        process = psutil.Popen(
-            command(folder, out, 2, address),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        time.sleep(rng.uniform(0.3, 0.6) * seconds)
-        killed = process.poll() is None
-        if killed:
-            scheduler.send_signal(signal.SIGKILL)
-        said = process.communicate()[1]
-    told = process.returncode == 1 and said.count("riecjax: the scheduler") == 1
-    if killed and not told:
-        print(process.returncode, said)
-    return killed, (told or not killed) and _alike_again(folder, out, reference)
-
-
-@contextlib.contextmanager
-def _cluster() -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A scheduler with two workers, processes of their own, and its address."""
-    words = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
-    scheduler = subprocess.Popen(
-        [*words, "--port", "0", "--no-dashboard"], stderr=subprocess.PIPE, text=True
-    )
-    assert scheduler.stderr is not None
-    lines = (re.search(r"tcp://127\.0\.0\.1:\d+", line) for line in scheduler.stderr)
-    address = next(found[0] for found in lines if found)
-    words = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard"]
-    workers = subprocess.Popen(
-        [*words, "--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1"],
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        yield scheduler, address
-    finally:
-        workers.terminate()
-        scheduler.kill()
-        workers.wait()
-        scheduler.communicate()
-
-
 def _disk_full(
     folder: Path, out: Path, reference: Path, seconds: float, rng: np.random.Generator
 ) -> tuple[bool, bool]:
@@ -141,35 +88,6 @@ def _disk_full(
     if not told:
         print(most, done.returncode, done.stderr)
     return True, told and _alike_again(folder, out, reference)
-
-
-def _files_changed(
-    folder: Path, out: Path, reference: Path, seconds: float, rng: np.random.Generator
-) -> tuple[int, bool]:
-    """Files that are written anew while others are summed count as they are in the end.
-
-    One at each tenth that the command tells of, to the sixth: what changes once all are summed is
-    for the next run.
-    """
-    copy, fresh = out.with_name("copy"), out.with_name("fresh")
-    for each in (copy, fresh):
-        shutil.rmtree(each, ignore_errors=True)
-    shutil.copytree(folder, copy, symlinks=False)
-    files, changed = sorted(copy.rglob("*.parquet")), 0
-    with subprocess.Popen(
-        command(copy, out, 2), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            told = re.search(r"summing: (\d+) of (\d+)", line)
-            if told and changed < MOST_CHANGED and int(told[1]) <= 0.6 * int(told[2]):
-                one, other = rng.choice(len(files), 2, replace=False)
-                beside = files[one].with_suffix(".new")
-                shutil.copyfile(files[other], beside)
-                beside.replace(files[one])
-                changed += 1
-    run(copy, fresh, 2)
-    return changed, process.returncode == 0 and _alike(out, fresh)
 
 
 def _workers(process: psutil.Popen) -> list[psutil.Process]:

@@ -12,9 +12,8 @@ import psutil
 MODEL = "drag-oscillator"
 
 
-def command(folder: Path, out: Path, workers: int, scheduler: str = "") -> list[str]:
-    where = ["--scheduler", scheduler] if scheduler else ["--workers", str(workers)]
-    options = ["--model", MODEL, "--by", "vehicle", *where, "--out", str(out)]
+def command(folder: Path, out: Path, workers: int) -> list[str]:
+    options = ["--model", MODEL, "--by", "vehicle", "--workers", str(workers), "--out", str(out)]
     return [sys.executable, "-m", "riecjax", "fleet", str(folder), *options]
 
 

@@ -1,1 +1,1 @@
-"""Figures on measured recordings, which the README and tests quote."""
+"""Figures on measured recordings, which docs/measured.md and tests quote."""

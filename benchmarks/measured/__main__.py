@@ -1,4 +1,4 @@
-"""Print what the README says of measured recordings: `python -m benchmarks.measured`."""
+"""Print what docs/measured.md says of measured recordings: `python -m benchmarks.measured`."""
 
 import os
 from pathlib import Path

@@ -13,8 +13,7 @@ of x1 to x4 are added up, in percent, as in Table 5. Over the pot-hole the tyre 
 which no linear tyre does: `lifting tyre` has a tyre whose force stays where it is recorded to stay.
 """
 
-import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +149,7 @@ def errors(system: rx.simulation.AbstractSystem, truth: rx.Record) -> float:
     return float(sum(percentage_error(run.record[s], truth[s]) for s in VALIDATED_STATES))
 
 
-def study(seeds: int, noise: float, progress: Callable[[str], None]) -> dict[str, Any]:
+def study(seeds: int, noise: float) -> dict[str, Any]:
     """Means and standard errors over roads."""
     shapes = reconstructed()
     source = quarter_car_source(shapes)
@@ -170,7 +169,7 @@ def study(seeds: int, noise: float, progress: Callable[[str], None]) -> dict[str
             for name, system in systems.items():
                 sums[kind].setdefault(name, []).append(errors(system, truth))
         last = {kind: {n: round(v[-1], 1) for n, v in of.items()} for kind, of in sums.items()}
-        progress(f"{100 * noise:g} %, road {seed + 1}: {last} {named}")
+        print(f"{100 * noise:g} %, road {seed + 1}: {last} {named}", flush=True)
     return {
         "sum_of_errors_percent": {
             kind: {name: _mean(values) for name, values in of.items()} for kind, of in sums.items()
@@ -184,23 +183,12 @@ def _mean(values: list[float]) -> dict[str, float]:
     return {"mean": round(float(np.mean(values)), 4), "std_error": round(float(error), 4)}
 
 
-def main() -> None:
-    """Run it and write the report."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=12)
-    parser.add_argument("--out", type=Path, default=OUT)
-    arguments = parser.parse_args()
+def main(seeds: int = 12, out: Path = OUT) -> None:
     report: dict[str, Any] = {
-        "roads": arguments.seeds,
+        "roads": seeds,
         "published": {kind: TABLE_5["B_id"][kind] for kind in ("road", "pothole")},
         "truth": TABLE_3_TRUTH,
     }
     for noise in NOISES:
-        report[f"{100 * noise:g} %"] = study(
-            arguments.seeds, noise, lambda line: print(line, flush=True)
-        )
-    write_json(arguments.out, report)
-
-
-if __name__ == "__main__":
-    main()
+        report[f"{100 * noise:g} %"] = study(seeds, noise)
+    write_json(out, report)

@@ -63,31 +63,6 @@ def shares(cells: Iterable[dict[str, Any]]) -> tuple[str, str, str, str]:
     return (f"{len(harmed)} of {len(some)}", told[0], told[1], told[2])
 
 
-def print_table(cells: Cells) -> None:
-    """By fault, by machine and severity, and over all."""
-    heads = ("", "harmed", "detected", "named", "right after")
-    print("{:<26} {:>10} {:>10} {:>10} {:>12}".format(*heads))
-    for of in ("fault", "machine", "severity"):
-        for name in dict.fromkeys(cell[of] for cell in cells):
-            row = shares(cell for cell in cells if cell[of] == name)
-            print("{:<26} {:>10} {:>10} {:>10} {:>12}".format(name, *row))
-        print()
-    print("{:<26} {:>10} {:>10} {:>10} {:>12}".format("all", *shares(cells)))
-    print("\nby fault and machine: a harmed case is named (N), detected (d) or missed (!), . none")
-    for fault in dict.fromkeys(cell["fault"] for cell in cells):
-        marks = {
-            name: "".join(_mark(c) for c in cells if (c["fault"], c["machine"]) == (fault, name))
-            for name in MACHINES
-        }
-        print(f"{fault:<26} " + " ".join(f"{name} {m:<4}" for name, m in marks.items() if m))
-
-
-def _mark(cell: dict[str, Any]) -> str:
-    if not cell["harmed"]:
-        return "."
-    return "N" if cell["named"] else "d" if cell["detected"] else "!"
-
-
 def false_alarms(codes: Sequence[Sequence[str]]) -> dict[str, Any]:
     """Share of sound recordings with each code, and its Wilson interval."""
     counts = Counter(code for found in codes for code in set(found))
@@ -96,14 +71,6 @@ def false_alarms(codes: Sequence[Sequence[str]]) -> dict[str, Any]:
         interval = scipy.stats.binomtest(count, len(codes)).proportion_ci(method="wilson")
         found["codes"][code] = {"count": count, "low": interval.low, "high": interval.high}
     return found
-
-
-def print_alarms(alarms: dict[str, Any]) -> None:
-    """What is said of sound recordings."""
-    print(f"\nfindings on {alarms['recordings']} sound recordings")
-    for code, one in alarms["codes"].items():
-        share = 100 * one["count"] / alarms["recordings"]
-        print(f"{code:<26} {share:5.2f} % ({100 * one['low']:.2f} to {100 * one['high']:.2f})")
 
 
 def page() -> str:
@@ -208,10 +175,7 @@ def main() -> None:
         alarms = false_alarms(clean(arguments, Path(folder))) if arguments.clean else None
     if arguments.json:
         write_json(arguments.json, kept(arguments.json, cells, alarms))
-    if cells:
-        print_table(cells)
-    if alarms:
-        print_alarms(alarms)
+    print(tables({"cases": cells, "clean": alarms}))
 
 
 if __name__ == "__main__":

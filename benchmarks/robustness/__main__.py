@@ -4,7 +4,7 @@
         [--only MUTATION] [--keep DIR] [--verbose]
 
 A traceback, a raw warning, a hang, 2 GB of memory or a wrong number without a word must not come
-out; `python -m benchmarks.robustness kill` kills runs instead. Each case is drawn from the seed and
+out. Each case is drawn from the seed and
 its number, so that one can be run again alone.
 """
 
@@ -14,7 +14,6 @@ import functools
 import io
 import json
 import logging
-import sys
 import tempfile
 import time
 import traceback
@@ -26,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.recorded import run_part
 from benchmarks.robustness.formats import ALL_WRITERS, SLOW
 from benchmarks.robustness.mutations import NAMES, TRUTH, Case, mutated, rigs
 from benchmarks.robustness.watched import Watched
@@ -251,22 +249,14 @@ def _report(
                 keep.mkdir(parents=True, exist_ok=True)
                 (keep / f"{number}{Path(case.file).suffix}").write_bytes(case.content)
     print(f"\n{kind}: {time.perf_counter() - began:.0f} s, {memory / 1e9:.2f} GB at the peak")
-    _print(counts, slowest)
+    verdicts = ("refused", "warned", "right", "WRONG")
+    print(f"{'mutation':<20} {'cases':>6} " + " ".join(f"{v:>8}" for v in verdicts) + "  slowest")
+    every = (sum(counts.values(), Counter()), max(slowest.values()))
+    for name, (count, most) in [*((n, (counts[n], slowest[n])) for n in counts), ("all", every)]:
+        numbers = " ".join(f"{count[verdict]:8}" for verdict in verdicts)
+        print(f"{name:<20} {count.total():6} {numbers} {most:7.1f} s")
     print(*wrong, sep="\n", flush=True)
 
 
-def _print(counts: dict[str, Counter[str]], slowest: dict[str, float]) -> None:
-    verdicts = ("refused", "warned", "right", "WRONG")
-    print(f"{'mutation':<20} {'cases':>6} " + " ".join(f"{v:>8}" for v in verdicts) + "  slowest")
-    for name, count in sorted(counts.items()):
-        numbers = " ".join(f"{count[verdict]:8}" for verdict in verdicts)
-        print(f"{name:<20} {count.total():6} {numbers} {slowest[name]:7.1f} s")
-    total = sum(counts.values(), Counter())
-    numbers = " ".join(f"{total[verdict]:8}" for verdict in verdicts)
-    print(f"{'all':<20} {total.total():6} {numbers} {max(slowest.values()):7.1f} s")
-
-
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["kill"]:
-        run_part("robustness", ["kill"])
     main()

@@ -15,9 +15,8 @@ alone:
 
 import contextlib
 import io
-import struct
 import warnings
-import zlib
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -499,37 +498,17 @@ def million_columns(rng):
 
 
 def zip_bomb(rng):
-    """Zeros: 5 GiB declared, or 1 GiB behind a header that declares 8 bytes, or 128 MiB in all."""
-    size = int(rng.choice([5 * 2**30, 2**30, 2**27]))
-    honest = size != 2**30
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        header, {"descr": "<f8", "fortran_order": False, "shape": (size // 8,)}
-    )
-    packed = _packed_zeros(header.getvalue(), size)
-    declared = len(header.getvalue()) + size if honest else 8
-    return "a.npz", _zip_of(b"x.npy", packed, declared)
-
-
-def _packed_zeros(start: bytes, size: int) -> bytes:
-    """A deflate stream, of blocks that are packed once and repeated."""
-    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
-    head = packer.compress(start) + packer.flush(zlib.Z_FULL_FLUSH)
-    block = packer.compress(bytes(2**24)) + packer.flush(zlib.Z_FULL_FLUSH)
-    return head + block * (size // 2**24) + packer.flush()
-
-
-def _zip_of(name: bytes, packed: bytes, size: int) -> bytes:
-    """A ZIP of one deflated member; sizes past 4 GiB in the extra field of ZIP64."""
-    large = size >= 2**32
-    short = 0xFFFFFFFF if large else size
-    extra = struct.pack("<HHQ", 1, 8, size) if large else b""
-    fields = struct.pack("<HHHHHIII", 45, 0, 8, 0, 33, 0, len(packed), short)
-    local = b"PK\x03\x04" + fields + struct.pack("<HH", len(name), 0) + name
-    central = b"PK\x01\x02" + struct.pack("<H", 45) + fields
-    central += struct.pack("<HHHHHII", len(name), len(extra), 0, 0, 0, 0, 0) + name + extra
-    end = struct.pack("<HHHHIIH", 0, 0, 1, 1, len(central), len(local) + len(packed), 0)
-    return local + packed + central + b"PK\x05\x06" + end
+    """Zeros: 1 GiB of them, or 128 MiB, packed to a thousandth."""
+    size, stream = int(rng.choice([2**30, 2**27])), io.BytesIO()
+    header = {"descr": "<f8", "fortran_order": False, "shape": (size // 8,)}
+    with (
+        zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("x.npy", "w", force_zip64=True) as member,
+    ):
+        np.lib.format.write_array_header_1_0(member, header)
+        for _ in range(size // 2**24):
+            member.write(bytes(2**24))
+    return "a.npz", stream.getvalue()
 
 
 def parquet_bomb(rng):

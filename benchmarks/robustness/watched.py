@@ -16,6 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import psutil
+
 from riecjax.records.reading import child_process
 from riecjax.runtime import start_jax
 
@@ -124,34 +126,28 @@ def _at_rest() -> float:
     """Bytes that this process holds once what it has freed is given back."""
     with contextlib.suppress(AttributeError):  # another C library than GNU's
         ctypes.CDLL(None).malloc_trim(0)
-    return _held("self", "VmRSS")
+    return psutil.Process().memory_info().rss
 
 
 def _seconds(pid: int) -> float:
     """Seconds of the processor that a process has used so far; infinite once it has gone."""
     try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
+        return sum(psutil.Process(pid).cpu_times()[:2])
+    except psutil.NoSuchProcess:
         return float("inf")
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def peaks() -> float:
     """Most bytes that this process or the one that reads for it has held since this was asked."""
     readers = [reader.process.pid for reader in child_process._readers]
-    return max(_peak(pid) for pid in ("self", *readers))
+    return max(map(_peak, ("self", *readers)))
 
 
 def _peak(pid: object) -> float:
-    found = _held(pid, "VmHWM")
-    with contextlib.suppress(OSError):
-        Path(f"/proc/{pid}/clear_refs").write_text("5")
-    return found
-
-
-def _held(pid: object, of: str) -> float:
+    """In bytes (Linux); the next peak is counted from here."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-        return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith(of))
-    except (OSError, StopIteration):
+        Path(f"/proc/{pid}/clear_refs").write_text("5")
+    except OSError:
         return 0.0
+    return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))

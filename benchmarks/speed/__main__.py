@@ -14,16 +14,8 @@ from collections.abc import Iterable
 from benchmarks.recorded import FOLDER, filled_in, run_part, table, write_json
 from riecjax.runtime import start_jax
 
-SUITE = ("all_windows", "simulation", "estimation", "study")
-PARTS = (
-    "cold_start",
-    "compilation",
-    "growth",
-    "long_record",
-    "refinement",
-    "summaries",
-    "ten_tasks",
-)
+SUITE = ("all_windows", "simulation", "estimation")
+PARTS = ("cold_start", "compilation", "growth")
 PAGE = FOLDER.parent / "docs" / "speed.md"
 BEGIN = "<!-- measured: make bench -->"
 

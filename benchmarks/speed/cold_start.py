@@ -12,7 +12,6 @@ whose time they are told. Written to benchmarks/cold_start.json.
 are told, and nothing is written.
 """
 
-import argparse
 import os
 import pty
 import statistics
@@ -108,12 +107,8 @@ def medians(times: Sequence[dict[str, float]]) -> dict[str, float]:
     return {name: round(statistics.median(one[name] for one in times), 2) for name in times[0]}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--against", type=Path, metavar="DIR", help="checkout of another commit")
-    arguments = parser.parse_args()
-    checkouts = [HERE, *([arguments.against.absolute()] if arguments.against else [])]
+def main(repeats: int = 3, against: Path | None = None) -> None:
+    checkouts = [HERE, *([against.absolute()] if against else [])]
     times: list[list[dict[str, float]]] = [[] for _ in checkouts]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -122,7 +117,7 @@ def main() -> None:
             subprocess.run([*RIECJAX, *make], cwd=folder, check=True, capture_output=True)
         lines = (folder / RIGHT).read_text().splitlines(keepends=True)
         (folder / SHORTER).write_text("".join(lines[: int(0.95 * len(lines))]))
-        for turn in range(arguments.repeats):
+        for turn in range(repeats):
             # Each goes first as often as the other: a machine's load drifts.
             for which in sorted(range(len(checkouts)), reverse=bool(turn % 2)):
                 times[which].append(times_of(checkouts[which], folder))
@@ -135,7 +130,3 @@ def main() -> None:
         print(f"{name:<20} {value:6.2f} s  {ratio:5.2f} imports{beside}  {verdict}")
     if not others:
         write_json(FILE, ours)
-
-
-if __name__ == "__main__":
-    main()

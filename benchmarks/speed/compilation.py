@@ -66,7 +66,3 @@ def main() -> None:
             found[name] = compiled_by(arguments, Path(folder))
             print(name, found[name], flush=True)
     write_json(FILE, found)
-
-
-if __name__ == "__main__":
-    main()

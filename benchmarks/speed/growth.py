@@ -4,7 +4,6 @@ Every point is a process of its own, since its peak of memory is what is measure
 of five calls after the first is timed. Writes benchmarks/growth.json and docs/images/growth.png.
 """
 
-import argparse
 import json
 import resource
 import statistics
@@ -12,22 +11,17 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-import jax
 import numpy as np
 
 from benchmarks.recorded import FOLDER, last_line, write_json
-from benchmarks.speed.all_windows import moments, over_seeds
+from benchmarks.speed.all_windows import moments
 from benchmarks.speed.timing import seconds
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import AllWindows, RandomWindows
+from riecjax.criteria.windows import AllWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.runtime import start_jax
-from riecjax.summaries.normal_equations import NormalEquations
 
 PICTURE = FOLDER.parent / "docs" / "images" / "growth.png"
 REPEATS = 5
@@ -35,9 +29,6 @@ PIECE = 2**20
 """Samples that are in memory at once where a record is streamed."""
 POINTS = {
     "samples": [10**4, 10**5, 10**6, 10**7, 10**8],
-    "windows": [10**3, 10**4, 10**5, 10**6, 10**7],
-    "seeds": [10, 100, 1000, 10000],
-    "roads": [1, 4, 16, 64, 256],
     "parameters": [2, 4, 8, 16, 30, 60],
 }
 
@@ -69,41 +60,13 @@ def samples(count: int) -> Callable[[], Any]:
     return streamed
 
 
-def windows(count: int) -> Callable[[], Any]:
-    criterion = RIEC(RandomWindows(0.02, 0.2, count))
-    equation, record = equation_of(5), record_of(8000, 6)
-    drawn = eqx.filter_jit(
-        lambda r, k: NormalEquations.of_rows(criterion.rows(equation, r, k)).moments
-    )
-    return lambda: drawn(record, jax.random.key(0))
-
-
-def seeds(count: int) -> Callable[[], Any]:
-    source = quarter_car_source(reconstructed())
-    record = identification_record(source, jax.random.key(0)).record.select("x2", "x3", "x4")
-    keys = jax.random.split(jax.random.key(1), count)
-    return lambda: over_seeds(record, keys)
-
-
-def roads(count: int) -> Callable[[], Any]:
-    # With numba, an extra: not for the other points.
-    from benchmarks.speed.simulation import many_roads, noise
-
-    source = quarter_car_source(reconstructed())
-    velocities = jax.vmap(noise)(jax.random.split(jax.random.key(1), count))
-    return lambda: many_roads(source, velocities)
-
-
 def parameters(count: int) -> Callable[[], Any]:
     return all_windows(record_of(10**5, count + 1), count)
 
 
-KINDS = {f.__name__: f for f in (samples, windows, seeds, roads, parameters)}
-
-
-def point(kind: str, count: int) -> dict[str, float]:
+def measured(kind: str, count: int) -> dict[str, float]:
     start_jax()
-    work = KINDS[kind](count)
+    work = {"samples": samples, "parameters": parameters}[kind](count)
     first = seconds(work)
     again = [seconds(work) for _ in range(REPEATS)]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -114,7 +77,7 @@ def draw(found: dict[str, list[dict[str, float]]]) -> None:
     import matplotlib.pyplot as plt
     from matplotlib.ticker import NullFormatter
 
-    figure, axes = plt.subplots(2, len(found), figsize=(15, 6), sharex="col")
+    figure, axes = plt.subplots(2, len(found), figsize=(8, 6), sharex="col")
     for (kind, points), (above, below) in zip(found.items(), axes.T):
         counts = np.array([p["count"] for p in points])
         times = np.array([p["seconds"] for p in points])
@@ -134,24 +97,18 @@ def draw(found: dict[str, list[dict[str, float]]]) -> None:
     figure.savefig(PICTURE, dpi=110)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--point", nargs=2, metavar=("KIND", "COUNT"), help="measure this one only")
-    arguments = parser.parse_args()
-    if arguments.point:
-        kind, count = arguments.point
-        print(json.dumps(point(kind, int(count))))
+def main(point: str = "") -> None:
+    """All points; `KIND,COUNT` of one is what the processes are started with."""
+    if point:
+        kind, _, count = point.partition(",")
+        print(json.dumps(measured(kind, int(count))))
         return
     found = {}
     for kind, counts in POINTS.items():
         found[kind] = []
         for count in counts:
-            command = [sys.executable, "-m", "benchmarks.speed.growth", "--point", kind, str(count)]
-            found[kind].append(last_line(command))
+            command = [sys.executable, "-m", "benchmarks.speed", "growth", "--point"]
+            found[kind].append(last_line([*command, f"{kind},{count}"]))
             print(kind, found[kind][-1], flush=True)
     write_json(FOLDER / "growth.json", found)
     draw(found)
-
-
-if __name__ == "__main__":
-    main()

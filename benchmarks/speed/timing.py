@@ -12,8 +12,7 @@ class Size(NamedTuple):
     """How much work is measured.
 
     **Fields:** `long_samples` of the long record; `seeds` of windows, of which NumPy does
-    `numpy_seeds`; `batch` of roads; `replicates` that NumPy refits; `roads` of the study; repeats
-    of each side.
+    `numpy_seeds`; `batch` of roads; `replicates` that NumPy refits; `repeats` of each side.
     """
 
     long_samples: int
@@ -21,12 +20,11 @@ class Size(NamedTuple):
     numpy_seeds: int
     batch: int
     replicates: int
-    roads: int
     repeats: int
 
 
-FULL = Size(4_000_000, 1000, 50, 64, 2000, 16, 9)
-SMALL = Size(400_000, 100, 20, 16, 200, 4, 5)
+FULL = Size(4_000_000, 1000, 50, 64, 2000, 9)
+SMALL = Size(400_000, 100, 20, 16, 200, 5)
 
 
 class Comparison(NamedTuple):

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
@@ -16,6 +16,9 @@ from riecjax.records.record import Record
 
 COUNT, STEP = 801, 0.005
 Truth = Mapping[str, np.ndarray]
+Texts = dict[str, list[str]]
+Form = str | tuple[str, float]
+"""Such as `%.3f`, or `("%.3f", 1e-3)` in a unit of this size."""
 
 
 @functools.cache
@@ -30,10 +33,8 @@ def motion() -> Truth:
     return {"t": t, **found, "ddx": (u - r * v - r2 * v * abs(v) - k * x) / m}
 
 
-def written(
-    **forms: str | tuple[str, float],
-) -> tuple[dict[str, list[str]], dict[str, np.ndarray]]:
-    """Signals in a form such as `%.3f`, or `("%.3f", 1e-3)` in a unit: texts, and their SI values.
+def written(**forms: Form) -> tuple[Texts, dict[str, np.ndarray]]:
+    """Signals in these forms: texts, and their SI values.
 
     The truth is what the texts say, so that rounding counts for no error.
     """
@@ -97,6 +98,28 @@ def case(
         CASES[name] = Case(
             name, follows, write, suffix, rename, tuple(options), step, step_rtol, refused, needs
         )
+
+    return register
+
+
+def table(
+    *, t: Form | None = "%.3f", x: Form = "%.6f", u: Form = "%.5f", **keywords: Any
+) -> Callable[[Callable[[Path, Texts], None]], None]:
+    """Register what saves a table of texts in these forms, which are its truth.
+
+    `t=None` leaves the time to whoever saves it; `names` are those for `--map`.
+    """
+    forms = {"x": x, "u": u} if t is None else {"t": t, "x": x, "u": u}
+    names = keywords.pop("names", {})
+
+    def register(write: Callable[[Path, Texts], None]) -> None:
+        @functools.wraps(write)
+        def wrote(file: Path) -> Truth:
+            texts, truth = written(**forms)
+            write(file, texts)
+            return truth
+
+        case(**keywords, **names)(wrote)
 
     return register
 

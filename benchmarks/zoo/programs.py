@@ -2,39 +2,31 @@
 
 from pathlib import Path
 
-from benchmarks.zoo.case import COUNT, Truth, case, lines, save, written
+from benchmarks.zoo.case import COUNT, Texts, Truth, case, lines, save, table, written
 
 
-@case()
-def matlab_writetable(file: Path) -> Truth:
+@table(t="%.15g", x="%.15g", u="%.15g")
+def matlab_writetable(file: Path, c: Texts) -> None:
     """MATLAB writetable: names, 15 significant digits."""
-    c, truth = written(t="%.15g", x="%.15g", u="%.15g")
     save(file, "t,x,u", *lines(*c.values()))
-    return truth
 
 
-@case()
-def matlab_timetable(file: Path) -> Truth:
+@table(t="%.5g sec", x="%.15g", u="%.15g")
+def matlab_timetable(file: Path, c: Texts) -> None:
     """MATLAB writetimetable: durations with their unit behind each number."""
-    c, truth = written(t="%.5g sec", x="%.15g", u="%.15g")
     save(file, "Time,x,u", *lines(*c.values()))
-    return truth
 
 
-@case(options=["--columns", "t,x,u"])
-def matlab_writematrix(file: Path) -> Truth:
+@table(t="%.5g", x="%.5g", u="%.5g", options=["--columns", "t,x,u"])
+def matlab_writematrix(file: Path, c: Texts) -> None:
     """MATLAB writematrix: numbers alone, stamps of 5 significant digits."""
-    c, truth = written(t="%.5g", x="%.5g", u="%.5g")
     save(file, *lines(*c.values()))
-    return truth
 
 
-@case(".txt", options=["--columns", "t,x,u"])
-def matlab_save_ascii(file: Path) -> Truth:
+@table(suffix=".txt", t="%16.7e", x="%16.7e", u="%16.7e", options=["--columns", "t,x,u"])
+def matlab_save_ascii(file: Path, c: Texts) -> None:
     """MATLAB save -ascii: 8 digits, columns of fixed width, no names."""
-    c, truth = written(t="%16.7e", x="%16.7e", u="%16.7e")
     save(file, *lines(*c.values(), sep=""))
-    return truth
 
 
 @case(x="Weg", u="Kraft")
@@ -46,13 +38,11 @@ def excel_us(file: Path) -> Truth:
     return {**truth, "u": truth["u"] + 1000}
 
 
-@case(x="Weg", u="Kraft")
-def excel_german(file: Path) -> Truth:
+@table(x="%.4f", u="%.3f", names=dict(x="Weg", u="Kraft"))
+def excel_german(file: Path, c: Texts) -> None:
     """Excel, German: saved as CSV, semicolons, decimal commas, Windows line ends."""
-    c, truth = written(t="%.3f", x="%.4f", u="%.3f")
     rows = lines(*c.values(), sep=";", decimal=",")
     save(file, "Zeit (s);Weg (m);Kraft (N)", *rows, newline="\r\n", encoding="cp1252")
-    return truth
 
 
 @case(x="déplacement", u="force")
@@ -74,48 +64,38 @@ def excel_swiss(file: Path) -> Truth:
     return {**truth, "u": truth["u"] + 1000}
 
 
-@case(".txt", x="Weg", u="Kraft")
-def excel_unicode_text(file: Path) -> Truth:
+@table(suffix=".txt", x="%.5f", u="%.3f", names=dict(x="Weg", u="Kraft"))
+def excel_unicode_text(file: Path, c: Texts) -> None:
     """Excel, saved as Unicode text: UTF-16 and tabs."""
-    c, truth = written(t="%.3f", x="%.5f", u="%.3f")
     save(file, "Zeit\tWeg\tKraft", *lines(*c.values(), sep="\t"), encoding="utf-16")
-    return truth
 
 
-@case(options=["--columns", "sec,nsec,t,x,u"])
-def ros2_topic_echo(file: Path) -> Truth:
+@table(t="%.6f", x="%.15g", u="%.15g", options=["--columns", "sec,nsec,t,x,u"])
+def ros2_topic_echo(file: Path, c: Texts) -> None:
     """`ros2 topic echo --csv`: no names, seconds and nanoseconds apart, then the fields."""
-    c, truth = written(t="%.6f", x="%.15g", u="%.15g")
     sec = [str(1709294400 + i // 200) for i in range(COUNT)]
     nsec = [str(i % 200 * 5_000_000) for i in range(COUNT)]
     save(file, *lines(sec, nsec, *c.values()))
-    return truth
 
 
-@case()
-def pandas_index(file: Path) -> Truth:
+@table(t="%.17g", x="%.17g", u="%.17g")
+def pandas_index(file: Path, c: Texts) -> None:
     """pandas to_csv with its unnamed index."""
-    c, truth = written(t="%.17g", x="%.17g", u="%.17g")
     save(file, ",t,x,u", *lines(list(map(str, range(COUNT))), *c.values()))
-    return truth
 
 
-@case()
-def pandas_datetime_index(file: Path) -> Truth:
+@table(t=None, x="%.17g", u="%.17g")
+def pandas_datetime_index(file: Path, c: Texts) -> None:
     """pandas to_csv of a frame by time: the unnamed index is the time."""
-    c, truth = written(x="%.17g", u="%.17g")
     stamps = [f"2024-03-01 12:00:{0.005 * i:09.6f}+00:00" for i in range(COUNT)]
     save(file, ",x,u", *lines(stamps, *c.values()))
-    return truth
 
 
-@case()
-def polars_csv(file: Path) -> Truth:
+@table(t=None, x="%.16g", u="%.16g")
+def polars_csv(file: Path, c: Texts) -> None:
     """Polars write_csv: date-time stamps with T and microseconds."""
-    c, truth = written(x="%.16g", u="%.16g")
     stamps = [f"2024-03-01T12:00:{0.005 * i:09.6f}" for i in range(COUNT)]
     save(file, "timestamp,x,u", *lines(stamps, *c.values()))
-    return truth
 
 
 @case()
@@ -138,26 +118,20 @@ def julia_csv(file: Path) -> Truth:
     return truth
 
 
-@case(".txt")
-def numpy_savetxt(file: Path) -> Truth:
+@table(suffix=".txt", t="%.18e", x="%.18e", u="%.18e")
+def numpy_savetxt(file: Path, c: Texts) -> None:
     """NumPy savetxt with a header: names behind `# `, spaces, 18 digits."""
-    c, truth = written(t="%.18e", x="%.18e", u="%.18e")
     save(file, "# t x u", *lines(*c.values(), sep=" "))
-    return truth
 
 
-@case(".txt", refused="'[' stands before the numbers; take brackets and labels off")
-def table_in_brackets(file: Path) -> Truth:
+@table(suffix=".txt", refused="'[' stands before the numbers; take brackets and labels off")
+def table_in_brackets(file: Path, c: Texts) -> None:
     """A script's print of a list of lists: brackets around the table and each row."""
-    c, truth = written(t="%.3f", x="%.6f", u="%.5f")
     rows = [f"[{row}]," for row in lines(*c.values(), sep=", ")]
     save(file, '[["t", "x", "u"],', *rows[:-1], rows[-1][:-1] + "]")
-    return truth
 
 
-@case()
-def rows_in_quotes(file: Path) -> Truth:
+@table()
+def rows_in_quotes(file: Path, c: Texts) -> None:
     """A spreadsheet that took each line for one cell: quotes around every whole line."""
-    c, truth = written(t="%.3f", x="%.6f", u="%.5f")
     save(file, *(f'"{row}"' for row in ["t,x,u", *lines(*c.values())]))
-    return truth

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.zoo.case import COUNT, STEP, Truth, case, lines, motion, save, written
+from benchmarks.zoo.case import COUNT, STEP, Texts, Truth, case, lines, motion, save, table, written
 
 NOON = datetime(2024, 3, 1, 12, tzinfo=UTC)
 EPOCH = 1_709_294_400
@@ -128,56 +128,44 @@ def epoch_nanoseconds(file: Path) -> Truth:
     return _epoch(file, 1e9, 0, "__time")
 
 
-@case(refused="32-bit")
-def epoch_in_32_bit(file: Path) -> Truth:
+@table(t=None, refused="32-bit")
+def epoch_in_32_bit(file: Path, c: Texts) -> None:
     """Epoch seconds kept in 32-bit floats: steps of 128 s, which nothing can mend."""
-    c, truth = written(x="%.6f", u="%.5f")
     stamps = [f"{np.float32(EPOCH + STEP * i):.1f}" for i in range(COUNT)]
     save(file, "timestamp,x,u", *lines(stamps, *c.values()))
-    return truth
 
 
-@case(options=["--time-step", "0.005"])
-def epoch_in_32_bit_stepped(file: Path) -> Truth:
+@table(t=None, options=["--time-step", "0.005"])
+def epoch_in_32_bit_stepped(file: Path, c: Texts) -> None:
     """The same file with the step that its user knows."""
-    c, truth = written(x="%.6f", u="%.5f")
     stamps = [f"{np.float32(EPOCH + STEP * i):.1f}" for i in range(COUNT)]
     save(file, "timestamp,x,u", *lines(stamps, *c.values()))
-    return truth
 
 
-@case(step_rtol=1e-4)
-def five_digits(file: Path) -> Truth:
+@table(t=None, x="%.5g", u="%.5g", step_rtol=1e-4)
+def five_digits(file: Path, c: Texts) -> None:
     """Stamps by %.5g that run past 100 s: uneven by rounding alone."""
-    c, truth = written(x="%.5g", u="%.5g")
     stamps = [f"{98 + STEP * i:.5g}" for i in range(COUNT)]
     save(file, "t,x,u", *lines(stamps, *c.values()))
-    return truth
 
 
-@case(options=["--scale", "t=0.001"])
-def milliseconds_unsaid(file: Path) -> Truth:
+@table(t=("%.0f", 1e-3), options=["--scale", "t=0.001"])
+def milliseconds_unsaid(file: Path, c: Texts) -> None:
     """Milliseconds under the name `t`: nothing says so, the user does."""
-    c, truth = written(t=("%.0f", 1e-3), x="%.6f", u="%.5f")
     save(file, "t,x,u", *lines(*c.values()))
-    return truth
 
 
-@case(options=["--time-step", "0.005"])
-def no_time(file: Path) -> Truth:
+@table(t=None, options=["--time-step", "0.005"])
+def no_time(file: Path, c: Texts) -> None:
     """A file without time."""
-    c, truth = written(x="%.6f", u="%.5f")
     save(file, "x,u", *lines(*c.values()))
-    return truth
 
 
-@case(options=["--time-step", "0.005"])
-def bad_time(file: Path) -> Truth:
+@table(t=None, options=["--time-step", "0.005"])
+def bad_time(file: Path, c: Texts) -> None:
     """A clock that stands still and jumps back; the step is known."""
-    c, truth = written(x="%.6f", u="%.5f")
     stamps = [f"{(i // 7 * 0.02) % 1.5:.2f}" for i in range(COUNT)]
     save(file, "time,x,u", *lines(stamps, *c.values()))
-    return truth
 
 
 @case(dx="v")
@@ -190,23 +178,19 @@ def temperature_called_T(file: Path) -> Truth:
     return truth
 
 
-@case()
-def temperature_and_clock(file: Path) -> Truth:
+@table(t=None)
+def temperature_and_clock(file: Path, c: Texts) -> None:
     """`T` is a temperature; the only time is `Time stamp`."""
-    c, truth = written(x="%.6f", u="%.5f")
     warm = [f"{21 + 0.3 * np.sin(0.01 * i):.2f}" for i in range(COUNT)]
     stamps = [_ms(m, "%Y-%m-%d %H:%M:%S.") for m in _moments()]
     save(file, "T,Time stamp,x,u", *lines(warm, stamps, *c.values()))
-    return truth
 
 
-@case()
-def late_channel(file: Path) -> Truth:
+@table()
+def late_channel(file: Path, c: Texts) -> None:
     """A GPS speed that no equation reads starts late and ends early: it decides nothing."""
-    c, truth = written(t="%.3f", x="%.6f", u="%.5f")
     speed = ["" if not 300 < i < 700 else f"{i / 50:.2f}" for i in range(COUNT)]
     save(file, "t,x,u,GPS speed", *lines(*c.values(), speed))
-    return truth
 
 
 @case()
@@ -229,27 +213,21 @@ def pause(file: Path) -> Truth:
     return {name: np.insert(values, 401, np.nan) for name, values in truth.items()}
 
 
-@case(x="x", u="u")
-def comment_lines(file: Path) -> Truth:
+@table(names=dict(x="x", u="u"))
+def comment_lines(file: Path, c: Texts) -> None:
     """Comments before, inside and after the table."""
-    c, truth = written(t="%.3f", x="%.6f", u="%.5f")
     rows = lines(*c.values())
     save(file, "# rig 3", "# 200 Hz", "t,x,u", *rows[:9], "# bump", *rows[9:], "# end")
-    return truth
 
 
-@case(x="Weg Achse 1", u="Kraft am Stempel")
-def rows_of_units_and_sensors(file: Path) -> Truth:
+@table(x=("%.4f", 1e-3), names=dict(x="Weg Achse 1", u="Kraft am Stempel"))
+def rows_of_units_and_sensors(file: Path, c: Texts) -> None:
     """Names of several words, units, and a row of sensor serial numbers in words."""
-    c, truth = written(t="%.3f", x=("%.4f", 1e-3), u="%.5f")
     head = ["Zeit;Weg Achse 1;Kraft am Stempel", "s;mm;N", "Uhr;LVDT-17;U9C-2"]
     save(file, *head, *lines(*c.values(), sep=";"))
-    return truth
 
 
-@case(options=["--unit", "x=mm"])
-def millimetres_unsaid(file: Path) -> Truth:
+@table(x=("%.4f", 1e-3), options=["--unit", "x=mm"])
+def millimetres_unsaid(file: Path, c: Texts) -> None:
     """Millimetres that the file does not mention."""
-    c, truth = written(t="%.3f", x=("%.4f", 1e-3), u="%.5f")
     save(file, "t,x,u", *lines(*c.values()))
-    return truth

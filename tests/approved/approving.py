@@ -26,20 +26,14 @@ def approved(name: str) -> dict[str, Any] | None:
     return kept
 
 
-def difference(case: Case | Moments) -> list[str]:
-    """Lines that say how the output differs from what is approved; none where it does not."""
+def difference(case: Case | Moments, approve: bool = False) -> list[str]:
+    """Lines that say how the output differs from what is approved; none where it does not.
+
+    **Arguments:** `approve`: keep the output as it is.
+    """
     kept, new = approved(case.name), output(case)
     lines = ["  nothing is approved yet"] if kept is None else list(_lines(kept, new))
-    if case.known_wrong and case.known_wrong.holds(new):
-        lines.append(f"  now right ({case.known_wrong.right}): remove the mark known_wrong")
-    return lines
-
-
-def approve(case: Case | Moments) -> list[str]:
-    """Keep the output as it is; the lines of `difference`."""
-    kept, new = approved(case.name), output(case)
-    lines = ["  nothing was approved yet"] if kept is None else list(_lines(kept, new))
-    if lines:
+    if lines and approve:
         _write(case.name, new if kept is None else merged(kept, new))
     if case.known_wrong and case.known_wrong.holds(new):
         lines.append(f"  now right ({case.known_wrong.right}): remove the mark known_wrong")

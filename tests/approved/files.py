@@ -2,9 +2,11 @@
 
 import datetime
 import importlib
+import io
 import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tests.approved.inputs import Columns, drag, made
@@ -15,10 +17,10 @@ NEEDS = {"book.xlsx": "openpyxl", "rig.tdms": "nptdms", "rig.mf4": "asammdf"}
 MAPPED = "--map x=Weg --map u=Kraft"
 
 
-def file(name: str, options: str = "") -> Callable[[Callable[[Path, Columns], None]], None]:
+def file(name: str, options: str = "") -> Callable[[Callable[[Path, Columns], object]], None]:
     """Register what writes a file of the motion; velocities are in none of them."""
 
-    def register(write: Callable[[Path, Columns], None]) -> None:
+    def register(write: Callable[[Path, Columns], object]) -> None:
         FILES[name] = options
 
         @made(name)
@@ -27,6 +29,12 @@ def file(name: str, options: str = "") -> Callable[[Callable[[Path, Columns], No
             write(folder / name, {key: motion[key] for key in ("t", "x", "u")})
 
     return register
+
+
+def text_file(
+    name: str, write: Callable[[Columns], str], options: str = "", encoding: str = "utf-8"
+) -> None:
+    file(name, options)(lambda path, motion: path.write_bytes(write(motion).encode(encoding)))
 
 
 def table(
@@ -50,146 +58,112 @@ def stamps(t: np.ndarray, form: str) -> list[str]:
     return [(start + datetime.timedelta(seconds=round(x, 6))).strftime(form) for x in t]
 
 
-@file("timetable.csv")
-def _(path: Path, c: Columns) -> None:
-    """MATLAB's writetimetable."""
-    path.write_text(
-        table(["Time,x,u"], printed(c["t"], "%.5g sec"), printed(c["x"]), printed(c["u"]))
-    )
+HEAD_OF_LVM = """\
+LabVIEW Measurement
+Writer_Version\t2
+Separator\tTab
+Decimal_Separator\t.
+***End_of_Header***
+
+Channels\t2
+Samples\t801\t801
+X_Dimension\tTime\tTime
+X0\t0.0\t0.0
+Delta_X\t0.005\t0.005
+***End_of_Header***
+X_Value\tWeg\tKraft\tComment"""
+TICKS = np.arange(801)
+NANOSECONDS = 1709294400000000000 + 5000000 * TICKS
 
 
-@file("german.csv", MAPPED)
-def _(path: Path, c: Columns) -> None:
-    """Excel in German."""
+def lines(c: Columns, head: str = "t,x,u", sep: str = ",", **replaced: Any) -> str:
+    """A table below its head; columns that are replaced may be printed already."""
+    columns = [x if isinstance(x, list) else printed(x) for x in (c | replaced).values()]
+    return table(head.splitlines(), *columns, sep=sep)
+
+
+def german(c: Columns) -> str:
     columns = [printed(c["t"]), printed(1e3 * c["x"]), printed(c["u"])]
-    text = table(["Zeit (s);Weg (mm);Kraft (N)"], *columns, sep=";", decimal=",", end="\r\n")
-    path.write_bytes(text.encode("cp1252"))
+    return table(["Zeit (s);Weg (mm);Kraft (N)"], *columns, sep=";", decimal=",", end="\r\n")
 
 
-@file("thousands.csv")
-def _(path: Path, c: Columns) -> None:
-    """Excel in the US."""
-    force = [f'"{1000 + u:,.3f}"' for u in c["u"]]
-    path.write_text(table(["Time (s),x,u"], printed(c["t"]), printed(c["x"]), force), "utf-8-sig")
+def bare(c: Columns) -> str:
+    whole, part = printed(1709294400 + TICKS // 200, "%d"), printed(TICKS % 200 * 5_000_000, "%d")
+    return table([], whole, part, *(printed(x) for x in c.values()))
 
 
-@file("unicode.txt", MAPPED)
-def _(path: Path, c: Columns) -> None:
-    """Excel's Unicode text."""
-    text = table(["Zeit\tWeg\tKraft"], *(printed(x) for x in c.values()), sep="\t")
-    path.write_text(text, "utf-16")
-
-
-@file("bare.csv", "--columns sec,nsec,t,x,u")
-def _(path: Path, c: Columns) -> None:
-    """`ros2 topic echo --csv`."""
-    ticks = np.arange(801)
-    whole, part = printed(1709294400 + ticks // 200, "%d"), printed(ticks % 200 * 5_000_000, "%d")
-    path.write_text(table([], whole, part, *(printed(x) for x in c.values())))
-
-
-@file("datetime_index.csv")
-def _(path: Path, c: Columns) -> None:
-    """A frame of pandas by time."""
-    time = stamps(c["t"], "%Y-%m-%d %H:%M:%S.%f+00:00")
-    path.write_text(table([",x,u"], time, printed(c["x"]), printed(c["u"])))
-
-
-@file("missing.csv")
-def _(path: Path, c: Columns) -> None:
-    """Julia's CSV.write."""
+def with_gap(c: Columns) -> str:
     x = printed(c["x"])
     x[100:103] = ["missing"] * 3
-    path.write_text(table(["t,x,u"], printed(c["t"]), x, printed(c["u"])))
+    return lines(c, x=x)
 
 
-@file("savetxt.txt")
-def _(path: Path, c: Columns) -> None:
-    """NumPy's savetxt."""
-    np.savetxt(path, np.column_stack([*c.values()]), header="t x u", fmt="%.10e")
-
-
-@file("units.txt", "--map x=Position --map u=Load")
-def _(path: Path, c: Columns) -> None:
-    """A row of units in words below the names, a preamble above."""
-    head = ["MTS793|MPT|ENU|1|0", "", "Time\tPosition\tLoad", "Seconds\tMillimeters\tPounds"]
-    columns = [c["t"], 1e3 * c["x"], c["u"] / 4.4482216152605]
-    path.write_text(table(head, *(printed(x) for x in columns), sep="\t"))
-
-
-@file("din.csv", "--map 'x=Position / mm' --map 'u=Kraft / kN'")
-def _(path: Path, c: Columns) -> None:
-    """Units behind a slash, as by DIN 1313."""
-    columns = [c["t"], 1e3 * c["x"], 1e-3 * c["u"]]
-    head = ["Zeit / s;Position / mm;Kraft / kN"]
-    path.write_text(table(head, *(printed(x) for x in columns), sep=";"))
-
-
-@file("daq.lvm", MAPPED)
-def _(path: Path, c: Columns) -> None:
-    """NI LabVIEW."""
-    head = ["LabVIEW Measurement", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t.",
-            "***End_of_Header***", "", "Channels\t2", "Samples\t801\t801",
-            "X_Dimension\tTime\tTime",
-            "X0\t0.0\t0.0", "Delta_X\t0.005\t0.005", "***End_of_Header***",
-            "X_Value\tWeg\tKraft\tComment"]  # fmt: skip
-    path.write_text(table(head, *(printed(x) for x in c.values()), sep="\t"))
-
-
-@file("midnight.csv")
-def _(path: Path, c: Columns) -> None:
-    """A time of day that passes midnight."""
-    columns = [stamps(c["t"], "%H:%M:%S.%f"), printed(c["x"]), printed(c["u"])]
-    path.write_text(table(["clock,x,u"], *columns))
-
-
-@file("epoch.csv")
-def _(path: Path, c: Columns) -> None:
-    """PlotJuggler: nanoseconds since 1970."""
-    time = printed(1709294400000000000 + 5000000 * np.arange(801), "%d")
-    path.write_text(table(["__time,x,u"], time, printed(c["x"]), printed(c["u"])))
-
-
-@file("pause.csv")
-def _(path: Path, c: Columns) -> None:
-    """A logger that paused for a second."""
-    rows = np.r_[0:400, 600:801]
-    path.write_text(table(["t,x,u"], *(printed(x[rows]) for x in c.values())))
-
-
-@file("no_time.csv", "--time-step 0.005")
-def _(path: Path, c: Columns) -> None:
-    path.write_text(table(["x,u"], printed(c["x"]), printed(c["u"])))
-
-
-@file("uneven.csv", "--resample 100")
-def _(path: Path, c: Columns) -> None:
-    time = c["t"] + 0.001 * np.sin(7.0 * np.arange(801))
-    path.write_text(table(["t,x,u"], *(printed(x) for x in (time, c["x"], c["u"]))))
-
-
-@file("contradiction.csv")
-def _(path: Path, c: Columns) -> None:
-    """A name that says mm above a row of units that says m: refused."""
-    path.write_text(table(["t,x [mm],u", "s,m,N"], *(printed(x) for x in c.values())))
-
-
-@file("two_runs.csv")
-def _(path: Path, c: Columns) -> None:
-    """Time begins anew: refused."""
-    path.write_text(table(["t,x,u"], *(2 * printed(x) for x in c.values())))
-
-
-@file("newest_first.csv")
-def _(path: Path, c: Columns) -> None:
-    """Refused."""
-    path.write_text(table(["t,x,u"], *(printed(x[::-1]) for x in c.values())))
-
-
-@file("lines.jsonl")
-def _(path: Path, c: Columns) -> None:
+def json_lines(c: Columns) -> str:
     rows = [dict(zip(c, map(float, row))) for row in np.column_stack([*c.values()])]
-    path.write_text("\n".join(json.dumps(row) for row in rows))
+    return "\n".join(json.dumps(row) for row in rows)
+
+
+def numpys(c: Columns) -> str:
+    text = io.StringIO()
+    np.savetxt(text, np.column_stack([*c.values()]), header="t x u", fmt="%.10e")
+    return text.getvalue()
+
+
+# MATLAB's writetimetable, Excel in German and in the US, its Unicode text.
+text_file("timetable.csv", lambda c: lines(c, "Time,x,u", t=printed(c["t"], "%.5g sec")))
+text_file("german.csv", german, MAPPED, "cp1252")
+text_file(
+    "thousands.csv",
+    lambda c: lines(c, "Time (s),x,u", u=[f'"{1000 + u:,.3f}"' for u in c["u"]]),
+    encoding="utf-8-sig",
+)
+text_file("unicode.txt", lambda c: lines(c, "Zeit\tWeg\tKraft", "\t"), MAPPED, "utf-16")
+# `ros2 topic echo --csv`, a frame of pandas by time, Julia's CSV.write, NumPy's savetxt.
+text_file("bare.csv", bare, "--columns sec,nsec,t,x,u")
+text_file(
+    "datetime_index.csv",
+    lambda c: lines(c, ",x,u", t=stamps(c["t"], "%Y-%m-%d %H:%M:%S.%f+00:00")),
+)
+text_file("missing.csv", with_gap)
+text_file("savetxt.txt", numpys)
+# A row of units in words below the names, a preamble above; units behind a slash, as by DIN 1313.
+text_file(
+    "units.txt",
+    lambda c: lines(
+        c,
+        "MTS793|MPT|ENU|1|0\n\nTime\tPosition\tLoad\nSeconds\tMillimeters\tPounds",
+        "\t",
+        x=1e3 * c["x"],
+        u=c["u"] / 4.4482216152605,
+    ),
+    "--map x=Position --map u=Load",
+)
+text_file(
+    "din.csv",
+    lambda c: lines(c, "Zeit / s;Position / mm;Kraft / kN", ";", x=1e3 * c["x"], u=1e-3 * c["u"]),
+    "--map 'x=Position / mm' --map 'u=Kraft / kN'",
+)
+# NI LabVIEW, a time of day that passes midnight, PlotJuggler's nanoseconds since 1970.
+text_file("daq.lvm", lambda c: lines(c, HEAD_OF_LVM, "\t"), MAPPED)
+text_file("midnight.csv", lambda c: lines(c, "clock,x,u", t=stamps(c["t"], "%H:%M:%S.%f")))
+text_file("epoch.csv", lambda c: lines(c, "__time,x,u", t=printed(NANOSECONDS, "%d")))
+# A logger that paused for a second; no time, uneven time.
+text_file("pause.csv", lambda c: lines({name: x[np.r_[0:400, 600:801]] for name, x in c.items()}))
+text_file(
+    "no_time.csv",
+    lambda c: lines({"x": c["x"], "u": c["u"]}, "x,u"),
+    "--time-step 0.005",
+)
+text_file(
+    "uneven.csv",
+    lambda c: lines(c, t=c["t"] + 0.001 * np.sin(7.0 * TICKS)),
+    "--resample 100",
+)
+# Refused: a name that says mm above a row of units that says m, time that begins anew, that falls.
+text_file("contradiction.csv", lambda c: lines(c, "t,x [mm],u\ns,m,N"))
+text_file("two_runs.csv", lambda c: lines({name: np.tile(x, 2) for name, x in c.items()}))
+text_file("newest_first.csv", lambda c: lines({name: x[::-1] for name, x in c.items()}))
+text_file("lines.jsonl", json_lines)
 
 
 @file("vectors.mat")

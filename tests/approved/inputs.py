@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.signal
+from tests import machines
 
 SHARED = Path(__file__).parents[3] / "shared"
 DATA = Path(os.environ.get("RIECJAX_DATA", SHARED / "data"))
@@ -73,40 +74,15 @@ def drag(seed: int = 1, count: int = 3000, step: float = 0.01, **other: float) -
     return {"t": t, "x": x, "dx": dx, "u": u}
 
 
-@made("drag.csv")
-def _(folder: Path) -> None:
-    write_csv(folder / "drag.csv", noisy(drag(), 0.005, 1))
-
-
-@made("drag_exact.csv")
-def _(folder: Path) -> None:
-    write_csv(folder / "drag_exact.csv", drag(), "%.15g")
-
-
-@made("drag_acceleration.csv")
-def _(folder: Path) -> None:
-    columns = drag()
-    columns["ddx"] = sines(1, 3000, 0.01)[3]
-    write_csv(folder / "drag_acceleration.csv", noisy(columns, 0.005, 1))
-
-
-@made("drag_position.csv")
-def _(folder: Path) -> None:
-    columns = noisy(drag(), 0.002, 2)
-    write_csv(folder / "drag_position.csv", {name: columns[name] for name in ("t", "x", "u")})
-
-
-@made("drag_late.csv")
-def _(folder: Path) -> None:
+def late_drag() -> Columns:
     """The velocity comes three samples late."""
     columns = drag(count=3003)
     late = {name: x[3:] for name, x in columns.items()} | {"dx": columns["dx"][:-3]}
     late["t"] = columns["t"][:-3]
-    write_csv(folder / "drag_late.csv", noisy(late, 0.005, 3))
+    return noisy(late, 0.005, 3)
 
 
-@made("drag_faults.csv")
-def _(folder: Path) -> None:
+def faulty_drag() -> Columns:
     """A spike, a stuck second of the velocity, a gap, hum, a clipped force."""
     columns = noisy(drag(), 0.005, 4)
     columns["x"][700] += 2.0
@@ -114,33 +90,192 @@ def _(folder: Path) -> None:
     columns["u"] += 0.4 * np.sin(2 * np.pi * 49.0 * columns["t"])
     columns["u"] = np.clip(columns["u"], -0.9 * columns["u"].max(), 0.75 * columns["u"].max())
     columns["x"][2000:2005] = np.nan
-    write_csv(folder / "drag_faults.csv", columns)
+    return columns
 
 
-@made("drag_bias.csv")
-def _(folder: Path) -> None:
+def biased_drag() -> Columns:
     """The force's sensor has a zero of 2 N, and the position's reads 0.8 of what is."""
     columns = noisy(drag(), 0.005, 5)
-    write_csv(
-        folder / "drag_bias.csv", columns | {"u": columns["u"] + 2.0, "x": 0.8 * columns["x"]}
-    )
+    return columns | {"u": columns["u"] + 2.0, "x": 0.8 * columns["x"]}
 
 
-@made("drag_filtered.csv")
-def _(folder: Path) -> None:
+def filtered_drag() -> Columns:
     """The velocity behind a low-pass of 0.03 s, the force's clock 300 millionths slow."""
     columns = noisy(drag(), 0.002, 6)
     pole = np.exp(-0.01 / 0.03)
     columns["dx"] = scipy.signal.lfilter([1 - pole], [1, -pole], columns["dx"])
     columns["u"] = np.interp(columns["t"] * (1 - 3e-4), columns["t"], columns["u"])
-    write_csv(folder / "drag_filtered.csv", columns)
+    return columns
 
 
-@made("run1.csv", "run2.csv", "run3.csv")
+def run(number: int) -> Columns:
+    return noisy(drag(10 + number, 2000, k=23.0 if number == 3 else 20.0), 0.005, 10 + number)
+
+
+def duffing() -> Columns:
+    t, y, dy, ddy = sines(31, 3000, 0.005, 0.5, 8.0, 0.4)
+    u = 0.02 * ddy + 0.3 * dy + 30 * y + 4 * y**2 + 50 * y**3
+    return noisy({"t": t, "y": y, "dy": dy, "u": u}, 0.003, 31)
+
+
+def axis() -> Columns:
+    t, q, dq, ddq = sines(41, 4000, 0.005, 0.1, 3.0, 0.1)
+    force = 95 * ddq + 200 * dq + 20 * np.sign(dq) - 3
+    return noisy({"t": t, "q": q, "dq": dq, "force": force}, 0.002, 41)
+
+
+def swing() -> Columns:
+    """A pendulum that swings freely."""
+    t = 0.005 * np.arange(4000)
+    motion = scipy.integrate.solve_ivp(
+        lambda _, s: [s[1], 40 * np.sin(s[0]) - 0.15 * s[1]],
+        (0, t[-1]),
+        [np.pi - 2.0, 0.0],
+        "DOP853",
+        t,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    return noisy({"t": t, "theta": motion.y[0], "dtheta": motion.y[1]}, 0.002, 51)
+
+
+def timed(signals: Mapping[str, np.ndarray]) -> Columns:
+    """Signals of `tests.machines`, at 200 Hz."""
+    return {"t": np.arange(signals["x"].size * 8)[::8] * 0.005 / 8, **signals}
+
+
+def two_mass() -> Columns:
+    heavy, light, rate, damping = 10.0, 1.0, 40.0, 0.2
+    mean = heavy * light / (heavy + light)
+    stiff, loss = mean * rate**2, 2 * damping * mean * rate
+    a = np.zeros((4, 4))
+    a[0, 1] = a[2, 3] = 1
+    a[1] = np.array([-stiff, -loss, stiff, loss]) / heavy
+    a[3] = np.array([stiff, loss, -stiff, -loss]) / light
+    columns = timed(machines.body(a, 4000, 61, mass=heavy, force=100))
+    renamed = {"t": columns["t"], "z": columns["x"], "dz": columns["v"], "F": columns["F"]}
+    return noisy(renamed, 0.001, 61)
+
+
+def cart() -> Columns:
+    t, p, v, a = sines(81, 3000, 0.005, 0.2, 3.0, 0.5)
+    columns = {"t": t, "p": p, "v": v, "a": a, "f": 2.5 * a + 0.75 * v + 40 * p**3}
+    return noisy(columns, 0.003, 81)
+
+
+def rig() -> Columns:
+    t, x, dx, ddx = sines(91, 3000, 0.01, 0.2, 3.0, 0.5)
+    u = 2 * ddx + 1.2 * dx + 30 * x + 25 * x**3 + 1.5 * np.sign(dx)
+    return noisy({"t": t, "x": x, "dx": dx, "u": u}, 0.003, 91)
+
+
+def of(columns: Columns, *names: str) -> Columns:
+    return {name: columns[name] for name in names}
+
+
+RECORDINGS: dict[str, Callable[[], Columns]] = {
+    "drag.csv": lambda: noisy(drag(), 0.005, 1),
+    "drag_exact.csv": drag,
+    "drag_acceleration.csv": lambda: noisy(drag() | {"ddx": sines(1, 3000, 0.01)[3]}, 0.005, 1),
+    "drag_position.csv": lambda: of(noisy(drag(), 0.002, 2), "t", "x", "u"),
+    "drag_late.csv": late_drag,
+    "drag_faults.csv": faulty_drag,
+    "drag_bias.csv": biased_drag,
+    "drag_filtered.csv": filtered_drag,
+    # A force acts and nothing moves.
+    "still.csv": lambda: drag(count=500) | {"x": np.zeros(500), "dx": np.zeros(500)},
+    "run1.csv": lambda: run(1),
+    "run2.csv": lambda: run(2),
+    "run3.csv": lambda: run(3),
+    "duffing.csv": duffing,
+    "emps.csv": axis,
+    "axis.csv": lambda: of(axis(), "t", "q", "force"),
+    "swing.csv": swing,
+    "two_mass.csv": two_mass,
+    # A body with an oscillator of 9.4 Hz on it, without it, and with a spring behind its damper.
+    "mode.csv": lambda: noisy(timed(machines.body_with_mode()), 1e-4, 71),
+    "body.csv": lambda: noisy(timed(machines.body_with_mode(False)), 3e-3, 73),
+    "spring.csv": lambda: noisy(timed(machines.body_with_lag()), 1e-4, 72),
+    "cart.csv": cart,
+    "rig.csv": rig,
+}
+TEXTS = {
+    "broken.csv": "t,x,u\n0,1,2\n0.01,1\n0.02,nonsense,3\n",
+    "empty.csv": "",
+    "wrong.py": "import no_such_module\n",
+    "drag.toml": """model = "drag-oscillator"
+records = ["drag.csv"]
+band = [0.3, 4.0]
+set = {k = 20.0}
+refine = "none"
+""",
+    "body.py": """import riecjax as rx
+
+body = rx.Equation(
+    rx.Term("m", "v", derivative=1, unit="kg"),
+    rx.Term("c", "v", unit="N s/m"),
+    rx.Term("k", "x", unit="N/m"),
+    -rx.Term(1.0, "F"),
+    name="body",
+    unit="N",
+)
+""",
+    "cart.py": """import riecjax as rx
+
+cart = rx.Equation(
+    rx.Term("m", "v", derivative=1, measured=("a",), unit="kg"),
+    rx.Term("c", "v", unit="N s/m"),
+    rx.Term("k", lambda s: s["p"] ** 3, unit="N/m^3"),
+    -rx.Term(1.0, "f", unit="N"),
+    name="cart",
+)
+""",
+    "arm.py": """import jax.numpy as jnp
+import riecjax as rx
+
+arm = rx.Equation(
+    rx.Term(1.0, "theta", derivative=2),
+    -rx.Term("c1", lambda s: jnp.sin(s["theta"]), unit="1/s^2"),
+    -rx.Term("c2", lambda s: s["u"] ** 2, unit="rad/s^2"),
+    -rx.Term("c3", "theta", derivative=1, unit="1/s"),
+    name="arm",
+)
+""",
+    "damper.py": """import riecjax as rx
+
+damper = rx.Equation(
+    rx.Term("c", "x", derivative=1, unit="N s/m"),
+    rx.Term("k", "x", unit="N/m"),
+    rx.Term("f0", rx.constant, unit="N"),
+    -rx.Term(1.0, "f"),
+    name="damper",
+    unit="N",
+)
+""",
+    "rig.py": """import riecjax as rx
+
+RIG = rx.Model(
+    "rig",
+    "a mass that is pushed",
+    procedure=lambda: rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),
+        -rx.Term(1.0, "u"),
+        name="rig",
+        unit="N",
+    ),
+    derived={"dx": "x"},
+)
+LAWS = [rx.Term("spring", "x"), rx.Term("cubic", rx.odd("x", 3)), rx.Term("dry", rx.odd("dx", 0))]
+""",
+}
+
+
+@made(*RECORDINGS, *TEXTS)
 def _(folder: Path) -> None:
-    for i, stiffness in enumerate((20.0, 20.0, 23.0)):
-        columns = noisy(drag(seed=11 + i, count=2000, k=stiffness), 0.005, 11 + i)
-        write_csv(folder / f"run{i + 1}.csv", columns)
+    for name, motion in RECORDINGS.items():
+        write_csv(folder / name, motion(), "%.15g" if name == "drag_exact.csv" else "%.9g")
+    for name, text in TEXTS.items():
+        (folder / name).write_text(text)
 
 
 @made("drives")
@@ -156,245 +291,16 @@ def _(folder: Path) -> None:
     (folder / "drives" / "vehicle=0" / "broken.csv").write_text("t,x\n")
 
 
-@made("drag.toml")
-def _(folder: Path) -> None:
-    (folder / "drag.toml").write_text(
-        'model = "drag-oscillator"\nrecords = ["drag.csv"]\nband = [0.3, 4.0]\nset = {k = 20.0}\n'
-        'refine = "none"\n'
-    )
-
-
-@made("duffing.csv")
-def _(folder: Path) -> None:
-    t, y, dy, ddy = sines(31, 3000, 0.005, 0.5, 8.0, 0.4)
-    u = 0.02 * ddy + 0.3 * dy + 30 * y + 4 * y**2 + 50 * y**3
-    write_csv(folder / "duffing.csv", noisy({"t": t, "y": y, "dy": dy, "u": u}, 0.003, 31))
-
-
-@made("emps.csv")
-def _(folder: Path) -> None:
-    t, q, dq, ddq = sines(41, 4000, 0.005, 0.1, 3.0, 0.1)
-    force = 95 * ddq + 200 * dq + 20 * np.sign(dq) - 3
-    columns = noisy({"t": t, "q": q, "dq": dq, "force": force}, 0.002, 41)
-    write_csv(folder / "emps.csv", columns)
-    write_csv(folder / "axis.csv", {name: columns[name] for name in ("t", "q", "force")})
-
-
-INPUTS["axis.csv"] = INPUTS["emps.csv"]
-
-
-@made("swing.csv")
-def _(folder: Path) -> None:
-    """A pendulum that swings freely."""
-    t = 0.005 * np.arange(4000)
-    run = scipy.integrate.solve_ivp(
-        lambda _, s: [s[1], 40 * np.sin(s[0]) - 0.15 * s[1]],
-        (0, t[-1]),
-        [np.pi - 2.0, 0.0],
-        "DOP853",
-        t,
-        rtol=1e-10,
-        atol=1e-12,
-    )
-    columns = {"t": t, "theta": run.y[0], "dtheta": run.y[1]}
-    write_csv(folder / "swing.csv", noisy(columns, 0.002, 51))
-
-
-def _driven(a: np.ndarray, mass: float, count: int, seed: int, size: float) -> Columns:
-    """Position, velocity and force of the first body of a linear machine, at 200 Hz."""
-    b = np.zeros((len(a), 1))
-    b[1] = 1 / mass
-    finer, step = 8, 0.005
-    sharp = scipy.signal.butter(6, 40.0, fs=finer / step, output="sos")
-    draws = np.random.default_rng(seed).standard_normal(count * finer)
-    force = size * np.asarray(scipy.signal.sosfilt(sharp, draws))
-    t = np.arange(force.size) * step / finer
-    _, states, _ = scipy.signal.lsim((a, b, np.eye(len(a)), np.zeros_like(b)), force, t)
-    x, v = states[::finer, :2].T
-    return {"t": t[::finer], "x": x, "v": v, "F": force[::finer]}
-
-
-@made("two_mass.csv")
-def _(folder: Path) -> None:
-    heavy, light, rate, damping = 10.0, 1.0, 40.0, 0.2
-    mean = heavy * light / (heavy + light)
-    stiff, loss = mean * rate**2, 2 * damping * mean * rate
-    a = np.zeros((4, 4))
-    a[0, 1] = a[2, 3] = 1
-    a[1] = np.array([-stiff, -loss, stiff, loss]) / heavy
-    a[3] = np.array([stiff, loss, -stiff, -loss]) / light
-    columns = _driven(a, heavy, 4000, 61, 100)
-    renamed = {"t": columns["t"], "z": columns["x"], "dz": columns["v"], "F": columns["F"]}
-    write_csv(folder / "two_mass.csv", noisy(renamed, 0.001, 61))
-
-
-@made("mode.csv")
-def _(folder: Path) -> None:
-    """A body on a spring and a damper, with an oscillator of 9.4 Hz on it."""
-    m, c, k, heavy, stiff, loss = 20.0, 60.0, 4000.0, 6.0, 21000.0, 120.0
-    a = np.zeros((4, 4))
-    a[0, 1] = a[2, 3] = 1
-    a[1] = np.array([-(k + stiff), -(c + loss), stiff, loss]) / m
-    a[3] = np.array([stiff, loss, -stiff, -loss]) / heavy
-    write_csv(folder / "mode.csv", noisy(_driven(a, m, 6000, 3, 300), 1e-4, 71))
-
-
-@made("body.csv")
-def _(folder: Path) -> None:
-    """A body on a spring and a damper, of which the model leaves out nothing."""
-    a = np.array([[0, 1], [-4000.0 / 20.0, -60.0 / 20.0]])
-    write_csv(folder / "body.csv", noisy(_driven(a, 20.0, 6000, 3, 300), 3e-3, 73))
-
-
-@made("spring.csv")
-def _(folder: Path) -> None:
-    """A body whose damper pulls through a spring."""
-    m, c, k, series = 20.0, 200.0, 4000.0, 10000.0
-    a = np.array([[0, 1, 0], [-k / m, 0, -1 / m], [0, series, -series / c]])
-    write_csv(folder / "spring.csv", noisy(_driven(a, m, 6000, 3, 300), 1e-4, 72))
-
-
-@made("body.py")
-def _(folder: Path) -> None:
-    (folder / "body.py").write_text(
-        """import riecjax as rx
-
-body = rx.Equation(
-    rx.Term("m", "v", derivative=1, unit="kg"),
-    rx.Term("c", "v", unit="N s/m"),
-    rx.Term("k", "x", unit="N/m"),
-    -rx.Term(1.0, "F"),
-    name="body",
-    unit="N",
-)
-"""
-    )
-
-
-@made("cart.csv")
-def _(folder: Path) -> None:
-    t, p, v, a = sines(81, 3000, 0.005, 0.2, 3.0, 0.5)
-    columns = {"t": t, "p": p, "v": v, "a": a, "f": 2.5 * a + 0.75 * v + 40 * p**3}
-    write_csv(folder / "cart.csv", noisy(columns, 0.003, 81))
-
-
-@made("cart.py")
-def _(folder: Path) -> None:
-    (folder / "cart.py").write_text(
-        """import riecjax as rx
-
-cart = rx.Equation(
-    rx.Term("m", "v", derivative=1, measured=("a",), unit="kg"),
-    rx.Term("c", "v", unit="N s/m"),
-    rx.Term("k", lambda s: s["p"] ** 3, unit="N/m^3"),
-    -rx.Term(1.0, "f", unit="N"),
-    name="cart",
-)
-"""
-    )
-
-
-@made("arm.py")
-def _(folder: Path) -> None:
-    """Of the measured propeller arm."""
-    (folder / "arm.py").write_text(
-        """import jax.numpy as jnp
-import riecjax as rx
-
-arm = rx.Equation(
-    rx.Term(1.0, "theta", derivative=2),
-    -rx.Term("c1", lambda s: jnp.sin(s["theta"]), unit="1/s^2"),
-    -rx.Term("c2", lambda s: s["u"] ** 2, unit="rad/s^2"),
-    -rx.Term("c3", "theta", derivative=1, unit="1/s"),
-    name="arm",
-)
-"""
-    )
-
-
-@made("damper.py")
-def _(folder: Path) -> None:
-    """Of the measured magneto-rheological damper."""
-    (folder / "damper.py").write_text(
-        """import riecjax as rx
-
-damper = rx.Equation(
-    rx.Term("c", "x", derivative=1, unit="N s/m"),
-    rx.Term("k", "x", unit="N/m"),
-    rx.Term("f0", rx.constant, unit="N"),
-    -rx.Term(1.0, "f"),
-    name="damper",
-    unit="N",
-)
-"""
-    )
-
-
-@made("rig.py")
-def _(folder: Path) -> None:
-    (folder / "rig.py").write_text(
-        """import riecjax as rx
-
-RIG = rx.Model(
-    "rig",
-    "a mass that is pushed",
-    procedure=lambda: rx.Equation(
-        rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),
-        -rx.Term(1.0, "u"),
-        name="rig",
-        unit="N",
-    ),
-    derived={"dx": "x"},
-)
-LAWS = [rx.Term("spring", "x"), rx.Term("cubic", rx.odd("x", 3)), rx.Term("dry", rx.odd("dx", 0))]
-"""
-    )
-
-
-@made("rig.csv")
-def _(folder: Path) -> None:
-    t, x, dx, ddx = sines(91, 3000, 0.01, 0.2, 3.0, 0.5)
-    u = 2 * ddx + 1.2 * dx + 30 * x + 25 * x**3 + 1.5 * np.sign(dx)
-    write_csv(folder / "rig.csv", noisy({"t": t, "x": x, "dx": dx, "u": u}, 0.003, 91))
-
-
 @made("drive.csv")
 def _(folder: Path) -> None:
     """The source model of the paper on a road, as the README has it but shorter."""
-    simulate(folder / "drive.csv", "--seed 4 --duration 20")
-
-
-def simulate(path: Path, options: str) -> None:
     from riecjax.cli.main import run
 
-    model = "simulate quarter-car-source --input white-noise"
+    options = ["--input", "white-noise", "--seed", "4", "--duration", "20"]
     with contextlib.redirect_stdout(None):
-        status = run([*model.split(), *options.split(), "--out", str(path)])
+        status = run(["simulate", "quarter-car-source", *options, "--out", f"{folder}/drive.csv"])
     if status:
-        raise RuntimeError(f"{path.name} could not be simulated")
-
-
-@made("broken.csv")
-def _(folder: Path) -> None:
-    (folder / "broken.csv").write_text("t,x,u\n0,1,2\n0.01,1\n0.02,nonsense,3\n")
-
-
-@made("empty.csv")
-def _(folder: Path) -> None:
-    (folder / "empty.csv").write_text("")
-
-
-@made("still.csv")
-def _(folder: Path) -> None:
-    """A force acts and nothing moves."""
-    columns = drag(count=500)
-    rest = np.zeros(500)
-    write_csv(folder / "still.csv", columns | {"x": rest, "dx": rest})
-
-
-@made("wrong.py")
-def _(folder: Path) -> None:
-    (folder / "wrong.py").write_text("import no_such_module\n")
+        raise RuntimeError("drive.csv could not be simulated")
 
 
 def place(words: list[str], beside: str, folder: Path, store: Path) -> None:

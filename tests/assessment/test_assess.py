@@ -3,31 +3,20 @@
 import dataclasses
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
+from tests.machines import MACHINES, Shape
 
 import riecjax as rx
 from riecjax.findings import Finding
 
-STEP = 0.01
-TRUTH = {"m": 2.0, "c": 3.0, "k": 80.0}
+AXIS, TRUTH = MACHINES["linear"].model, MACHINES["linear"].truth
 
 
-def motion(samples=1500, seed=0, noise=0.0):
-    """x, its derivatives v and a, and the force f = m a + c v + k x, all in closed form."""
-    rng = np.random.default_rng(seed)
-    t = STEP * np.arange(samples)
-    tones = [(w, rng.uniform(0, 6)) for w in (3.1, 5.7, 8.3, 13.0)]
-    x = sum(np.sin(w * t + p) / w for w, p in tones)
-    v = sum(np.cos(w * t + p) for w, p in tones)
-    a = sum(-w * np.sin(w * t + p) for w, p in tones)
-    f = TRUTH["m"] * a + TRUTH["c"] * v + TRUTH["k"] * x
-    signals = {"t": t, "x": x, "v": v, "a": a, "f": f}
-    if noise:
-        for name in ("x", "v", "a", "f"):
-            signals[name] = signals[name] + noise * np.std(signals[name]) * rng.normal(size=samples)
-    return signals
+def motion(samples: int = 1500, seed: int = 0, noise: float = 0.0) -> dict[str, np.ndarray]:
+    """Time and signals of a mass on a spring and a damper, in closed form."""
+    shape = Shape(samples, 100)
+    return {"t": shape.times} | MACHINES["linear"].signals(noise, seed, drive=seed, shape=shape)
 
 
 def write(name: str, signals: dict[str, np.ndarray]) -> str:
@@ -36,14 +25,6 @@ def write(name: str, signals: dict[str, np.ndarray]) -> str:
     return name
 
 
-AXIS = rx.Equation(
-    rx.Term("m", "x", derivative=2, measured=("v", "a"), unit="kg"),
-    rx.Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
-    rx.Term("k", "x", unit="N/m"),
-    -rx.Term(1.0, "f"),
-    name="axis",
-    unit="N",
-)
 HATS = rx.RIEC(rx.AllWindows(0.1, 0.5), rx.Hat(quadrature=6))
 QUICK = {"sweep": False, "intervals": rx.Sandwich(), "refine": None}
 
@@ -55,35 +36,6 @@ def here(tmp_path, monkeypatch):
 
 def codes(found: list[rx.Finding]) -> list[str]:
     return [finding.code for finding in found]
-
-
-@pytest.mark.slow
-def test_an_equation_is_assessed_as_its_stages_are_one_by_one():
-    recording = rx.read_recording(write("run.csv", motion(noise=1e-3)))
-    seen = []
-    found = rx.assess(
-        AXIS,
-        recording,
-        HATS,
-        hold_out=0.3,
-        intervals=rx.Sandwich(),
-        on_estimate=seen.append,
-        refine=None,
-    )
-    first, last = rx.split(recording.record, 0.3)
-    alone = rx.identify(AXIS, first, HATS, intervals=rx.Sandwich())
-    np.testing.assert_allclose(found.estimate.theta, alone.theta, rtol=1e-10)
-    np.testing.assert_allclose(found.estimate.covariance, alone.covariance, rtol=1e-7)
-    assert seen == [found.estimate]
-    assert found.model.name == "axis"
-    assert found.sweep is not None
-    system = rx.equation_system(AXIS, alone.values)
-    held = rx.validation.validate_held_out(system, last)
-    (run,) = found.validations
-    assert run.recording.name == "run.csv, last part"
-    np.testing.assert_allclose(run.held.signals["x"].fit, held.signals["x"].fit, rtol=1e-6)
-    for words in ("validated on run.csv, last part", "m ", "intervals"):
-        assert words in str(found)
 
 
 @pytest.mark.slow
@@ -120,7 +72,7 @@ def with_findings(recording, *signals):
 
 def test_findings_of_a_file_are_those_of_signals_that_are_read():
     signals = motion()
-    signals["spare"] = signals["v"]
+    signals["spare"] = signals["dx"]
     recording = with_findings(rx.read_recording(write("run.csv", signals)), "x", "spare")
     assert {f.signals for f in recording.findings} == {("x",), ("spare",)}
     checked = rx.check(AXIS, recording, HATS)
@@ -161,7 +113,7 @@ def test_a_record_shorter_than_a_window_names_the_file():
 def test_slips_are_named_with_what_to_write(arguments, settings, words):
     model, *criterion = arguments
     signals = motion(300)
-    record = rx.Record.from_samples({n: signals[n] for n in ("x", "f")}, time_step=STEP)
+    record = rx.Record.from_samples({n: signals[n] for n in ("x", "u")}, time_step=0.01)
     with pytest.raises(rx.RiecjaxError) as error:
         rx.assess(model, record, *criterion, **settings)
     assert words in str(error.value)
@@ -170,7 +122,7 @@ def test_slips_are_named_with_what_to_write(arguments, settings, words):
 @pytest.mark.slow
 def test_own_is_the_old_name_of_per_record():
     signals = motion(600)
-    records = [rx.Record.from_samples({"x": signals["x"], "f": signals["f"]}, time_step=STEP)] * 2
+    records = [rx.Record.from_samples({"x": signals["x"], "u": signals["u"]}, time_step=0.01)] * 2
     names = ("k",)
 
     def values(records, **named):
@@ -180,34 +132,8 @@ def test_own_is_the_old_name_of_per_record():
     with pytest.warns(DeprecationWarning, match=r"own= of identify\(\) is called per_record="):
         old = values(records, own=names)
     np.testing.assert_array_equal(old, new)
-    with pytest.warns(DeprecationWarning, match="per_record="):
-        jitted = jax.jit(lambda records: values(records, own=names))(records)
-    np.testing.assert_allclose(jitted, new, rtol=1e-6)
     with pytest.raises(TypeError, match="its old name own="):
         values(records, own=names, per_record=names)
-
-
-@pytest.mark.slow
-def test_recordings_of_one_name_are_compared_each_with_itself():
-    """Two files called run.csv in two folders, one of them of another machine."""
-    fitted = rx.read_recording(write("fit.csv", motion()))
-    others = []
-    for folder, seed, noise in (("x", 3, 0.3), ("y", 4, 0.0)):
-        Path(folder).mkdir()
-        others.append(rx.read_recording(write(f"{folder}/run.csv", motion(400, seed, noise))))
-    settings = {**QUICK, "refine": rx.IntegralError()}
-
-    def fits(*recordings):
-        found = rx.assess(AXIS, fitted, HATS, validate_on=list(recordings), **settings)
-        assert found.refinement is not None
-        return [
-            [held.describe() for held in (pair.before, pair.after)]
-            for pair in found.refinement.simulations
-        ]
-
-    (first,), (second,) = fits(others[0]), fits(others[1])
-    assert first != second
-    assert fits(*others) == [first, second]
 
 
 @pytest.mark.parametrize("refine", [False, "output-error", rx.OutputError, ["auto"]])

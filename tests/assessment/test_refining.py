@@ -91,24 +91,6 @@ def test_an_unstable_motion_is_refined_and_validated_over_windows():
     assert run.held.horizon == pytest.approx(0.57, abs=0.05)
 
 
-@pytest.mark.slow
-def test_two_recordings_with_a_pause_and_offsets_of_their_own():
-    terms = DRAG.build_procedure().stages[0][0].terms
-    offset = rx.Equation(*terms, rx.Term("offset", rx.constant, unit="N"), name="drag")
-    records = []
-    for seed, size in enumerate((2.0, -3.0)):
-        signals = drag_signals(seed)
-        signals["u"] = signals["u"] + size
-        gone = (np.arange(2001) >= 1200) & (np.arange(2001) < 1260)
-        signals = {n: np.where(gone & (seed == 1), np.nan, x) for n, x in signals.items()}
-        records.append(rx.Record.from_samples(signals, time_step=0.01))
-    found, refinement = refinement_of(offset, records, per_record=("offset",))
-    assert refinement.chosen, refinement.declined
-    assert float(found.answer["offset[1]"]) == pytest.approx(2.0, abs=0.1)
-    assert float(found.answer["offset[2]"]) == pytest.approx(-3.0, abs=0.1)
-    assert float(found.answer["m"]) == pytest.approx(1.5, rel=5e-3)
-
-
 def sensor(noise=0.02):
     rng = np.random.default_rng(0)
     x = np.cumsum(rng.standard_normal(800)) / 50
@@ -139,35 +121,6 @@ def test_what_would_take_long_is_told_and_not_begun(monkeypatch):
     assert "--refine output-error" in refinement.declined
 
 
-def test_the_work_grows_with_samples_and_parameters():
-    def work(count, start):
-        record = drag_record(0, count=count)
-        by = rx.OutputError()
-        known = {n: v for n, v in DRAG_TRUTH.items() if n not in start}
-        specified = by.specify(DRAG, [record], start, known, (), None)
-        return by.misfit(specified).work
-
-    truth = DRAG_TRUTH
-    assert work(1000, truth) == 2 * work(500, truth)
-    # One simulation, two initial states, and each free parameter.
-    some = {name: truth[name] for name in ("m", "k")}
-    assert work(500, truth) / work(500, some) == pytest.approx(7 / 5)
-
-
-@pytest.mark.slow
-def test_position_alone_is_answered_where_windows_cannot():
-    signals = drag_signals(1, 0.05)
-    del signals["dx"]
-    record = rx.Record.from_samples(signals, time_step=0.01)
-    record = rx.records.preparation.differentiate(record, "x", "dx")
-    found, refinement = refinement_of(DRAG, record)
-    assert refinement.chosen
-    assert refinement.refined is not None
-    assert refinement.refined.quantities == ("x",)
-    for name, true in DRAG_TRUTH.items():
-        assert float(found.answer[name]) == pytest.approx(true, rel=5 * 1.6 * DRAG_BOUND[name])
-
-
 @pytest.mark.slow
 def test_check_names_the_refinement_that_answers_where_windows_cannot():
     """Short windows of a velocity by central differences hold little but noise."""
@@ -192,15 +145,6 @@ def test_check_names_the_refinement_that_answers_where_windows_cannot():
     assert float(answer["m"]) == pytest.approx(1.5, rel=5 * bounds["m"])
     with pytest.raises(rx.IdentifiabilityError):
         rx.assess(DRAG, record, short, **QUICK, refine=None)
-
-
-@pytest.mark.slow
-def test_a_filtered_signal_is_not_judged_by_whiteness():
-    record = drag_record(0)
-    record = rx.records.preparation.low_pass(record, {"x": 20.0, "dx": 20.0})
-    _, refinement = refinement_of(DRAG, record)
-    assert refinement.refined is None
-    assert "filtered" in refinement.declined
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Verdicts on systems whose truth is known, and the rules that they are composed by."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from tests.machines import BODY, STANDARD
@@ -9,7 +7,7 @@ from tests.machines import MODE_TRUTH as TRUTH
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from riecjax.assessment.doubt import Doubt, concerned, doubts
+from riecjax.assessment.doubt import concerned
 from riecjax.reporting.verdict import verdict_entries
 
 RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
@@ -91,51 +89,6 @@ def test_what_voids_an_answer_is_its_reason_and_the_first_thing_to_do():
 
 
 @pytest.mark.slow
-def test_sensors_that_contradict_each_other_put_all_that_reads_them_in_doubt():
-    signals = motion(False)
-    position = rx.Equation(
-        rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
-        rx.Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
-        rx.Term("k", "x", unit="N/m"),
-        -rx.Term(1.0, "F"),
-    )
-    record = rx.Record(signals | {"v": 1.2 * signals["v"]}, STANDARD.step)
-    verdict = rx.assess(position, record, RIEC, refine=None).verdict
-    for name, value in OF_BODY.items():
-        one = verdict.parameters[name]
-        assert one.level == "caution"
-        assert one.doubt[0] < value < one.doubt[1]
-        assert one.reason == "x and v do not fit each other"
-    (step,) = {cause.step for cause in verdict.causes if cause.kind == "sensors"}
-    assert step is not None
-    assert step.options == ("--test-function", "bump")
-
-
-def test_a_doubt_is_the_interval_and_what_is_known_to_be_wrong():
-    doubt = Doubt(low=1.0, high=2.0, drift=0.5, left_out=0.25, sensors=0.125, finest=0.01)
-    assert doubt.around(10.0) == pytest.approx((10 - 1.885, 10 + 2.885))
-    assert doubt.size == pytest.approx(2.885)
-
-
-def test_what_is_left_moves_a_parameter_as_an_error_along_its_regressor_would(wrong):
-    # By definition: an error of the residual's size along the part of a regressor that no other
-    # explains; computed from the samples' own columns, weighed alike.
-    record = wrong.recordings[0].record
-    estimate = wrong.estimate
-    (fit,) = estimate.equations.values()
-    bare = dataclasses.replace(wrong, sweep=None)  # no cap by drift
-    found = doubts(bare)["m"].left_out
-    share = float(fit.model_rms)
-    (stage,) = estimate.stages
-    own = float(wrong.checked.excitations[0].own_share[0])
-    target = np.std(np.asarray(record["F"]))
-    assert found == pytest.approx(share / (1 - share) / (float(stage.relative_size[0]) * own))
-    # An error of this size in m would need a force of the size of the residual.
-    acceleration = np.gradient(np.asarray(record["v"]), STANDARD.step)
-    assert found * np.std(acceleration) > share * target
-
-
-@pytest.mark.slow
 def test_parameters_of_each_recording_are_judged_one_by_one():
     whole = rx.Record(motion(False), STANDARD.step)
     model = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant, unit="N"), name="body")
@@ -148,57 +101,3 @@ def test_parameters_of_each_recording_are_judged_one_by_one():
         found.answer.parameters
     )
     assert concerned(found, rx.Finding("clipped", "", signals=("G",))) == set()
-
-
-def test_an_offset_of_the_force_is_named_with_the_option_that_finds_it():
-    """Of a force of zero mean, 0.4 of its standard deviation as an offset."""
-    signals = motion(False)
-    signals["F"] = signals["F"] + 0.4 * np.std(signals["F"])
-    verdict = assessed(signals).verdict
-    assert verdict.sentence.endswith(": errors share a constant part, as of a sensor's offset.")
-    steps = [cause.step for cause in verdict.causes if cause.step is not None]
-    assert {step.options for step in steps} == {("--unknown-offset", "F")}
-    # Where the model has a constant term, an offset is none of its errors.
-    model = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant, unit="N"), name="body")
-    verdict = rx.assess(model, rx.Record(signals, STANDARD.step), RIEC, refine=None).verdict
-    assert {one.level for one in verdict.parameters.values()} == {"good"}
-
-
-@pytest.mark.slow
-def test_recordings_that_disagree_are_the_reason_and_all_that_differs_is_named():
-    whole = rx.Record(motion(False), STANDARD.step)
-    one, other = whole.part(0, 3000), whole.part(3000, 6000)
-    scaled = {name: np.asarray(other[name]) for name in ("x", "v", "F")}
-    scaled["F"] = 1.2 * scaled["F"]
-    verdict = rx.assess(BODY, [one, rx.Record(scaled, STANDARD.step)], RIEC, refine=None).verdict
-    disagree = [f for c in verdict.causes for f in c.findings if f.code == "records_disagree"]
-    names = [name for finding in disagree for name in finding.parameters]
-    assert len(names) > 1
-    assert {verdict.parameters[name].reason for name in names} == {"the recordings disagree"}
-    steps = [cause.step for cause in verdict.causes if cause.step is not None]
-    (step,) = (one for one in steps if "--per-record" in one.options)
-    assert list(step.options[1::2]) == names
-    assert step.words == f"Let {', '.join(names[:-1])} and {names[-1]} differ between recordings"
-
-
-@pytest.mark.slow
-def test_what_is_good_is_not_to_be_recorded_for_longer(right):
-    few = rx.Finding("few_blocks", "", parameters=("m", "c", "k"))
-    verdict = dataclasses.replace(right, failures=[few]).verdict
-    assert [cause.kind for cause in verdict.causes] == ["data"]
-    assert verdict.causes[0].step is None
-    short = assessed(motion(False, 250), 0.3, sweep=False)
-    verdict = dataclasses.replace(short, failures=[few]).verdict
-    assert any(one.level != "good" for one in verdict.parameters.values())
-    words = [cause.step.words for cause in verdict.causes if cause.step is not None]
-    assert "Record for longer, or excite the machine all along" in words
-
-
-def test_smooth_windows_are_not_suggested_where_they_are_used(right):
-    apart = rx.Finding("not_its_derivative", "", signals=("x", "v"))
-    noisy = dataclasses.replace(right, failures=[apart])
-    for criterion, offered in ((RIEC, True), (rx.RIEC(RIEC.windows, rx.Bump()), False)):
-        estimate = dataclasses.replace(right.estimate, criterion=criterion)
-        of = dataclasses.replace(noisy, estimate=estimate)
-        steps = [cause.step for cause in of.verdict.causes if cause.step is not None]
-        assert any(step.options == ("--test-function", "bump") for step in steps) is offered

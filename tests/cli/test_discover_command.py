@@ -6,24 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import call, write_csv
+from tests.approved.inputs import TEXTS
 from tests.machines import PROBLEMS
 
 DUFFING = PROBLEMS["duffing"]
-MODEL = """
-import riecjax as rx
-
-RIG = rx.Model(
-    "rig",
-    "a mass that is pushed",
-    procedure=lambda: rx.Equation(
-        rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),
-        -rx.Term(1.0, "u"),
-        name="rig",
-        unit="N",
-    ),
-    derived={"dx": "x"},
-)
-"""
 
 
 def test_missing_terms_are_told_and_the_model_file_runs(capsys, tmp_path, monkeypatch):
@@ -31,7 +17,7 @@ def test_missing_terms_are_told_and_the_model_file_runs(capsys, tmp_path, monkey
     record = DUFFING.record(0.01, 0)
     signals = {name: np.asarray(values) for name, values in record.arrays.items()}
     write_csv(Path("rig.csv"), {"t": np.arange(record.sample_count) * 0.01, **signals})
-    Path("rig.py").write_text(MODEL)
+    Path("rig.py").write_text(TEXTS["rig.py"])
     status, printed, said = call(
         capsys, "discover", "rig.csv", "--model", "rig.py:RIG", "--out", "out"
     )

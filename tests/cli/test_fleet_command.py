@@ -1,39 +1,19 @@
 """`riecjax fleet`: tables for machines, sums that are estimated anew, and a strict end."""
 
-import json
-import shutil
 from pathlib import Path
 
 import pytest
 from command_line import call
-from pyarrow import parquet
-from tests.machines import drag_fleet
-
-from riecjax.records.writing import write_record
+from tests.approved.inputs import INPUTS
 
 MODEL = ("--model", "drag-oscillator", "--workers", "0")
 
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory) -> Path:
-    place = tmp_path_factory.mktemp("drives")
-    for vehicle in range(2):
-        own = place / f"vehicle={vehicle}"
-        own.mkdir()
-        for i, record in enumerate(drag_fleet(2, 1500, 20 + vehicle)):
-            write_record(own / f"{i}.parquet", record)
-    (place / "vehicle=0/broken.csv").write_text("t,x\n")
-    return place
-
-
-def test_tables_and_a_recording_that_is_left_out(capsys, drives, tmp_path):
-    out = tmp_path / "out"
-    status, _, said = call(capsys, "fleet", drives, *MODEL, "--by", "vehicle", "--out", out)
-    assert status == 0, said
-    assert json.loads((out / "results.json").read_text())["recordings"]["left_out"] == 1
-    assert parquet.read_table(out / "estimates.parquet").num_rows == 2 * 4 + 1
-    assert parquet.read_table(out / "summaries.parquet").num_rows == 5
-    assert "riecjax: summing: 5 of 5" in said
+    place = tmp_path_factory.mktemp("fleet")
+    INPUTS["drives"](place)
+    return place / "drives"
 
 
 @pytest.mark.parametrize(
@@ -55,15 +35,3 @@ def test_mistakes_are_one_line(capsys, drives, tmp_path, given, status, why):
     assert len(told) == 1
     assert why in told[0]
     assert not (tmp_path / "o/results.json").exists()
-
-
-def test_sums_are_estimated_anew(capsys, drives, tmp_path):
-    copied = shutil.copytree(drives / "vehicle=1", tmp_path / "drives")
-    assert call(capsys, "fleet", copied, *MODEL, "--out", tmp_path / "first").status == 0
-    shutil.rmtree(copied)
-    table = tmp_path / "first/summaries.parquet"
-    status, printed, said = call(capsys, "fleet", table, *MODEL, "--out", tmp_path / "second")
-    assert status == 0, said
-    first, second = (tmp_path / name / "estimates.parquet" for name in ("first", "second"))
-    assert first.read_bytes() == second.read_bytes()
-    assert printed.startswith("2 groups: ")

@@ -1,8 +1,6 @@
 """Job files: options in TOML or in results.json do what they do when typed."""
 
 import json
-import os
-import re
 import tomllib
 from pathlib import Path
 
@@ -120,8 +118,6 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
     [
         ("tset-function = 'hat'", ("'tset-function'", "'test-function'")),
         ("alpha = true", ("'alpha'", "number")),
-        ("alpha = 'long'", ("--alpha", "long")),
-        ("band = 3", ("'band'", "list of 2")),
         ("sweep = 'no'", ("'sweep'", "true or false")),
         ("records = 3", ("'records'", "names")),
         ('records = ["a\\u0000.csv"]', ("'records'", "as can be typed")),
@@ -139,26 +135,11 @@ def test_a_wrong_job_is_wrong_usage(capsys, tmp_path, monkeypatch, text, words):
     assert all(word in said for word in words)
 
 
-def test_a_table_or_a_list_where_both_may_stand(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    job = rerun(
-        'records = "-b.csv"\nmodel = "emps"\ncolumns = ["t", "x y"]\nset = ["k=2"]\n'
-        'bound = {k = "0:9"}\nadd-mode = {x4 = 10}',
-        tmp_path,
-    )
-    assert job.params["columns"] == ("t", "x y")
-    assert job.params["known"] == {"k": 2.0}
-    assert job.params["files"] == (Path("-b.csv"),)
-    assert job.params["modes"] == (("x4", 10.0),)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
         (b'# Pr\xfcfstand\nmodel = "emps"', ("byte 4", "save the file as UTF-8")),
         (b'{"job": {}, "provenance": {"files": [{"x": 1}]}}', ("no results.json",)),
-        (b'{"job": {}, "provenance": {"files": "abc"}}', ("no results.json",)),
-        (b'{"job": {}, "provenance": "x"}', ("no results.json",)),
         (b'{"job": [], "provenance": {}}', ("no results.json",)),
         pytest.param(b'{"job":' + 100_000 * b"[", ("no results.json",), id="deep"),
         (b'{"job": {"records": ["\\ud800.csv"]}, "provenance": {}}', ("as can be typed",)),
@@ -170,13 +151,6 @@ def test_a_damaged_job(capsys, tmp_path, monkeypatch, content, words):
     Path("job.json" if content.startswith(b"{") else "job.toml").write_bytes(content)
     said = rejected(capsys, 2, "identify", "--job", next(tmp_path.iterdir()))
     assert all(word in said for word in words)
-
-
-def test_a_job_that_is_no_plain_file_is_not_read(capsys, tmp_path, monkeypatch):
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    os.mkfifo(tmp_path / "pipe")
-    assert "it is no plain file" in rejected(capsys, 2, "identify", "--job", "../pipe")
 
 
 @pytest.fixture
@@ -191,18 +165,6 @@ def without_command(document: dict) -> dict:
     for step in document["verdict"]["next"]:
         step.pop("command")
     return document
-
-
-@pytest.mark.slow
-@pytest.mark.portable
-def test_a_proposed_job_does_what_the_plain_command_does(capsys, machine):
-    arguments = ("run.csv", "--model", "machine.py:axis", *PLAIN)
-    plain = call(capsys, "identify", *arguments, "--json").document
-    job = call(capsys, "init", *arguments)
-    assert job.status == 0, job.err
-    Path("job.toml").write_text(job.out, encoding="utf-8")
-    ran = call(capsys, "identify", "--job", "job.toml", "--json").document
-    assert without_command(ran) == without_command(plain)
 
 
 @pytest.mark.raises_finding("file_changed")
@@ -245,25 +207,6 @@ def test_init_guesses_and_says_so(capsys, machine):
     assert job["map"] == {"q": "Q [m]", "force": "Load [N]"}
     assert "a guess, by its unit" in made.out
     assert "there is no time column" in made.out
-
-
-def test_init_reads_with_what_is_given_and_says_which_units_are_taken(capsys, machine):
-    t, q, force, *_ = motion(count=300).values()
-    write_csv(Path("odd.csv"), {"stamp": t, "time": 0 * t, "position": q, "Load": force})
-    made = call(capsys, "init", "odd.csv", "--model", "emps", "--map", "t=stamp")
-    assert "as it stands" not in made.out
-    assert '# "position" states no unit and is read in m; ' in made.out
-    # A time is no signal.
-    assert '# map.force = "COLUMN"  # force in N, one of: "Load"' in made.out
-
-
-def test_examples_of_a_form_are_toml(capsys, machine):
-    made = call(capsys, "init", "run.csv", "--model", "emps").out
-    lines = [line[2:] for line in made.splitlines() if re.match("# [a-z-]+ = ", line)]
-    words = [line for line in lines if '"' in line]
-    assert len(words) > 10
-    for line in words:
-        tomllib.loads(line)
 
 
 def test_the_files_of_a_bag_in_a_folder_are_input_files(tmp_path, monkeypatch):

@@ -61,22 +61,6 @@ def test_what_does_not_fit_is_refused_before_it_starts(capsys, drive, monkeypatc
     assert result.err == f"riecjax: {error['message']}\n"
 
 
-def test_random_windows_are_counted_and_checking_is_named(monkeypatch):
-    """Of 4 parameters and a target, 80 bytes for each window are kept at the very least."""
-    import riecjax as rx
-    from riecjax.assessment.asked import require_memory_to_assess
-
-    monkeypatch.setattr(memory, "free_memory", lambda: 8e8)
-    columns = quarter_car_columns()
-    del columns["t"]
-    record = rx.Record(columns, 0.005)
-    model = rx.find_model("duffing").build_procedure()
-    few, many = (rx.RIEC(rx.RandomWindows(0.05, 0.5, n)) for n in (1000, 10_000_000))
-    require_memory_to_assess(model, [record], few)
-    with pytest.raises(MemoryError, match="checking the model on 400 samples"):
-        require_memory_to_assess(model, [record], many, checking=True)
-
-
 def test_what_xla_cannot_allocate_is_one_line(capsys, drive, monkeypatch):
     from riecjax.assessment import assess
 

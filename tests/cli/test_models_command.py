@@ -77,25 +77,6 @@ def test_listing_and_help_import_no_jax(arguments):
     assert done.stderr == ""
 
 
-CONTRACT = {command: ("--json",) for command in COMMANDS} | {
-    "reproduce": ("--seed", "--roads", "--full", "--quick", "--out", "--json"),
-    "identify": (
-        *("--model", "--criterion", "--alpha", "--beta", "--windows", "--test-function"),
-        *("--refine", "--seed", "--set", "--map", "--scale", "--out", "--json", "RECORD..."),
-    ),
-    "simulate": ("MODEL", "--input", "--set", "--duration", "--rate", "--seed", "--out", "--json"),
-}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_names_every_option_of_the_contract(capsys, command):
-    result = call(capsys, command, "--help")
-    assert result.status == 0
-    assert result.err == ""
-    assert result.out.startswith(f"Usage: riecjax {command}")
-    assert all(name in result.out for name in CONTRACT[command])
-
-
 @pytest.mark.parametrize("arguments", [(), ("-h",), ("--help",)])
 def test_help_names_every_command(capsys, arguments):
     result = call(capsys, *arguments)
@@ -103,9 +84,3 @@ def test_help_names_every_command(capsys, arguments):
     told = result.out or result.err
     assert told.startswith("Usage: riecjax")
     assert all(command in told for command in COMMANDS)
-
-
-def test_version(capsys):
-    from importlib.metadata import version
-
-    assert call(capsys, "--version").out == f"riecjax, version {version('riecjax')}\n"

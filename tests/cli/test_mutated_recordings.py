@@ -1,9 +1,6 @@
 """Damaged recordings through the whole command: a right answer, a warning, or one line."""
 
-import itertools
 import json
-import os
-import signal
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,9 +12,8 @@ from nightly import nightly, nightly_among
 
 sys.path.append(str(Path(__file__).parents[2]))  # for whoever runs `pytest` and not `python -m`
 
-from benchmarks.robustness.__main__ import Fuzzed, Outcome, fuzzed, judged, outcome
-from benchmarks.robustness.mutations import NAMES, TRUTH, WRITERS, Case, mutated, rigs
-from benchmarks.robustness.watched import Watched
+from benchmarks.robustness.__main__ import Fuzzed, fuzzed, judged, outcome
+from benchmarks.robustness.mutations import NAMES, TRUTH, WRITERS, mutated, rigs
 
 RIGS = rigs()
 LINEAR = ("--refine", "none")
@@ -77,30 +73,14 @@ def test_the_verdicts():
     good, bad = document(TRUTH), document({**TRUTH, "k": 22.0})
     assert judged(0, good, "")[0] == "right"
     assert judged(0, bad, "") == ("WRONG", "k = 22 +- 0.01, not 20")
-    assert judged(0, document({**TRUTH, "k": 22.0}, error=0.5), "")[0] == "right"
     assert judged(0, document({**TRUTH, "k": 22.0}, "clipped"), "")[0] == "warned"
     assert judged(0, good, "Traceback")[0] == "WRONG"
     refusal = json.dumps({"schema": 2, "error": {"code": "data", "message": "a.csv: no."}})
     assert judged(1, refusal, "riecjax: a.csv: no.\n")[0] == "refused"
-    assert judged(1, refusal, "riecjax: a.csv: no.\nmore\n")[0] == "WRONG"
-    assert judged(1, refusal, "riecjax: b.csv: no.\n")[0] == "WRONG"
-    assert judged(1, "", "riecjax: a.csv: no.\n")[0] == "WRONG"
-    assert judged(2, "", "riecjax: no.\n")[0] == "refused"
-    assert judged(2, refusal, "riecjax: a.csv: no.\n")[0] == "WRONG"
-    assert judged(1, good, "riecjax: a.csv: no.\n")[0] == "WRONG"
-    assert judged(3, "", "riecjax: a.csv: no.\n")[0] == "WRONG"
+    for status, said in ((1, "a.csv: no.\nmore"), (1, "b.csv: no."), (2, "a.csv: no.")):
+        assert judged(status, refusal, f"riecjax: {said}\n")[0] == "WRONG"
     with pytest.raises(ValueError, match="NaN"):
         judged(0, document({**TRUTH, "k": float("nan")}), "")
-
-
-def test_what_crashes_is_not_taken_for_an_answer(monkeypatch):
-    def crash(arguments: list[str]) -> int:
-        raise KeyError("x")
-
-    monkeypatch.setattr("benchmarks.robustness.__main__.run", crash)
-    found = outcome(Case("none", "a.csv", b"", ()))
-    assert found.verdict == "WRONG"
-    assert "KeyError" in found.why
 
 
 def wrong(cases: Iterable[Fuzzed]) -> list[str]:
@@ -119,28 +99,3 @@ def test_every_format_is_read_or_refused_in_one_line(numbers):
 @pytest.mark.slow
 def test_every_format_is_identified_from_or_refused():
     assert wrong(fuzzed("identify", range(1000), 20261125)) == []
-
-
-def hostile(what: str) -> tuple[Case, Outcome]:
-    """What a library of C may do, in a watched process."""
-    match what:
-        case "loop":
-            any(itertools.repeat(0))
-        case "crash":
-            os.kill(os.getpid(), signal.SIGSEGV)
-        case "print":
-            os.write(2, b"RuntimeWarning: overflow")
-        case "memory":
-            np.ones(2 * 10**8, np.int8).sum()
-    return Case(what, "a.csv", b"", ()), Outcome("right", "", 0.0)
-
-
-@pytest.mark.slow
-def test_a_case_that_hangs_crashes_prints_or_takes_memory_is_found():
-    with Watched(hostile, patience=3.0) as watched:
-        assert "stuck for 3 s" in watched("loop").ended
-        assert "ended with -11" in watched("crash").ended
-        assert watched("print").printed == "RuntimeWarning: overflow"
-        taken = watched("memory").memory
-        assert watched("nothing")[1:3] == ("", "")
-        assert taken > watched("nothing").memory + 1.5e8

@@ -1,10 +1,8 @@
 """`riecjax identify --refine`: refined parameters, and predictions before and after."""
 
-from pathlib import Path
-
 import pytest
 from command_line import call, write_csv
-from tests.machines import DRAG, DRAG_TRUTH
+from tests.machines import DRAG
 
 IDENTIFY = ("--model", "drag-oscillator", "--no-sweep", "--intervals", "sandwich")
 
@@ -15,46 +13,6 @@ def recording(tmp_path_factory):
     signals = DRAG.signals(0.05, 2)
     path = tmp_path_factory.mktemp("refine") / "run.csv"
     return write_csv(path, {"t": DRAG.shape.times, **signals})
-
-
-@pytest.mark.slow
-def test_output_error_and_what_it_did_to_predictions(recording, capsys, tmp_path):
-    out = tmp_path / "result"
-    run = call(
-        capsys, "identify", str(recording), *IDENTIFY, "--refine", "output-error", "--hold-out",
-        "0.3", "--bound", "m=0:", "--json", "--out", str(out),
-    )  # fmt: skip
-    document = run.document
-    assert document["refinement"]["converged"] is True
-    for name, true in DRAG_TRUTH.items():
-        entry = document["parameters"][name]
-        low, high = entry["interval95"]
-        assert low - (high - low) < true < high + (high - low)
-        before = document["refinement"]["identified"][name]
-        assert entry["std_error"] < before["std_error"]
-    left = document["refinement"]["left"]
-    assert set(left) == {"x", "dx"}
-    assert all(entry["after"] <= entry["before"] for entry in left.values())
-    basis = "the whole record, initial states estimated for each, FixedStep(1)"
-    assert document["refinement"]["basis"] == basis
-    (simulated,) = document["refinement"]["simulations"]
-    assert simulated["fitted"] is False
-    assert simulated["after"]["signals"]["x"]["fit_percent"] > 90
-    assert document["validation"][0]["predicts"] is True
-    assert Path(out / "report.html").exists()
-
-
-def test_by_default_the_answer_is_refined_where_white_noise_is_left(recording, capsys):
-    document = call(capsys, "identify", str(recording), *IDENTIFY, "--json").document
-    refinement = document["refinement"]
-    assert refinement["chosen"] is True
-    assert refinement["whiteness"]["largest"] < refinement["whiteness"]["threshold"]
-    assert refinement["chi_squared"] == pytest.approx(1.0, abs=0.2)
-    assert document["parameters"] == refinement["refined"]
-    for name, true in DRAG_TRUTH.items():
-        entry = document["parameters"][name]
-        low, high = entry["interval95"]
-        assert low - (high - low) < true < high + (high - low)
 
 
 def test_a_horizon_needs_something_to_simulate(recording, capsys):

@@ -53,16 +53,3 @@ def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows
     for name, entry in printed["parameters"].items():
         assert f"{name} " in str(found)
         assert float(found.estimate[name]) == entry["value"]
-
-
-def test_the_old_name_of_per_record_is_told(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("machine.py").write_text(MODEL)
-    for i in (0, 1):
-        write_csv(Path(f"{i}.csv"), motion(offset=i, phase=i, count=1500))
-    check = ("check", "0.csv", "1.csv", "--model", "machine.py:axis", "--test-function", "hat")
-    old = call(capsys, *check, "--own", "offset", "--json")
-    new = call(capsys, *check, "--per-record", "offset", "--json")
-    assert list(new.document["excitation"]) == ["M", "c", "k", "offset[1]", "offset[2]"]
-    assert old.document == new.document
-    assert old.err == f"riecjax: --own is called --per-record now.\n{new.err}"

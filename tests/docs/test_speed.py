@@ -15,7 +15,6 @@ NAMES = [
     "bootstrap",
     "refine",
     "weak-peer",
-    "study",
 ]
 
 

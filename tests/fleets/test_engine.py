@@ -112,12 +112,3 @@ def test_processes_that_are_killed_while_they_start_are_started_again(failures, 
     else:
         with Cluster(1) as runs:
             assert list(runs.each(square, [(3,)])) == [((3,), 9)]
-
-
-def test_processes_that_end_and_do_not_come_back_end_the_run(monkeypatch):
-    monkeypatch.setattr(module, "WAITS", 1.0)
-    with Cluster(1) as runs:
-        assert runs._here is not None
-        runs._here.sync(runs._here.workers[0].close)
-        with pytest.raises(DataError, match=r"Dask's processes are gone\. What was summed is kept"):
-            list(runs.each(square, [(2,)]))

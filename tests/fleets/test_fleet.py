@@ -10,22 +10,17 @@ import pytest
 import scipy.io
 from pyarrow import parquet
 from tests.machines import DRAG_TRUTH as TRUTH
-from tests.machines import STANDARD
 from tests.machines import drag_fleet as drives
 
-from riecjax.criteria.criterion import DOLS, RIEC
-from riecjax.criteria.windows import AllWindows
+from riecjax.criteria.criterion import DOLS
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
-from riecjax.fleets import fleet as module
 from riecjax.fleets import groups, kept, order, sources
 from riecjax.fleets.fleet import Fleet, fleet
 from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
 from riecjax.reporting.fleet import sentence
-from riecjax.summaries.summarise import summarise
-from riecjax.summaries.summary import in_blocks
 
 MODEL = find_model("drag-oscillator")
 SAMPLES = 1500
@@ -69,18 +64,6 @@ def test_a_group_of_one_file_is_estimated_as_identify_does(folder):
             assert value == pytest.approx(float(alone[n]), rel=1e-9)
             errors = dict(zip(alone.parameters, np.asarray(alone.standard_errors)))
             assert error == pytest.approx(float(errors[n]), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_a_group_of_some_is_estimated_as_identify_of_all(folder, by_vehicle):
-    found, _ = by_vehicle
-    every = [read_recording(f, model=MODEL) for f in sorted((folder / "vehicle=0").glob("*"))]
-    # Recordings draw their blocks in the order of their digests.
-    together = identify(MODEL, every, found.criterion)
-    for name, (value, error) in values(found, "vehicle=0").items():
-        assert value == pytest.approx(float(together[name]), rel=1e-9)
-        assert error > 0
-        assert abs(value - TRUTH[name]) < 0.05 * TRUTH[name]
 
 
 def test_what_fails_is_a_row_with_its_reason(by_vehicle):
@@ -155,22 +138,6 @@ def test_a_later_run_sums_only_what_is_new_or_has_changed(folder, tmp_path):
     assert done[0] == 2
     assert values(changed, "0.parquet") == values(first, "0.parquet")
     assert values(changed, "1.parquet") != values(first, "1.parquet")
-
-
-def test_a_file_that_changes_while_others_are_summed_is_summed_again(folder, tmp_path):
-    drives_of = tmp_path / "drives"
-    shutil.copytree(folder / "vehicle=0", drives_of)
-    later = [False]
-
-    def touched(what: str, done: int, total: int, samples: int) -> None:
-        if what == "summing" and done == total and not later[0]:
-            later[0] = True
-            shutil.copy(folder / "vehicle=1/1.parquet", drives_of / "1.parquet")
-
-    found = fleet(MODEL, drives_of, workers=0, progress=touched)
-    alone = fleet(MODEL, drives_of, workers=0)
-    assert found.entries == alone.entries
-    assert not found.changed
 
 
 def test_what_goes_on_changing_is_told(folder, tmp_path):
@@ -258,41 +225,10 @@ def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_p
         assert values(parts, "week.parquet")[name][0] == pytest.approx(value, rel=1e-9)
 
 
-@pytest.mark.slow
-def test_courses_over_time_show_when_a_damper_wore(tmp_path):
-    before, after = drives(1, 6000, 1)[0], drives(1, 6000, 2, r=0.4, r2=0.25)[0]
-    for name, record in (("new.parquet", before), ("worn.parquet", after)):
-        write_record(tmp_path / name, record)
-    found = fleet(MODEL, tmp_path, workers=0, span=6.0)
-    spans = [e for e in found.over_time if e.group == "new.parquet" and e.parameter == "r"]
-    assert [round(e.start) for e in spans] == sorted(round(e.start) for e in spans)
-    assert spans[0].start == 0
-    assert spans[-1].end == pytest.approx(6000 * STANDARD.step)
-    assert 4 <= len(spans) <= 6
-    for one, following in itertools.pairwise(spans):
-        assert one.end == pytest.approx(following.start)
-    assert np.mean([e.value for e in spans if e.value]) == pytest.approx(TRUTH["r"], rel=0.1)
-
-
 @pytest.mark.parametrize("given", [{"criterion": DOLS()}, {"noise": "none"}], ids=str)
 def test_sums_that_say_nothing_of_noise_are_estimated(folder, given):
     found = fleet(MODEL, folder / "vehicle=0/0.parquet", workers=0, **given)
     assert values(found, "0.parquet")["k"][0] == pytest.approx(TRUTH["k"], rel=0.2)
-
-
-@pytest.mark.parametrize("count", [2, 3, 5, 10, 11, 90])
-@pytest.mark.parametrize("each", [2, 3, 4, 60])
-def test_spans_cover_a_recording_once(folder, count, each):
-    given = drives(1, SAMPLES, 1)
-    (one,) = summarise(MODEL, given, RIEC(AllWindows(0.05, 0.5))).recordings
-    one = in_blocks(one, count)
-    seconds = float(one.block_seconds)
-    spans = list(groups._spans(one, each * seconds))
-    assert spans[0][0] == 0
-    assert spans[-1][1] == pytest.approx(SAMPLES * STANDARD.step)
-    assert all(a[1] == pytest.approx(b[0]) for a, b in itertools.pairwise(spans))
-    held = sum(int(some.blocks) for _, _, some in spans)
-    assert held == int(one.blocks)
 
 
 def several(folder: Path, runs: list[tuple[int, str, int]]) -> pa.Table:
@@ -313,18 +249,6 @@ def test_one_bad_recording_of_a_file_leaves_the_others(folder, tmp_path):
     assert values(found, "vehicle=c")
     (failed,) = found.failures
     assert failed.part == f"vehicle=b, from row {SAMPLES} on"
-
-
-def test_courses_of_recordings_in_one_file_stay_apart(folder, tmp_path):
-    runs = [(0, "a", SAMPLES), (1, "b", SAMPLES), (2, "a", SAMPLES)]
-    parquet.write_table(several(folder, runs), tmp_path / "all.parquet")
-    found = fleet(MODEL, tmp_path, by="vehicle", workers=0, span=4.0)
-    courses = {e.group for e in found.over_time}
-    assert courses == {
-        "vehicle=a: all.parquet, vehicle=a",
-        f"vehicle=a: all.parquet, vehicle=a, from row {2 * SAMPLES} on",
-        "vehicle=b",
-    }
 
 
 def test_what_a_run_writes_is_no_recording_of_the_next(folder, tmp_path):
@@ -354,25 +278,6 @@ def test_a_group_without_an_answer_is_counted_and_all_of_them_are_an_error(folde
         fleet(MODEL, folder, by="vehicle", workers=0)
 
 
-def test_kept_rows_are_streamed_and_a_damaged_end_of_a_file_is_noticed(by_vehicle, monkeypatch):
-    _, out = by_vehicle
-    file, read, real = out / "summaries.parquet", [], kept.read_rows
-    rows = list(real(file))
-    again = kept.Kept(out, kept.metadata_of(file)[kept.ORDER].decode(), {})
-
-    def counted(*given):
-        for row in real(*given):
-            read.append(row.piece)
-            yield row
-
-    monkeypatch.setattr(kept, "read_rows", counted)
-    pieces = list(dict.fromkeys(row.piece for row in rows if row.status == "ok"))
-    stream = again.whole(pieces)
-    assert next(stream) == rows[0]
-    assert len(read) <= 2
-    assert [rows[0], *stream] == [row for row in rows if row.status == "ok"]
-
-
 def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_path):
     _, out = by_vehicle
     content = (out / "summaries.parquet").read_bytes()
@@ -388,13 +293,6 @@ def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_p
         except (DataError, ModelError):
             continue
         assert [row.sums for row in found] == [row.sums for row in rows]
-
-
-def test_a_message_holds_some_groups_of_one_kind_or_a_large_one():
-    small, large = groups.Group("a", (), bytes(10)), groups.Group("b", (), bytes(3 * 2**20))
-    course = groups.Group("c", (), bytes(10), in_spans=True)
-    found = [*module._batches(iter([*[small] * 9, course, large, large, small]))]
-    assert [len(some) for some in found] == [8, 1, 1, 1, 2]
 
 
 def test_an_interval_of_many_recordings_holds_what_differs_between_them(tmp_path):
@@ -420,28 +318,6 @@ def test_sums_are_not_read_in_another_way_and_no_other_run_replaces_them(by_vehi
     with pytest.raises(DataError, match=r"holds sums by another model.*delete its summaries"):
         fleet(MODEL, folder, by="vehicle", workers=0, out=out, stop=2.0)
     assert (out / "summaries.parquet").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("given", "why"),
-    [
-        ({"by": 5}, "by is an int"),
-        ({"by": ["vehicle", 3]}, "a name of by is an int"),
-        ({"by": ""}, "by names what groups are"),
-        ({"workers": 1.5}, "got 1.5"),
-        ({"workers": -1}, "got -1"),
-        ({"span": "x"}, "got 'x'"),
-        ({"span": 0.0}, "got 0.0"),
-        ({"span": np.inf}, "got inf"),
-        ({"patterns": 3}, "patterns is an int"),
-        ({"patterns": [3]}, "a pattern is an int"),
-        ({"parts": "a"}, "parts is the text"),
-    ],
-)
-def test_what_is_of_a_wrong_type_is_said_at_once(given, why, tmp_path):
-    with pytest.raises(ModelError, match=why):
-        fleet(MODEL, **({"patterns": "absent/*.csv", "out": tmp_path / "out"} | given))
-    assert not (tmp_path / "out").exists()
 
 
 def test_what_makes_no_answer_possible_is_said_before_anything_is_summed(folder, tmp_path):

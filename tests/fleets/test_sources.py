@@ -69,14 +69,6 @@ def test_what_nothing_matches_is_refused(folder):
             find_sources([pattern])
 
 
-def test_a_file_that_changes_has_another_state(folder):
-    (before,) = find_sources([folder / "drive.csv"])
-    assert find_sources([folder / "drive.csv"]) == [before]
-    (folder / "drive.csv").write_text("t,x\n0,1\n1,2\n")
-    (after,) = find_sources([folder / "drive.csv"])
-    assert after.state != before.state
-
-
 def test_a_store_is_looked_at_and_a_file_of_it_brought_here():
     store = fsspec.filesystem("memory")
     store.pipe({"/bench/vehicle=7/a.csv": b"t,x\n0,1\n", "/bench/vehicle=8/b.csv": b"t,x\n0,2\n"})
@@ -145,18 +137,6 @@ def test_a_stretch_takes_along_only_the_files_that_it_reads(tmp_path):
         with rows_at_hand(piece, low, high, {}) as file:
             found = parquet.read_table(file)["x"].to_numpy()
         np.testing.assert_array_equal(found, values[low:high])
-
-
-def test_a_name_does_not_change_with_the_files_beside(tmp_path):
-    write(tmp_path / "a/0.parquet")
-    pattern = f"{tmp_path}/**/*.parquet"
-    (alone,) = find_sources([pattern])
-    assert alone.name == "a/0.parquet"
-    write(tmp_path / "b/1.parquet")
-    assert find_sources([pattern])[0] == alone
-    assert named(find_sources([tmp_path / "a"])) == ["0.parquet"]
-    write(tmp_path / "week.parquet/0.parquet")
-    assert named(find_sources([tmp_path / "week.parquet"])) == ["week.parquet"]
 
 
 def test_a_data_set_without_rows_is_said(tmp_path):

@@ -53,7 +53,11 @@ def test_what_cells_show_is_stored(path: Path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_stored_outputs_are_small_and_say_nothing_of_the_machine(path: Path):
+def test_what_is_stored_is_small_and_says_nothing_of_the_machine_or_the_run(path: Path):
+    for cell in code_cells(path):
+        assert cell.execution_count is None
+        assert cell.metadata == {}
+        assert all(output.get("execution_count") is None for output in cell.outputs)
     assert path.stat().st_size <= LARGEST_NOTEBOOK
     for output in shown(path):
         assert output.output_type != "error"
@@ -63,14 +67,6 @@ def test_stored_outputs_are_small_and_say_nothing_of_the_machine(path: Path):
         assert len(base64.b64decode(picture)) <= LARGEST_PICTURE
         words = {kind: data for kind, data in output.get("data", {}).items() if "image" not in kind}
         assert not LOCAL.search(said(output) + json.dumps(words))
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_running_a_notebook_again_changes_what_it_shows_alone(path: Path):
-    for cell in code_cells(path):
-        assert cell.execution_count is None
-        assert cell.metadata == {}
-        assert all(output.get("execution_count") is None for output in cell.outputs)
 
 
 # The words around a cell name these numbers, as they read in the output.

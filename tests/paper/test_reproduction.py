@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -91,17 +90,6 @@ def test_variants_equal_identify_with_its_equation_and_known_masses(criterion, v
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-8, err_msg=name)
     if known:
         assert (float(found["M_us"]), float(found["M_s"])) == (30.0, 300.0)
-
-
-@pytest.mark.slow
-def test_vmapped_roads_equal_one_by_one(alone):
-    together = eqx.filter_jit(jax.vmap(road_result))(KEYS)
-    assert bool(jnp.all(together.successful))
-    one_by_one = jax.tree.map(lambda *leaves: jnp.stack(leaves), *alone)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-8), together, one_by_one)
-    assert float(together.parameters["RIEC"]["W_id"]["M_s"][0]) != float(
-        together.parameters["RIEC"]["W_id"]["M_s"][1]
-    )
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.errors import DataError
 from riecjax.models.quarter_car.reconstruction import reconstructed
 from riecjax.paper import variations as variation_study
 from riecjax.paper.reproduction import PARAMETERS
@@ -44,17 +43,6 @@ def run(folder: Path | None = None, plan: Variations = PLAN, key=KEY, stop: int 
             raise KeyboardInterrupt
 
     return run_variations(plan, key, reconstructed(), folder=folder, progress=progress)
-
-
-def test_a_row_for_each_case_road_bandwidth_and_model():
-    table = run().to_pandas()
-    assert len(table) == 2 * 6 * 3 * 3
-    keys = ["case", "road", "bandwidth [Hz]", "method", "draw"]
-    assert not table.duplicated(keys).any()
-    assert set(table["road"]) == set(range(6))
-    assert set(table["bandwidth [Hz]"]) == {5.0, 30.0, 12.0}
-    counts = table.groupby(["method", "draw"]).size()
-    assert dict(counts) == {("DOLS", 0): 36, ("RIEC", 0): 36, ("RIEC", 1): 36}
 
 
 def test_rows_hold_what_the_experiment_found():
@@ -96,12 +84,6 @@ def test_a_broken_part_is_computed_anew(tmp_path):
         run(tmp_path, stop=2)
     (tmp_path / parts_of(PLAN)[0].file).write_bytes(b"PAR1 cut off")
     assert run(tmp_path).equals(run())
-
-
-def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
-    (tmp_path / "taken").touch()
-    with pytest.raises(DataError, match="taken"):
-        run(tmp_path / "taken")
 
 
 def test_arrays_are_the_table_s_numbers():

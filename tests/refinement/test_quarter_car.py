@@ -1,4 +1,4 @@
-"""Refinement on the paper's quarter car; the whole study is in benchmarks/paper."""
+"""Refinement on the paper's quarter car."""
 
 import jax
 import jax.numpy as jnp

@@ -67,23 +67,6 @@ def test_a_folder_holds_results_report_and_pictures(tmp_path):
     assert plt.get_fignums() == []
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_pictures_are_drawn_after_the_answer_where_somebody_waits(
-    capsys, tmp_path, monkeypatch, terminal
-):
-    said = []
-
-    def charts() -> dict[str, Chart]:
-        said.append(capsys.readouterr().out)
-        return {"one": CHART, "two": CHART}
-
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
-    emitted(tmp_path / "out", charts=charts)
-    assert said == ["the answer is 42\n" if terminal else ""]
-    wrote = f"wrote {tmp_path}/out/results.json, report.html and figures\n"
-    assert capsys.readouterr().out == ("" if terminal else "the answer is 42\n") + wrote
-
-
 @pytest.mark.parametrize("existing", [False, True])
 def test_a_failure_leaves_the_folder_as_it_was(capsys, tmp_path, monkeypatch, existing):
     def fail(chart: Chart, file: Path) -> None:
@@ -153,12 +136,6 @@ def test_a_flipped_bit_of_results_is_seen(tmp_path):
             continue
         told = {key: value for key, value in read.items() if key in DOCUMENT}
         assert not is_intact(read) or told == DOCUMENT
-
-
-def test_a_folder_that_cannot_be_made(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(DataError, match="cannot write to"):
-        emitted(tmp_path / "file" / "out")
 
 
 def test_results_are_made_in_a_folder_that_keeps_no_one_out(tmp_path):

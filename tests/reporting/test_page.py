@@ -110,20 +110,3 @@ def test_figures_come_with_their_data_and_a_picture(html, picture):
     assert kinds == ["application/json", None, None]
     chart = single([Line(X, Y, EVIL)], Axis(EVIL), Axis(EVIL), EVIL)
     assert json.loads(page.scripts[0]) == interactive(chart)
-
-
-def test_contents_name_the_sections_that_have_something(html):
-    page = Reader(html)
-    targets = [given["href"] for tag, given in page.elements if tag == "a"]
-    anchors = {f"#{given['id']}" for tag, given in page.elements if "id" in given}
-    assert len(targets) == 2
-    assert set(targets) <= anchors
-    assert "Nothing" not in page.texts
-
-
-def test_numbers_of_a_table_stand_to_the_right(html):
-    page = Reader(html)
-    classes = [given.get("class") for tag, given in page.elements if tag == "table"]
-    assert classes == ["numeric", None]
-    heads = [given for tag, given in page.elements if tag == "th" and given["scope"] == "row"]
-    assert len(heads) == 3

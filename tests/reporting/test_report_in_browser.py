@@ -1,18 +1,13 @@
 """A report as a browser shows it: figures are drawn, nothing is asked of a network."""
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from reporting_charts import EVERYTHING
-from tests.machines import drag_record
 
-from nightly import nightly
 from report_browser import assert_drawn, drawn_page, launched, overlaps
-from riecjax.cli.main import run
 from riecjax.reporting.output import write_folder
 from riecjax.reporting.page import Page, Section, Table
 
@@ -23,19 +18,6 @@ WIDTHS = (390, 1280)
 def browser() -> Iterator[Any]:
     with launched() as found:
         yield found
-
-
-@pytest.fixture(scope="module")
-def identified(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("identified")
-    record = drag_record(seed=1, noise=0.02)
-    columns = [record.time, *(record[name] for name in ("u", "x", "dx"))]
-    held = np.transpose(np.asarray(columns))
-    np.savetxt(folder / "run.csv", held, delimiter=",", header="t,u,x,dx", comments="")
-    options = ("--model", "drag-oscillator", "--hold-out", "0.3", "--intervals", "sandwich")
-    status = run(["identify", str(folder / "run.csv"), *options, "--out", str(folder / "found")])
-    assert status == 0
-    return folder / "found"
 
 
 @pytest.fixture(scope="module")
@@ -60,39 +42,15 @@ def width(request) -> int:
     return request.param
 
 
-@pytest.fixture(scope="module", params=["every_mark", *nightly(["identified"])])
-def opened(request, browser, width) -> Iterator[Any]:
+@pytest.fixture(scope="module")
+def opened(browser, every_mark, width) -> Iterator[Any]:
     """A page with its figures drawn, without complaints or requests; tests only look at it."""
-    report = request.getfixturevalue(request.param) / "report.html"
-    with drawn_page(browser, report, width) as page:
+    with drawn_page(browser, every_mark / "report.html", width) as page:
         yield page
-
-
-@pytest.mark.slow
-def test_every_chart_of_an_identification_has_its_place(identified):
-    html = (identified / "report.html").read_text(encoding="utf-8")
-    pictures = sorted(path.stem for path in identified.glob("*.png"))
-    assert {"fit", "correlation", "residual_1", "validation_1", "window_choice"} <= set(pictures)
-    assert sorted(re.findall(r'<figure id="(\w+)">', html)) == pictures
 
 
 def test_every_figure_is_drawn_and_the_page_no_wider_than_the_screen(opened, width):
     assert_drawn(opened, width)
-
-
-def test_headings_are_whole_and_apart(opened, width):
-    found = opened.evaluate(
-        """() => [...document.querySelectorAll('h1, h2')].map((each) => {
-            const box = each.getBoundingClientRect();
-            return [box.left, box.right, box.top, box.bottom, each.scrollWidth, each.clientWidth];
-        })"""
-    )
-    bottom = -np.inf
-    for left, right, top, below, needed, given in found:
-        assert 0 <= left < right <= width
-        assert needed <= given
-        assert top >= bottom
-        bottom = below
 
 
 def test_titles_and_legends_of_panels_do_not_cover_each_other(opened):

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 
 import equinox as eqx
 import jax
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.records.record import stack_records
 from riecjax.reporting import write_report
 from riecjax.reporting.tables import latex_name, latex_unit, with_error
 
@@ -54,16 +52,6 @@ def estimate():
 
 
 @pytest.fixture(scope="module")
-def batch():
-    records = stack_records([record(seed) for seed in range(3)])
-
-    def fit(one):
-        return rx.identify(equation(), one, CRITERION, intervals=rx.Sandwich())
-
-    return jax.jit(jax.vmap(fit))(records)
-
-
-@pytest.fixture(scope="module")
 def assessed():
     return rx.assess(equation(), record(), CRITERION, hold_out=0.3, refine=None)
 
@@ -93,17 +81,6 @@ def all_print_briefly(*objects):
         page = one._repr_html_()
         assert "<table" in page
         assert not re.search("http|src=|background:(?!none)|[^-]color:#", page)
-
-
-@pytest.mark.slow
-def test_a_batch_prints_briefly_and_is_drawn(batch):
-    from matplotlib import pyplot
-
-    all_print_briefly(batch)
-    assert "batch of 3 estimates" in repr(batch)
-    _, own = pyplot.subplots()
-    assert batch.plot(own) is own
-    pyplot.close("all")
 
 
 def test_everything_prints_briefly_and_in_html(estimate, assessed):
@@ -137,13 +114,6 @@ def test_what_is_traced_prints():
     assert "k x = " in said[2]
 
 
-def test_long_tables_are_cut_in_repr_alone():
-    many = rx.Record({f"s{i}": jnp.ones(4) for i in range(50)}, 0.1)
-    assert "... 34 more" in repr(many)
-    assert "... " not in str(many)
-    assert "s25" in str(many)
-
-
 def test_an_estimate_is_a_mapping_of_numbers(estimate):
     assert dict(estimate) == {name: float(estimate[name]) for name in ("m", "c_1", "k")}
     assert len(estimate) == 3
@@ -168,33 +138,6 @@ def test_a_frame_holds_values_read_one_by_one(estimate):
     assert np.isnan(held.loc["m", "std_error"])
     single = jax.tree.map(lambda x: x.astype("float32") if eqx.is_inexact_array(x) else x, estimate)
     assert single.to_frame().loc["m", "value"] == np.float32(estimate["m"])
-
-
-@pytest.mark.slow
-def test_a_batch_has_a_row_for_each_member(batch):
-    frame, data = batch.to_frame(), batch.to_xarray()
-    assert len(frame) == 9
-    for member in range(3):
-        one = batch.member(member)
-        assert frame.loc[(member, "k"), "value"] == one["k"]
-        assert frame.loc[(member, "k"), "low95"] == pytest.approx(one.interval("k")[0], rel=1e-12)
-        assert data["value"].sel(member=member, parameter="k") == one["k"]
-    with pytest.raises(rx.ModelError, match="member"):
-        batch.to_latex()
-
-
-def test_a_record_leaves_as_a_frame():
-    held = rx.Record.from_samples({"x": [1.0, np.nan, 3.0]}, time_step=0.5)
-    frame = held.to_frame()
-    assert frame.index.to_list() == [0.0, 0.5, 1.0]
-    np.testing.assert_array_equal(frame["x"], [1.0, np.nan, 3.0])
-
-
-@pytest.mark.parametrize(("package", "verb"), [("pandas", "to_frame"), ("xarray", "to_xarray")])
-def test_a_missing_package_is_named_with_its_remedy(estimate, monkeypatch, package, verb):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(rx.DataError, match=rf'needs {package}.*"riecjax\[frames\]"'):
-        getattr(estimate, verb)()
 
 
 def test_tables_of_a_paper_round_by_the_error(estimate):
@@ -291,32 +234,10 @@ def test_objects_draw_into_new_and_given_axes(estimate, assessed):
     np.testing.assert_allclose(ends, expected)
     _, own = pyplot.subplots()
     assert estimate.plot(own) is own
-    held = assessed.validations[0].held
-    assert len(held.plot().lines) == 2
-    assert len(record().plot().axes) == 2
-    assert len(assessed.recordings[0].plot().axes) == 2
-    assert len(rx.compare([estimate, estimate]).plot().lines) == 5
     assert len(assessed.plot().axes) > 4
-    assert len(assessed.sweep.plot().axes) == 3
+    assert len(record().plot().axes) == 2
     with pytest.raises(rx.DataError, match="as many axes"):
         record().plot(own)
-    pyplot.close("all")
-
-
-def test_a_first_figure_leaves_the_settings_of_its_backend(estimate, monkeypatch):
-    """A notebook's backend is chosen by the first figure and says that figures are shown."""
-    from matplotlib import pyplot
-
-    made = pyplot.figure
-
-    def chooses_a_backend(*args, **settings):
-        matplotlib.rcParams["interactive"] = True
-        return made(*args, **settings)
-
-    monkeypatch.setitem(matplotlib.rcParams, "interactive", False)
-    monkeypatch.setattr(pyplot, "figure", chooses_a_backend)
-    estimate.plot()
-    assert matplotlib.is_interactive()
     pyplot.close("all")
 
 

@@ -1,6 +1,6 @@
 """The body's equation over random windows, in NumPy: M_s x4' = K_s x2 + sum F_i R_i(x3 - x4)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import scipy.integrate
@@ -44,32 +44,13 @@ def random_windows(
     rng: np.random.Generator, samples: int, count: int, shortest: int, longest: int
 ) -> tuple[Int[np.ndarray, " windows"], Int[np.ndarray, " windows"]]:
     """First and last sample of windows, redrawn where they reach beyond the record (eqs 14-15)."""
-    return _redrawn(
-        lambda n: (rng.integers(0, samples, n), rng.integers(shortest, longest + 1, n)),
-        count,
-        samples - 1,
-    )
 
+    def drawn(n: int) -> tuple[np.ndarray, np.ndarray]:
+        return rng.integers(0, samples, n), rng.integers(shortest, longest + 1, n)
 
-def random_windows_between_samples(
-    rng: np.random.Generator, samples: int, count: int, shortest: float, longest: float
-) -> tuple[Float[np.ndarray, " windows"], Float[np.ndarray, " windows"]]:
-    """The same from the continuum; start and end are counted in samples, but not whole numbers."""
-    last = samples - 1
-    return _redrawn(
-        lambda n: (rng.uniform(0, last, n), rng.uniform(shortest, longest, n)), count, last
-    )
-
-
-def _redrawn(
-    draw: Callable[[int], tuple[np.ndarray, np.ndarray]], count: int, last: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Start and end of windows, of which those that end after the last sample are drawn again."""
-    start, length = draw(count)
-    outside = np.flatnonzero(start + length > last)
-    while outside.size:
-        start[outside], length[outside] = draw(outside.size)
-        outside = outside[start[outside] + length[outside] > last]
+    start, length = drawn(count)
+    while (outside := np.flatnonzero(start + length >= samples)).size:
+        start[outside], length[outside] = drawn(outside.size)
     return start, start + length
 
 

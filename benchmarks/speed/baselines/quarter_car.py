@@ -1,14 +1,11 @@
-"""The paper's seven-state source model, eqs (19)-(20), for SciPy, in Python's own numbers."""
+"""The paper's seven-state source model, eqs (19)-(20), for SciPy."""
 
-import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 import scipy.integrate
 from jaxtyping import Float
 
-from benchmarks.speed.baselines.sampled_input import first_order_hold
 from riecjax.models.quarter_car.source import (
     BumpStopSpring,
     DigressiveDamper,
@@ -67,64 +64,10 @@ def car_of(source: QuarterCarSource) -> Car:
     return Car(*(float(value) for value in values))
 
 
-def right_hand_side(
-    car: Car, velocity: Float[np.ndarray, " n"], rate: float
-) -> Callable[[float, np.ndarray], list[float]]:
-    """The state's time derivative, as `solve_ivp` calls it, on a sampled road velocity."""
-    road = first_order_hold(velocity, rate)
-    # Names in the enclosing scope are read faster than fields.
-    wheel, body, engine = car.wheel_mass, car.body_mass, car.engine_mass
-    stiffness, lift_off, compliance = car.tyre_stiffness, car.lift_off_force, car.damper_compliance
-    down, down_knee = car.compression_slope, car.compression_knee
-    up, up_knee = car.rebound_slope, car.rebound_knee
-    down_excess, up_excess = car.slope_at_rest - down, car.slope_at_rest - up
-    spring_rate = car.spring_rate
-    down_gap, down_stop = -car.compression_gap, car.compression_stop
-    up_gap, up_stop = car.rebound_gap, car.rebound_stop
-    mount_rate, mount_cubic, mount_damping = car.mount_rate, car.mount_cubic, car.mount_damping
-    sqrt = math.sqrt
-
-    def derivative(time: float, state: np.ndarray) -> list[float]:
-        x1, x2, x3, x4, x5, x6, x7 = state.tolist()
-        if x7 > 0:
-            slope, excess, ratio = up, up_excess, x7 / up_knee
-        else:
-            slope, excess, ratio = down, down_excess, x7 / down_knee
-        bend = 1 / sqrt(1 + ratio * ratio)
-        suspension = spring_rate * x2 + x7 * (slope + excess * bend)
-        if x2 < down_gap:
-            suspension += down_stop * (x2 - down_gap)
-        elif x2 > up_gap:
-            suspension += up_stop * (x2 - up_gap)
-        across, stretch = x3 - x4, x4 - x6
-        mount = x5 * (mount_rate + mount_cubic * x5 * x5) + mount_damping * stretch
-        tyre = stiffness * x1
-        if tyre > lift_off:
-            tyre = lift_off
-        return [
-            road(time) - x3,
-            across,
-            (tyre - suspension) / wheel,
-            (suspension - mount) / body,
-            stretch,
-            mount / engine,
-            compliance * (across - x7) / (slope + excess * bend * bend * bend),
-        ]
-
-    return derivative
-
-
-def scipy_solution(
-    car: Car, velocity: Float[np.ndarray, " n"], rate: float, rtol: float
-) -> Float[np.ndarray, "n 7"]:
-    """States at the samples of a road velocity, from rest."""
-    return integrated(right_hand_side(car, velocity, rate), 7, velocity.size, rate, rtol)
-
-
 def numpy_solution(
     car: Car, velocity: Float[np.ndarray, " n"], rate: float, rtol: float
 ) -> Float[np.ndarray, "n 7"]:
-    """The same, with a right-hand side as one first writes it: arrays, and `np.interp`."""
+    """States at the samples of a road velocity, from rest, with arrays and `np.interp`."""
     c, time = car, np.arange(velocity.size) / rate
 
     def derivative(t: float, x: np.ndarray) -> np.ndarray:
@@ -151,22 +94,10 @@ def numpy_solution(
             ]
         )
 
-    return integrated(derivative, 7, velocity.size, rate, rtol)
-
-
-def integrated(
-    derivative: Callable[[float, np.ndarray], list[float] | np.ndarray],
-    states: int,
-    count: int,
-    rate: float,
-    rtol: float,
-) -> Float[np.ndarray, "n states"]:
-    """From rest by RK45, whose steps are no longer than a sample."""
-    time = np.arange(count) / rate
     run = scipy.integrate.solve_ivp(
         derivative,
         (0.0, time[-1]),
-        np.zeros(states),
+        np.zeros(7),
         method="RK45",
         t_eval=time,
         rtol=rtol,

@@ -45,7 +45,7 @@ MOST_WORK = 10_000_000
 """Steps x states x tangents of an expansion up to which nobody has to ask for a refinement.
 
 Of ten operations for each state's derivative, as built-in models have (6 to 17), a search of twelve
-expansions takes ten seconds (`python -m benchmarks.calibration refinement_gate --work`).
+expansions takes ten seconds.
 """
 SMALL_SHARE = 1e-2
 """Share of its signal below which a residual need not be the model's."""
