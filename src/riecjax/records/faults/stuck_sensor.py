@@ -64,10 +64,10 @@ def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Fi
         samples = int(lengths.sum())
         yield signal.finding(
             "stuck_sensor",
-            f"stays at exactly {signal.with_unit(float(signal.run_values[runs[0]]))} for {lengths[0]} "
-            f"samples from {signal.time[starts[0]]:.4g} s on while the rest of the record "
-            f"{_rest_of_record(others, starts[0], lengths[0])} ({samples} samples in {runs.size} "
-            f"place(s), {percent(samples, signal.sample_count)}). {how}",
+            f"stays at exactly {signal.with_unit(float(signal.run_values[runs[0]]))} for "
+            f"{lengths[0]} samples from {signal.time[starts[0]]:.4g} s on while the rest of "
+            f"the record {_rest_of_record(others, starts[0], lengths[0])} ({samples} samples in "
+            f"{runs.size} place(s), {percent(samples, signal.sample_count)}). {how}",
             doubt=samples / signal.sample_count,
             remedy=remedy,
             step=f"Leave out what {signal.name} showed while it was stuck",
