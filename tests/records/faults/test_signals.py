@@ -78,6 +78,17 @@ def test_missing_samples():
     assert check_signals(record(x=values, y=white(1)), ["y"]) == []
 
 
+@pytest.mark.raises_finding("quantised")
+@pytest.mark.parametrize("offset", [0.0, np.pi, -1e3])
+@pytest.mark.parametrize("quantum", [0.05, 0.1, 0.3])
+def test_coarse_resolution(quantum, offset):
+    values = quantum * np.round((smooth(0) / smooth(0).std()) / quantum) + offset
+    said = message(record("mm", x=values), "quantised")
+    steps = np.sqrt(np.mean(np.diff(values) ** 2)) / quantum
+    assert f"its resolution of {quantum:.4g} mm is {100 * quantum / values.std():.3g} %" in said
+    assert f"changes by {steps:.2g} such steps" in said
+
+
 # What must not.
 
 CLEAN = {
