@@ -296,11 +296,6 @@ KNOWN_WRONG = {
         "m 2, k 3000, or neither is good: pulses are too short for the sampling",
         lambda k: near(k, m=2.0, k=3000.0) or not good(k, "m", "k"),
     ),
-    "stiction": KnownWrong("an answer and no traceback", answered),
-    "stiction-servo": KnownWrong(
-        "an answer: the axis sticks, the sensor is sound",
-        lambda k: answered(k) and not says(k, "stuck"),
-    ),
     "late-velocity-step": KnownWrong(
         "the velocity is late; position changes by 1.018 times its integral",
         lambda k: not says(k, r"changes by 0\.7"),

@@ -17,7 +17,7 @@ NOUGHT = 1e-12
 """Beside numbers of order one, as correlations and shares are, what rounding leaves of zero."""
 VOLATILE = ("riecjax", "jax", "jaxlib", "numpy", "python", "platform", "version", "versions",
             "seconds", "duration_s", "sha256", "digest", "created", "started", "host",
-            "machine", "command", "checksum", "folder", "processor", "device")  # fmt: skip
+            "machine", "bytes", "command", "checksum", "folder", "processor", "device")  # fmt: skip
 """Keys of a document whose content depends on the machine, the day or the version."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w]*\.?\d)", re.IGNORECASE)
 
