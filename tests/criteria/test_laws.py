@@ -93,7 +93,7 @@ def length_weights(law, weight):
             ]
         ),
     ],
-    ids=str,
+    ids=lambda part: getattr(part, "__name__", str(part)),
 )
 def test_the_estimate_is_that_of_every_window_one_by_one(law, weight):
     record = record_of(offset=50.0 if law is None else 0.0)
