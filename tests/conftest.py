@@ -81,7 +81,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 compilations = 0
 
 
-def _count_compilation(event: str, _seconds: float, **_: object) -> None:
+def _count_compilation(event: str, duration_secs: float, **kwargs: str | int) -> None:
     global compilations
     compilations += event == COMPILED
 

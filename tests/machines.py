@@ -30,7 +30,7 @@ Signals = Mapping[str, np.ndarray]
 class Shape(NamedTuple):
     """How many samples a record has, and how many a second."""
 
-    count: int
+    count: int  # pyright: ignore[reportIncompatibleMethodOverride]
     rate: int
 
     @property
@@ -137,7 +137,7 @@ class Given:
         return dict(zip(self.names, [*moved, self.load(*moved)]))
 
 
-def _sine(signals: Signals) -> Any:
+def _sine(signals: Any) -> Any:
     return jnp.sin(signals["x"])
 
 
@@ -257,7 +257,7 @@ def drag_fleet(
 
 # Machines that stick, switch, remember or carry a mass, by SciPy, and models that lack a term.
 
-Acceleration = Callable[[float, float, float, float], float]
+Acceleration = Callable[[float, float, float, float], Any]
 """Of time, position, velocity and the direction of sliding."""
 
 
@@ -579,15 +579,15 @@ JOINT_SHAPE = Shape(20_001, 500)
 JOINT_SENSORS = ("clean", "velocity", "encoder")
 
 
-def _joint_direction(signals: Signals) -> Any:
+def _joint_direction(signals: Any) -> Any:
     return jnp.sign(signals["dq"])
 
 
-def _stribeck(signals: Signals) -> Any:
+def _stribeck(signals: Any) -> Any:
     return jnp.sign(signals["dq"]) * jnp.exp(-((signals["dq"] / STRIBECK) ** 2))
 
 
-def _gravity(signals: Signals) -> Any:
+def _gravity(signals: Any) -> Any:
     return jnp.sin(signals["q"])
 
 

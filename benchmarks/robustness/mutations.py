@@ -498,9 +498,10 @@ def million_columns(rng):
 
 
 def zip_bomb(rng):
-    """Zeros: 1 GiB of them, or 128 MiB, packed to a thousandth."""
-    size, stream = int(rng.choice([2**30, 2**27])), io.BytesIO()
-    header = {"descr": "<f8", "fortran_order": False, "shape": (size // 8,)}
+    """Zeros, packed to a thousandth: bytes that make 5 GB of numbers, or 128 MiB of numbers."""
+    size, stream = int(rng.choice([38 * 2**24, 2**27])), io.BytesIO()
+    kind, width = ("<f8", 8) if size == 2**27 else ("|u1", 1)
+    header = {"descr": kind, "fortran_order": False, "shape": (size // width,)}
     with (
         zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
         archive.open("x.npy", "w", force_zip64=True) as member,

@@ -214,9 +214,15 @@ LINES: dict[str, dict[str, str]] = {
     },
 }
 SLOW = {
-    *("quarter-car-files", "quarter-car-mode", "drag-terse", "drag-huber", "reproduce"),
-    *("hidden-mode-elsewhere", "hidden-mode-absent", "fleet-spans", "reproduce-quick"),
+    *("quarter-car-files", "quarter-car-mode", "quarter-car-wheel", "quarter-car-dols"),
+    *("quarter-car-set", "quarter-car-0.1", "reproduce", "reproduce-quick", "fleet-spans"),
+    *("drag-terse", "drag-huber", "drag-late-kept", "drag-unfilter", "drag-faults-mended"),
+    *("drag-spikes-kept", "drag-bias-unknown", "drag-validate", "drag-position", "drag-bump"),
+    *("drag-noise-given", "drag-noise-none", "drag-resampled", "three-runs-own", "pendulum"),
+    *("emps-position", "emps-asymmetric", "own-model-mapped", "discover-laws", "one-way-many"),
+    *("hidden-mode-elsewhere", "hidden-mode-absent", "stiction-servo", "lever-arm-together"),
 }
+"""What `make nightly` compares besides: long, or an option beside one that the day compares."""
 BESIDE: dict[str, dict[str, str]] = {
     "cases/accel_in_g": {
         "accel-in-g": f"identify shaker.csv --model shaker.py:shaker --unit a=g {PLAIN}",

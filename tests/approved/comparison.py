@@ -4,7 +4,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -118,7 +118,7 @@ def _near(old: float, new: float, scale: float) -> bool:
     return old == new or (old != old and new != new) or abs(new - old) <= SCALE * scale
 
 
-def _is_number(entry: Any) -> bool:
+def _is_number(entry: Any) -> TypeGuard[float]:
     return isinstance(entry, int | float) and type(entry) is not bool
 
 

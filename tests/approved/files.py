@@ -184,7 +184,7 @@ def _(path: Path, c: Columns) -> None:
 
 @file("arrays.npz")
 def _(path: Path, c: Columns) -> None:
-    np.savez(path, **c)
+    np.savez(path, allow_pickle=False, **c)
 
 
 @file("group.h5", "--map x=position --map u=force")

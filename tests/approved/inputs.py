@@ -103,7 +103,7 @@ def filtered_drag() -> Columns:
     """The velocity behind a low-pass of 0.03 s, the force's clock 300 millionths slow."""
     columns = noisy(drag(), 0.002, 6)
     pole = np.exp(-0.01 / 0.03)
-    columns["dx"] = scipy.signal.lfilter([1 - pole], [1, -pole], columns["dx"])
+    columns["dx"] = np.asarray(scipy.signal.lfilter([1 - pole], [1, -pole], columns["dx"]))
     columns["u"] = np.interp(columns["t"] * (1 - 3e-4), columns["t"], columns["u"])
     return columns
 

@@ -1,0 +1,80 @@
+"""A magneto-rheological damper on a shaking table: its force over velocity is no function.
+
+A. N. Vargas, "Data, source code, and documents for the shaking table with MR-damper", Zenodo 2021.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.io
+
+from conftest import measured_data
+from riecjax.criteria.criterion import RIEC
+from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.equation import Equation
+from riecjax.equations.term import Term, Terms, constant, friction, roof
+from riecjax.estimation.identify import identify
+from riecjax.records.preparation import differentiate
+from riecjax.records.record import Record
+
+CRITERION = RIEC(RandomWindows(0.05, 0.5, 4000))
+KEY = jax.random.key(0)
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    """Coil energised; displacement in mm, force in N; velocity differenced about each sample."""
+    data = scipy.io.loadmat(
+        measured_data("mr_damper_labcontrol") / "data_simulation_4.4_MRdamper.mat"
+    )
+    motion = data["x_F"]
+    raw = Record.from_samples({"x": motion[:, 0], "F": motion[:, 2]}, time_step=0.01)
+    return differentiate(raw, "x", "v")
+
+
+def curve(record: Record) -> Equation:
+    reach = float(jnp.max(jnp.abs(record["v"])))
+    points = [-reach, -0.4 * reach, 0.4 * reach, reach]
+    return Equation(
+        -Terms("F", roof(points), "v", unit="N"), Term(1.0, "F"), name="damper curve", unit="N"
+    )
+
+
+def test_the_damper_curve_rises_and_saturates(record):
+    estimate = identify(curve(record), record, CRITERION, key=KEY)
+    low, left, right, high = np.asarray(estimate.theta)
+    assert left < 0 < right
+    assert abs(high - right) < 0.2 * (right - left)
+    assert abs(low - left) < 0.2 * (right - left)
+    # The authors' Dahl model has 210 N of friction and 1.3 N s/mm of viscous force at 72 mm/s.
+    assert right == pytest.approx(300, rel=0.2)
+
+
+def test_what_the_curve_leaves_is_hysteresis(record):
+    """The residual goes with the acceleration's sign: up the stroke and down differ."""
+    equation = curve(record)
+    estimate = identify(equation, record, CRITERION, key=KEY)
+    curve_term = equation.terms[0]
+    assert isinstance(curve_term, Terms)
+    basis = curve_term.basis
+    explained = estimate.theta @ basis(record["v"])
+    residual = np.asarray(record["F"] - explained)
+    velocity, acceleration = np.asarray(record["v"]), np.gradient(np.asarray(record["v"]))
+    slow = np.abs(velocity) < 0.25 * np.abs(velocity).max()
+    loop = residual[slow & (acceleration > 0)].mean() - residual[slow & (acceleration < 0)].mean()
+    force = float(jnp.sqrt(jnp.mean(record["F"] ** 2)))
+    assert abs(loop) > 0.1 * force
+
+
+@pytest.mark.slow
+def test_friction_and_stiffness_explain_more_than_a_line(record):
+    def residual(*terms):
+        equation = Equation(*terms, -Term("offset", constant, unit="N"), Term(1.0, "F"))
+        return float(identify(equation, record, CRITERION, key=KEY).stages[0].relative_rms)
+
+    viscous = residual(-Term("c", "v"))
+    dry = residual(-Terms("f", friction(smooth=2.0), "v"))
+    stiff = residual(-Terms("f", friction(smooth=2.0), "v"), -Term("k", "x"))
+    assert stiff < dry < viscous
+    assert stiff < 0.25
