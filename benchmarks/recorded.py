@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).parent
-DOCUMENTATION = FOLDER.parent / "docs"
 END = "<!-- end -->"
 
 

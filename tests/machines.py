@@ -680,16 +680,6 @@ def simulated(
     return rx.simulate(system, inputs).checked().record
 
 
-def car_signals(model: str, truth: Mapping[str, float] | None = None) -> dict[str, np.ndarray]:
-    """What sensors of a quarter car see in 20 s on white noise.
-
-    **Arguments:** `model`: `quarter-car`, or `quarter-car-source` with its engine.
-    """
-    run = simulated(model, 1, Shape(4000, 200), truth=tuple((truth or {}).items()))
-    names = ("v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t")
-    return {name: np.asarray(run[name]) for name in names}
-
-
 # A pendulum that a controller holds upright while it is shaken.
 
 UPRIGHT_TRUTH = {"p1": 20.0, "p2": 0.3}

@@ -15,7 +15,6 @@ from jaxtyping import Array, Key
 from tests.machines import (
     DRAG,
     Signals,
-    drag_force,
     drag_oscillator,
     noisy,
     slide,
@@ -67,24 +66,6 @@ def car_motion(key: Key[Array, ""], source: AbstractSystem, count: int) -> rx.Re
     step = 1 / TABLE_2.rate
     road = band_limited_noise(key, count, step, bandwidth=TABLE_2.bandwidth, rms=TABLE_2.rms)
     return rx.simulate(source, rx.Record({"v_r": road}, step)).record
-
-
-LINEAR = {"m": 1.5, "c": 3.0, "k": 60.0}
-
-
-def linear_motion() -> tuple[rx.Equation, dict[str, float], dict[str, np.ndarray], float]:
-    """Equation, truth, position and force, and time step of a damped oscillator."""
-    equation = rx.Equation(
-        rx.Term("m", "x", derivative=2),
-        rx.Term("c", "x", derivative=1),
-        rx.Term("k", "x"),
-        -rx.Term(1.0, "u"),
-    )
-    step = 0.01
-    record = rx.Record({"u": drag_force(step * np.arange(2001))}, step)
-    run = rx.simulate(rx.equation_system(equation, LINEAR), record, method=rx.FixedStep(8))
-    signals = {name: np.asarray(run.record[name]) for name in ("x", "u")}
-    return equation, LINEAR, signals, step
 
 
 # A mass on a spring with dry friction, as a user would write it from docs/writing_a_model.md.

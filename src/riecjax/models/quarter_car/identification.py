@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from riecjax import Equation, Term, Terms, simultaneous, staged
+from riecjax import Equation, Term, Terms, staged
 from riecjax.equations import Procedure, RoofFunctions
 from riecjax.refinement import AbstractBalance, ByFunction
 from riecjax.simulation import AbstractSystem
@@ -60,11 +60,6 @@ def quarter_car_by_body() -> Procedure:
 def quarter_car_by_wheel() -> Procedure:
     """The paper's three stages, suspension forces from the motion of the wheel (variants W)."""
     return staged(tyre_equation(), mass_equation(), wheel_equation())
-
-
-def quarter_car_at_once() -> Procedure:
-    """All parameters from all four equations in one solve."""
-    return simultaneous(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
 
 
 def _unsprung() -> Term:
