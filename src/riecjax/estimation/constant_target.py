@@ -60,7 +60,7 @@ MOST_MOVED = 1e3
 ROUNDING = 8.0
 """Times the root of eps: share of a column that its factor, of moments, may hold as rounding."""
 FACTORED = 1e-6
-"""The same at least: eigenvalues of columns of unlike size are exact to 1000 eps of 64 bits."""
+"""The same at least: moments over many windows are exact to 300 eps of 64 bits, measured."""
 Rows = Float[np.ndarray, " rows"]
 
 
