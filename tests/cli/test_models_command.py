@@ -29,6 +29,13 @@ def test_listing(capsys):
             assert quantity.unit in printed.out
 
 
+@pytest.mark.parametrize("name", MODELS)
+def test_each_is_shown_with_its_equations_if_it_has_any(name, capsys):
+    shown = call(capsys, "models", name)
+    assert (shown.status, shown.err) == (0, "")
+    assert ("equations" in shown.out) == (name in IDENTIFIED)
+
+
 @pytest.mark.parametrize("name", IDENTIFIED)
 def test_listed_parameters_are_those_of_the_equations(name):
     model = MODELS[name]

@@ -151,7 +151,7 @@ def test_commands_print_what_the_page_shows(page, outputs, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("page", "command", "patterns"),
     [
-        ("README.md", "drive.csv", [r"^K_s +207\d\d\.?\d* "]),
+        ("README.md", "drive.csv", [r"^M_s +302\.[67]\d* "]),
         ("docs/getting_started.md", "drive.csv", [r"^K_s +207\d\d\.?\d* ", r"(x\d.*%.*){4}"]),
         ("docs/your_recording.md", "rig.csv", [r"^m +1\.496", r"well \(fit 89\.2, 90\.2 %\)"]),
     ],

@@ -45,7 +45,7 @@ def command(name: str | None, as_json: bool) -> None:
         console.print(model.name, style="bold", highlight=False)
         console.print(f"  {model.summary}", highlight=False)
         console.print(_table(model))
-    if name is not None:
+    if name is not None and find_model(name).procedure is not None:
         from riecjax.reporting.equations import procedure_in_words
 
         console.print("  equations", style="dim")
