@@ -34,7 +34,7 @@ import pytest  # noqa: E402
 from riecjax.findings import Finding  # noqa: E402
 
 # The same cases in every run; new ones where a night is there to look at what they find.
-hypothesis.settings.register_profile("repeated", derandomize=True, deadline=None)
+hypothesis.settings.register_profile("repeated", max_examples=30, derandomize=True, deadline=None)
 hypothesis.settings.register_profile("searching", deadline=None)
 hypothesis.settings.load_profile("searching" if PRODUCTION else "repeated")
 

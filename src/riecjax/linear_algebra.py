@@ -133,14 +133,16 @@ def factor_of_gram(gram: Float[Array | np.ndarray, "columns columns"]) -> Factor
     """A triangular factor of which this is the square, to half of its digits (not under jit).
 
     By eigenvalues: gram = V diag(s^2) V^T is the square of diag(s) V^T, whose QR is triangular.
-    Cholesky's factor would fail where rounding has left an eigenvalue below zero. Zero for a column
-    that is, and NaN throughout where the square is not finite.
+    Cholesky's factor would fail where rounding has left an eigenvalue below zero. Columns are first
+    brought to unit length, so that rounding of a large one does not cover a small one. Zero for a
+    column that is, and NaN throughout where the square is not finite.
     """
     if not np.isfinite(gram).all():
         return np.full(np.shape(gram), np.nan)
-    squares, vectors = np.linalg.eigh(np.asarray(gram))
-    factor = _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T)
-    return np.where(np.diagonal(gram) > 0, factor, 0.0)
+    lengths = np.sqrt(np.maximum(np.diagonal(gram), 0.0))
+    inverse = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 0)
+    squares, vectors = np.linalg.eigh(inverse[:, None] * np.asarray(gram) * inverse)
+    return _factor(np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T) * lengths
 
 
 def joined_factor(factors: Sequence[Float[Leaf, "columns columns"]]) -> Factor:

@@ -1,6 +1,6 @@
 import jax.numpy as jnp
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from riecjax.criteria.all_windows import StartRange, boxcar_moments, hat_moments
@@ -28,7 +28,6 @@ WEIGHTS = st.just(0.0) | st.floats(1e-3, 3)
 """Of lags; XLA takes numbers below the least normal one for zero."""
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     n=st.sampled_from([5, 41]),
     seed=st.integers(0, 10**6),

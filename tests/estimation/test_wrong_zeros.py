@@ -1,5 +1,7 @@
 """A sensor's wrong zero, told by means that disagree with the motion."""
 
+import re
+
 import pytest
 from tests.machines import DRAG_TRUTH as TRUTH
 from tests.machines import drag_signals as signals
@@ -38,6 +40,24 @@ def test_an_offset_is_named_with_what_it_moves_and_estimated(name, size):
     for parameter, value in TRUTH.items():
         error = float(dict(zip(answer.parameters, answer.standard_errors))[parameter])
         assert float(answer[parameter]) == pytest.approx(value, abs=5 * error + 0.01 * value)
+
+
+@pytest.mark.raises_finding("wrong_zero")
+def test_what_motion_leaves_is_the_same_under_any_offset():
+    shares = []
+    for size in (5.0, 500.0):
+        (found,) = told(recording(0, u=size))
+        shares.append(float(re.search(r"motion alone ([\d.]+) %", found.message)[1]))
+    assert shares[0] == pytest.approx(shares[1], rel=0.05)  # of two digits
+    # Several amplitudes of zero are a doubt; an answer stands beside it.
+    assert float(rx.identify(DRAG, recording(0, u=10.0))["k"]) > 0
+
+
+@pytest.mark.no_finding("wrong_zero")
+def test_a_force_that_never_varies_has_no_wrong_zero():
+    values = {n: v.copy() for n, v in signals(0, 0.01).items()}
+    values["u"][:] = 40.0
+    assert told(rx.Record.from_samples(values, time_step=STEP)) == []
 
 
 @pytest.mark.no_finding("wrong_zero")

@@ -206,6 +206,7 @@ def test_of_a_file_with_several_recordings_parts_are_asked_for(folder, tmp_path)
         fleet(MODEL, tmp_path, workers=0, parts="run1")
 
 
+@pytest.mark.slow
 def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_path, monkeypatch):
     (record,) = drives(1, 2**17 + 70000, 5)
     write_record(tmp_path / "whole.parquet", record)

@@ -10,6 +10,7 @@ import s3fs
 from moto.server import ThreadedMotoServer
 from tests.machines import drag_fleet as drives
 
+from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.fleets import sums
 from riecjax.fleets.fleet import Fleet, fleet
@@ -56,14 +57,13 @@ def values(found: Fleet) -> dict[tuple[str, str | None], float | None]:
     return {(e.group, e.parameter): e.value for e in found.entries if e.status == "ok"}
 
 
-def test_recordings_of_an_object_store_are_summed_by_processes(
-    folder, client, tmp_path, monkeypatch
-):
+@pytest.mark.parametrize("workers", [0, *nightly([2])])
+def test_recordings_of_an_object_store_are_summed(folder, client, tmp_path, monkeypatch, workers):
     for file in folder.rglob("*.parquet"):
         client.upload_file(str(file), "garage", file.relative_to(folder).as_posix())
     client.put_object(Bucket="garage", Key="vehicle=1/broken.parquet", Body=b"PAR1, but no more")
     out = tmp_path / "out"
-    found = fleet(MODEL, "s3://garage/**/*.parquet", by="vehicle", workers=2, out=out)
+    found = fleet(MODEL, "s3://garage/**/*.parquet", by="vehicle", workers=workers, out=out)
     here = fleet(MODEL, folder, by="vehicle", workers=0, out=tmp_path / "here")
     assert values(found) == values(here)
     (failed,) = found.failures

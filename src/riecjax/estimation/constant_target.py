@@ -43,8 +43,9 @@ from riecjax.linear_algebra import Factor, factor_of_gram
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import EquationSums
 
-CONSTANT = 0.1
-"""Share of a target, rms, that may vary where it counts as constant."""
+CONSTANT = 0.05
+"""Share of a target, rms, that may vary where it counts as constant: of integrals, in the longest of
+which a force varies half as much as under a window of typical length."""
 STILL = 0.05
 """Share of a regressor that may vary where it counts as one that does not move."""
 EXPLAINED = 0.5
@@ -124,7 +125,7 @@ def _averaged(
 def _wrong_zero(seen: "_Averaged") -> Iterator[Finding]:
     if any(term.of is constant for term in seen.equation.terms) or not seen.columns:
         return
-    if not seen.share(seen.target) > 0:  # nothing of it moves
+    if not seen.share(seen.target) > seen.rounding:  # nothing of it moves
         return
     left, (fitted, noise) = seen.left_by_motion(), seen.left_by_all()
     if not fitted > max(DISAGREEING * np.hypot(left, noise) + SLIGHT, LEAST):
