@@ -90,15 +90,20 @@ jax.monitoring.register_event_duration_secs_listener(_count_compilation)
 
 MOST_MAPS = 30_000
 """Memory maps of a process past which compiled functions are forgotten; Linux allows 65530."""
+COUNTED_AFTER = 300
+"""Compilations between two counts of the maps, which take as long as a small test."""
+counted = 0
 
 
-@pytest.fixture(autouse=True, scope="module")
+@pytest.fixture(autouse=True)
 def forget_compiled_functions() -> Iterator[None]:
-    """Every function that XLA compiles keeps some 15 memory maps; a whole suite of them runs out.
-
-    A file compiles a few hundred at most, and to count the maps takes as long as a small test.
-    """
+    """Every function that XLA compiles keeps some 15 memory maps; a whole suite of them runs out,
+    and XLA then ends the process."""
+    global counted
     yield
+    if compilations - counted < COUNTED_AFTER:
+        return
+    counted = compilations
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()

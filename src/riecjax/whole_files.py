@@ -79,6 +79,21 @@ def require_plain(file: Path) -> None:
             raise OSError(0, "it is no plain file")
 
 
+def no_file(path: str | os.PathLike[str]) -> str:
+    """That no file can be read here, in words: nothing is there, or something else is."""
+    if not os.path.exists(path):
+        return f"there is no file '{path}'."
+    return f"'{path}' is a {'folder' if os.path.isdir(path) else 'pipe or device'}, and no file."
+
+
+def no_folder(path: Path, error: OSError) -> str:
+    """Why a folder cannot be written, in words: a file may stand in its way."""
+    for place in (path, *path.parents):
+        if os.path.lexists(place) and not place.is_dir():
+            return f"cannot write to '{path}': '{place}' is no folder."
+    return f"cannot write to '{path}': {error.strerror}."
+
+
 def read_plain(file: Path) -> bytes:
     """What a plain file of settings or results holds.
 

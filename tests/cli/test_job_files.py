@@ -5,6 +5,7 @@ import tomllib
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 from command_line import call, rejected, write_csv
 from test_own_recordings import MODEL, motion
@@ -207,6 +208,16 @@ def test_init_guesses_and_says_so(capsys, machine):
     assert job["map"] == {"q": "Q [m]", "force": "Load [N]"}
     assert "a guess, by its unit" in made.out
     assert "there is no time column" in made.out
+
+
+def test_init_reads_units_as_the_model_does(capsys, machine):
+    time = np.arange(300) / 100
+    signals = {name: np.sin(9 * time + i) for i, name in enumerate(("x1", "x2", "x3", "x4", "F_t"))}
+    write_csv(Path("acc.csv"), {"t": time, **signals, "dx3 [g]": np.cos(9 * time)})
+    made = call(capsys, "init", "acc.csv", "--model", "quarter-car")
+    assert made.status == 0, made.err
+    assert "is in g, as the file says" in made.out
+    assert "as it stands" not in made.out
 
 
 def test_the_files_of_a_bag_in_a_folder_are_input_files(tmp_path, monkeypatch):

@@ -65,6 +65,7 @@ WRONG = {
         "quarter-car-source": (1, "can be simulated but not identified"),
         "body.py:": (1, "body.py"),
         "quarter-car --out good.csv": (2, "is a file"),
+        "quarter-car --out good.csv/sub": (1, "'good.csv' is no folder"),
     },
     "identify body.csv --refine none --model ": {
         "body.py:body --add-spring m": (1, "'m' is of an acceleration, a mass"),

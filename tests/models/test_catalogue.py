@@ -136,3 +136,8 @@ def test_dols_with_exact_derivatives_returns_what_was_simulated(name):
     estimate = identify(model.build_procedure(), record, DOLS(), intervals=Naive())
     for parameter, value in truth(model).items():
         np.testing.assert_allclose(estimate[parameter], value, rtol=1e-8, err_msg=parameter)
+
+
+def test_what_is_no_quantity_is_refused_when_a_model_is_made():
+    with pytest.raises(ModelError, match=r"what is in signals is the text 'x'\. Write"):
+        Model("it", "", signals={"x": ("m", "position")})  # pyright: ignore[reportArgumentType]

@@ -60,6 +60,7 @@ def signals_with(value, at):
             dict(signals={"x": np.arange(2).astype("datetime64[s]")}, time_step=1.0),
             ["'x'", "of datetime64[s]", "convert it"],
         ),
+        (dict(signals={1: ramp()}, time_step=1.0), ["signal's name is an int"]),
         (dict(signals={"x": 1j * ramp()}, time_step=1.0), ["'x'", "complex", "real or imaginary"]),
     ],
 )
@@ -76,6 +77,11 @@ def test_bad_data_is_refused_in_one_line_that_says_where(arguments, words):
 def test_a_record_of_arrays_refuses_what_are_no_real_numbers(values):
     with pytest.raises(DataError, match=r"signal 'x' (holds complex numbers|is not a list)"):
         Record({"x": values}, 1.0)
+
+
+def test_a_signal_is_called_by_a_text():
+    with pytest.raises(DataError, match="signal's name is None"):
+        Record({None: ramp()}, 1.0)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("count", [100, 4096])

@@ -175,7 +175,7 @@ def _map_lines(model: "Model", channels: "Channels", selection: "Selection") -> 
     read |= {column: units.get(name, "") for name, column in given.items()}
     yield from _unit_lines(channels, selection, read)
     try:
-        record_from_channels(channels, selection)
+        record_from_channels(channels, selection, {s.name: s.unit for s in _signals(model)})
     except DataError as error:
         yield _commented(f"# as it stands: {error}")
 

@@ -119,7 +119,7 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
             if (schema := document.get("schema", SCHEMA)) not in READABLE:
                 raise click.UsageError(
                     f"--job {file}: it was written with schema {schema!r}, and this version reads "
-                    f"{SCHEMA}."
+                    f"{' and '.join(map(str, READABLE))}."
                 )
             if not is_intact(document):
                 raise click.UsageError(

@@ -44,8 +44,8 @@ from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import EquationSums
 
 CONSTANT = 0.05
-"""Share of a target, rms, that may vary where it counts as constant: of integrals, in the longest of
-which a force varies half as much as under a window of typical length."""
+"""Share of a target, rms, that may vary where it counts as constant: of integrals, in the longest
+of which a force varies half as much as under a window of typical length."""
 STILL = 0.05
 """Share of a regressor that may vary where it counts as one that does not move."""
 EXPLAINED = 0.5

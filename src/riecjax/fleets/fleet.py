@@ -36,6 +36,7 @@ from riecjax.fleets.kept import (
     Kept,
     is_result,
     is_table,
+    make_folder,
     read_rows,
     write_entries,
 )
@@ -376,14 +377,14 @@ def fleet(
             changed: list[str] = []
             rows = judged([*read_rows(table, LIGHT)], keys, allow_duplicates)
             found = estimates(order, settings, rows, read_rows(table), started(), tell)
-            _make(folder)
+            make_folder(folder)
         else:
             sources = look()
             order = order_for(
                 model, sources, criterion, keys, storage or {}, at_rest, reading, parts
             )
             plan_parameters(order.procedure, 1, settings.known, ())
-            _make(folder)
+            make_folder(folder)
             kept = Kept(folder, order.digest, {b"riecjax.model": model.name.encode()})
             runs = started()
             pieces, changed = summed(order, sources, look, kept, runs, strict, tell)
@@ -398,13 +399,6 @@ def fleet(
     if all(entry.status != DONE for entry in entries):
         raise DataError(f"no group can be estimated; the first: {made.unanswered[0].status}")
     return made
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
 
 
 def _order_of(

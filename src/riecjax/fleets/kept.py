@@ -12,7 +12,7 @@ from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.fleets.groups import Entry
 from riecjax.fleets.sums import DONE, Row
 from riecjax.records.writing import write_whole
-from riecjax.whole_files import sweep
+from riecjax.whole_files import no_folder, sweep
 
 ORDER, SCHEMA_KEY, SCHEMA = b"riecjax.order", b"riecjax.fleet", b"2"
 COUNT = b"riecjax.rows"
@@ -20,6 +20,17 @@ ROWS = 64
 """Rows to a group of a file, which are read together."""
 LIGHT = tuple(name for name in Row._fields if name not in ("sums", "lengths"))
 """Columns that are small."""
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder that is to be written to.
+
+    **Raises:** `DataError` where that cannot be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(no_folder(folder, error)) from None
 
 
 def write_rows(

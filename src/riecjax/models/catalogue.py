@@ -9,6 +9,7 @@ from types import ModuleType
 
 from riecjax.errors import ModelError, require, users_code
 from riecjax.models.model import Model, Quantity, as_model
+from riecjax.whole_files import no_file
 
 _QUARTER_CAR_SIGNALS = (
     Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
@@ -289,7 +290,7 @@ def object_of_file(reference: str) -> object:
 
 def _load(path: Path) -> ModuleType:
     if not path.is_file():
-        raise ModelError(f"there is no file '{path}'.")
+        raise ModelError(no_file(path))
     spec = importlib.util.spec_from_file_location(f"riecjax_user_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise ModelError(f"'{path}' is not a Python file.")

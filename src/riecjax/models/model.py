@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from riecjax.errors import ModelError, users_code
+from riecjax.errors import ModelError, require, users_code
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
@@ -78,6 +78,12 @@ class Model(Shown):
     modes: tuple[HiddenMode, ...] = ()
     springs: tuple[SeriesSpring, ...] = ()
     sensors: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for field_name in ("signals", "parameters", "own_simulation_parameters", "inputs"):
+            for quantity in getattr(self, field_name):
+                write = f"{field_name}=(Quantity('x', 'm', 'position'), ...)"
+                require(f"what is in {field_name}", quantity, Quantity, write)
 
     @property
     def simulation_parameters(self) -> tuple[Quantity, ...]:

@@ -66,6 +66,8 @@ class Record(Drawn, eqx.Module):
     ):
         require("what a record is made of", arrays, Mapping, WRITE_RECORD, DataError)
         dtype = jnp.result_type(float)
+        for name in arrays:
+            require("a signal's name", name, str, WRITE_RECORD, DataError)
         self.arrays = {name: _owned(_numbers(name, v), dtype) for name, v in arrays.items()}
         # Of a batch of records, signals and time steps have the batch's axes in front.
         axes = max((values.ndim for values in self.arrays.values()), default=1) - 1
@@ -110,6 +112,8 @@ class Record(Drawn, eqx.Module):
         unequal lengths, and time that does not increase or is not evenly spaced.
         """
         require("what a record is made of", signals, Mapping, WRITE_RECORD, DataError)
+        for name in signals:
+            require("a signal's name", name, str, WRITE_RECORD, DataError)
         arrays = {name: _samples(name, values) for name, values in signals.items()}
         if (time is None) == (time_step is None):
             raise DataError("give either the time of each sample or the time step, not both.")

@@ -16,7 +16,7 @@ from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
 from riecjax.standard_output import answer
-from riecjax.whole_files import committing, is_stamped, temporary
+from riecjax.whole_files import committing, is_stamped, no_folder, temporary
 
 RESULTS, REPORT = "results.json", "report.html"
 STAMPED = (".png", ".parquet")
@@ -120,8 +120,8 @@ def require_folder(folder: Path) -> None:
     require_report_packages()
     with _folder_beside(folder):
         try:
-            if not folder.is_dir() and folder.exists():
-                raise DataError(f"cannot write to '{folder}': it is no folder.")
+            if not folder.is_dir() and os.path.lexists(folder):
+                raise NotADirectoryError
             if folder.is_dir() and not os.access(folder, os.W_OK):
                 raise DataError(f"cannot write to '{folder}': it may not be written to.")
             folder.lstat()
@@ -137,7 +137,7 @@ def _folder_beside(folder: Path) -> Iterator[Path]:
         with temporary(folder.parent, is_folder=True) as made:
             yield made
     except OSError as error:
-        raise DataError(f"cannot write to '{folder}': {error.strerror}.") from None
+        raise DataError(no_folder(folder, error)) from None
 
 
 def require_report_packages() -> None:

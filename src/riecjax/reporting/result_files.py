@@ -25,7 +25,6 @@ from riecjax.leaves import is_concrete
 from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.refine import Refined
 from riecjax.reporting.document import READABLE, Document, is_intact
-from riecjax.reporting.document import SCHEMA as RESULTS_SCHEMA
 from riecjax.reporting.tables import View
 from riecjax.reporting.verdict import reasons_in_words
 from riecjax.reporting.views import criterion_in_words, value_table
@@ -34,7 +33,7 @@ from riecjax.summaries import summary as summaries
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.summary_files import naming, packed, read_checked, unpacked, write_checked
 from riecjax.uncertainty.intervals import Uncertainty
-from riecjax.whole_files import read_plain
+from riecjax.whole_files import no_file, read_plain
 
 NAME = "estimate"
 """Name of the JSON document among the arrays."""
@@ -164,7 +163,7 @@ def _unreadable(file: Path) -> Iterator[None]:
 
 def _results(file: Path) -> Results:
     if not os.path.isfile(file):
-        raise DataError(f"there is no file '{file}'.")
+        raise DataError(no_file(file))
     with _unreadable(file):
         text = read_plain(file).decode()
     with naming(file, "results"):
@@ -177,7 +176,7 @@ def _results(file: Path) -> Results:
         if document["schema"] not in READABLE:
             raise DataError(
                 f"it was written with schema {document['schema']}, this version reads "
-                f"{RESULTS_SCHEMA}: use the version of riecjax that wrote it."
+                f"{' and '.join(map(str, READABLE))}: use the version of riecjax that wrote it."
             )
         if not is_intact(document):
             raise DataError("it is damaged or was changed: its checksum differs. Make it anew.")

@@ -29,6 +29,7 @@ from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.writing import write_npz, write_whole
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
+from riecjax.whole_files import no_file
 
 DOCUMENT = "summary"
 """Name of the JSON document among the arrays."""
@@ -164,7 +165,7 @@ def read_checked(
     """
     file = _path(path)
     if not file.is_file():
-        raise DataError(f"there is no file '{file}'.")
+        raise DataError(no_file(file))
     with naming(file, name):
         return _contents(file, name, kind, schema)
 

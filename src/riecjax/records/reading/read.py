@@ -10,6 +10,7 @@ from typing import Any
 from riecjax.errors import DataError, RiecjaxError, printable
 from riecjax.memory import require_memory
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, called, check_names, size_of
+from riecjax.whole_files import no_file
 
 TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm", ".log", ".prn")
 SHEETS = (".xlsx", ".xlsm")
@@ -87,7 +88,7 @@ def _reader(file: Path) -> Callable[..., Channels]:
             f"cannot read '{file.name or file}': its ending must be one of {', '.join(READERS)}."
         )
     if not (file.is_file() or is_bag):
-        raise DataError(f"there is no file '{file}'.")
+        raise DataError(no_file(file))
     if size_of(file) > LARGEST_FILE:
         raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")
     module, function = reader.split(".")
