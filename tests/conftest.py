@@ -10,7 +10,7 @@ from typing import Any
 # As the command line has it, before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from riecjax.runtime import processor, start_jax
+from riecjax.runtime import processor, release_memory, start_jax
 
 ROOT = Path(__file__).parents[1]
 PRODUCTION = os.environ.get("RIECJAX_TESTS") == "production"
@@ -88,7 +88,7 @@ def _count_compilation(event: str, duration_secs: float, **kwargs: str | int) ->
 
 jax.monitoring.register_event_duration_secs_listener(_count_compilation)
 
-MOST_MAPS = 30_000
+MOST_MAPS = 20_000
 """Memory maps of a process past which compiled functions are forgotten; Linux allows 65530."""
 COUNTED_AFTER = 300
 """Compilations between two counts of the maps, which take as long as a small test."""
@@ -107,7 +107,7 @@ def forget_compiled_functions() -> Iterator[None]:
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
-        gc.collect()
+        release_memory()
 
 
 @pytest.fixture(autouse=True)

@@ -109,6 +109,7 @@ def test_a_body_without_a_mode_is_given_none():
 
 
 @pytest.mark.raises_finding("late_signal")
+@pytest.mark.slow
 def test_a_velocity_that_is_late_is_not_the_forces_fault():
     clean = DRAG.record(0.01, 4, drive=1)
     late = clean.with_signals({"dx": jnp.roll(clean["dx"], 1)}).part(1, 4000)

@@ -80,6 +80,7 @@ def test_a_point_tells_its_values(opened):
     assert any(character.isdigit() for character in hover.first.text_content())
 
 
+@pytest.mark.slow
 def test_without_scripts_and_in_print_there_are_pictures(browser, every_mark):
     address = (every_mark / "report.html").as_uri()
     page = browser.new_page(java_script_enabled=False)
