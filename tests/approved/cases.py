@@ -222,6 +222,8 @@ SLOW = {
     *("emps-position", "emps-asymmetric", "own-model-mapped", "discover-laws", "one-way-many"),
     *("hidden-mode-elsewhere", "hidden-mode-absent", "stiction-servo", "lever-arm"),
     "lever-arm-together",
+    "duffing",
+    "drag-filtered",
 }
 """What `make nightly` compares besides: long, or an option beside one that the day compares."""
 BESIDE: dict[str, dict[str, str]] = {

@@ -146,6 +146,7 @@ def test_hidden_elements_are_refused(record):
         discover(model, record, **QUICK)
 
 
+@pytest.mark.slow
 def test_the_file_of_a_hysteretic_model_is_identified_and_simulated(tmp_path):
     problem = PROBLEMS["hysteresis"]
     (tmp_path / "own").mkdir()
