@@ -16,8 +16,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import psutil
-
 from riecjax.records.reading import child_process
 from riecjax.runtime import start_jax
 
@@ -124,6 +122,8 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
 
 def _at_rest() -> float:
     """Bytes that this process holds once what it has freed is given back."""
+    import psutil  # which POSIX alone has in parts
+
     with contextlib.suppress(AttributeError):  # another C library than GNU's
         ctypes.CDLL(None).malloc_trim(0)
     return psutil.Process().memory_info().rss
@@ -131,6 +131,8 @@ def _at_rest() -> float:
 
 def _seconds(pid: int) -> float:
     """Seconds of the processor that a process has used so far; infinite once it has gone."""
+    import psutil
+
     try:
         return sum(psutil.Process(pid).cpu_times()[:2])
     except psutil.NoSuchProcess:

@@ -258,13 +258,17 @@ def test_a_right_model_has_no_loop(noise):
 
 
 @pytest.mark.raises_finding("residual_follows_signal")
-def test_a_voltage_that_changes_dry_friction_is_named_with_what_it_changes():
+@pytest.mark.parametrize("scale", [1.0, 1e306])
+def test_a_voltage_that_changes_dry_friction_is_named_with_what_it_changes(scale):
+    """Whatever its unit is: sums of such numbers would overflow."""
     times = np.arange(6000) / 200
     x = np.sin(7 * times) + 0.4 * np.sin(11 * times + 1)
     v = 7 * np.cos(7 * times) + 4.4 * np.cos(11 * times + 1)
     volt = 1 + np.sin(0.9 * times)
     force = 3 * v + 5 * x + 4 * volt * np.sign(v)
-    record = rx.Record.from_samples({"x": x, "v": v, "F": force, "volt": volt}, time_step=1 / 200)
+    record = rx.Record.from_samples(
+        {"x": x, "v": v, "F": force, "volt": scale * volt}, time_step=1 / 200
+    )
     damper = rx.Equation(
         rx.Term("c", "x", derivative=1, measured=("v",)),
         rx.Term("k", "x"),

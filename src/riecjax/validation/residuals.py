@@ -183,6 +183,12 @@ def moving_average(
     return np.where(whole, (running[count:] - running[:-count]) / count, 0.0), whole
 
 
+def _of_order_one(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """The values over a power of two, where only ratios matter: sums and squares of values near the
+    largest number would overflow."""
+    return np.ldexp(values, -np.frexp(np.max(np.abs(values), initial=0.0))[1])
+
+
 def _centred(values: np.ndarray, present: np.ndarray) -> np.ndarray:
     mean = np.sum(values, where=present) / max(present.sum(), 1)
     return np.where(present, values - mean, 0.0)
@@ -671,7 +677,7 @@ def loop_of(
         kinds, columns = [], list(ends)
         for kind, signals in _regressors(motion, unread, records):
             values = [np.asarray(of.centred(np.asarray(one))) for of, one in zip(errors, signals)]
-            columns.append(averaged(with_pads(values, count)))
+            columns.append(averaged(_of_order_one(with_pads(values, count))))
             kinds.append(kind)
         loops.append(largest(columns, kinds))
     return max(filter(None, loops), key=lambda one: one.size, default=None)
@@ -1106,7 +1112,8 @@ def _follows(
             values.append(np.asarray(part.centred(record[name])))
             gone = np.zeros(values[-1].size) if missing is None else part.centred(missing * 1.0)
             masks.append(np.asarray(gone) == 0)
-        signal, valid = moving_average(with_pads(values, lags), with_pads(masks, lags), count)
+        series, there = with_pads(values, lags), with_pads(masks, lags)
+        signal, valid = moving_average(_of_order_one(np.where(there, series, 0.0)), there, count)
         both = present & valid
         if both.any() and np.ptp(signal[both]) > 0:
             step = float(errors[0].time_step)
