@@ -71,9 +71,10 @@ def test_missing_terms_are_found_at_five_percent_of_noise(name):
 
 
 @pytest.mark.slow
-def test_the_width_of_a_dead_zone_is_found():
+@pytest.mark.parametrize("seed", range(4))
+def test_the_width_of_a_dead_zone_is_found(seed):
     problem = PROBLEMS["dead_zone"]
-    found = discover(problem.start, problem.record(0.01, 0), **QUICK)
+    found = discover(problem.start, problem.record(0.01, seed), **QUICK)
     widths = {one.candidate.name: one.width for one in found.chosen}
     assert widths["dead_zone"] == pytest.approx(WIDTH, rel=0.02)
     assert widths["viscous"] is None

@@ -674,15 +674,20 @@ class Sums:
             return float("nan")
         number = int(one.name.rpartition("@")[2])
         widths = self.shape(one.family).widths
-        if not 0 < number < widths.size - 1:
-            return float("nan")
         beside = [other for other in chosen if other is not one]
         near = {o.name: o for o in search.every if o.family == one.family}
-        offers = [near[f"{one.family}@{i}"] for i in (number - 1, number, number + 1)]
+        offers = [near[f"{one.family}@{i}"] for i in range(widths.size)]
         left = [search.left([*beside, offer]) for offer in offers]
-        if any(each is None for each in left):
+        # Of widths that leave alike the one that was chosen may stand at an end, and not the least.
+        if not 0 < number < widths.size - 1:
+            sums = [np.inf if each is None else each.motion.sum() for each in left]
+            number = int(np.argmin(sums))
+        if not 0 < number < widths.size - 1:
             return float("nan")
-        below, at, above = (each.motion for each in left if each is not None)
+        three = [each.motion for each in left[number - 1 : number + 2] if each is not None]
+        if len(three) < 3:
+            return float("nan")
+        below, at, above = three
         low, high = widths[number] - widths[number - 1], widths[number + 1] - widths[number]
         # Of a parabola through three points, wherever its least is.
         slopes = ((above - at) * low / high + (at - below) * high / low) / (low + high)
