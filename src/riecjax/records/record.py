@@ -360,8 +360,15 @@ def stack_records(records: list[Record]) -> Record:
 
 
 def _owned(values: Any, dtype: Any) -> Array:
-    """An array that no one else writes to: JAX may take up memory of NumPy's as it is."""
-    return jnp.asarray(values, dtype) if isinstance(values, jax.Array) else jnp.array(values, dtype)
+    """An array that no one else writes to: JAX may take up memory of NumPy's as it is.
+
+    NumPy copies, since JAX compiles a conversion for each length that is new.
+    """
+    if isinstance(values, jax.Array):
+        return jnp.asarray(values, dtype)
+    # What 32-bit does not hold is infinite there.
+    with np.errstate(over="ignore"):
+        return jnp.asarray(np.array(values, dtype))
 
 
 def _numbers(name: str, values: Any) -> Any:
