@@ -68,10 +68,9 @@ def _numbers(entries: list[Any]) -> np.ndarray | None:
 
 def differences(approved: Any, output: Any) -> Iterator[str]:
     """Each difference between two condensed documents: where, before, after, how large."""
-    both = approved, output
-    if all(_residual(one) < EXACT for one in both):
-        both = tuple(_without(OF_RESIDUAL, one) for one in both)
-    yield from _compared(*both, "", None)
+    if max(_residual(approved), _residual(output)) < EXACT:
+        approved, output = (_without(OF_RESIDUAL, one) for one in (approved, output))
+    yield from _compared(approved, output, "", None)
 
 
 def _residual(kept: Any) -> float:

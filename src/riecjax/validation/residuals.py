@@ -708,6 +708,8 @@ def _regressors(
             yield found, [memory.course(record) for record in records]
     for name in unread:
         s = _each(records, name)
+        ends = np.cumsum([one.size for one in s])[:-1]
+        s = np.split(_of_order_one(np.concatenate(s)), ends)
         for dry in (False, True):
             found = Loop("", motion, 0.0, name, 0.0, 0.0, dry)
             yield found, [one * (np.sign(w) if dry else w) for one, w in zip(s, v)]
