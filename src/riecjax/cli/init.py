@@ -148,7 +148,8 @@ def _map_lines(model: "Model", channels: "Channels", selection: "Selection") -> 
     given, read = selection.rename, {}
     times = [c for c in channels.columns if is_called_time(c, channels.units)]
     taken = {*given.values(), *times}
-    wanted = [s for s in _signals(model) if s.name not in given]
+    signals = _signals(model)
+    wanted = [s for s in signals if s.name not in given]
     missing = []
     for signal in wanted:
         try:
@@ -171,11 +172,11 @@ def _map_lines(model: "Model", channels: "Channels", selection: "Selection") -> 
             unit = f" in {signal.unit}" if signal.unit else ""
             listed = ", ".join(map(toml_value, rest)) or "no column is left"
             yield _commented(f'# {name} = "COLUMN"  # {signal.name}{unit}, one of: {listed}')
-    units = {signal.name: signal.unit for signal in _signals(model)}
+    units = {signal.name: signal.unit for signal in signals}
     read |= {column: units.get(name, "") for name, column in given.items()}
     yield from _unit_lines(channels, selection, read)
     try:
-        record_from_channels(channels, selection, {s.name: s.unit for s in _signals(model)})
+        record_from_channels(channels, selection, units)
     except DataError as error:
         yield _commented(f"# as it stands: {error}")
 

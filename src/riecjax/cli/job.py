@@ -114,13 +114,10 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
             document = json.loads(text)
             if not all(isinstance(document[key], dict) for key in ("job", "provenance")):
                 raise KeyError("job")
-            from riecjax.reporting.document import READABLE, SCHEMA, is_intact
+            from riecjax.reporting.document import SCHEMA, is_intact, unread_schema
 
-            if (schema := document.get("schema", SCHEMA)) not in READABLE:
-                raise click.UsageError(
-                    f"--job {file}: it was written with schema {schema!r}, and this version reads "
-                    f"{' and '.join(map(str, READABLE))}."
-                )
+            if why := unread_schema(document.get("schema", SCHEMA)):
+                raise click.UsageError(f"--job {file}: {why}.")
             if not is_intact(document):
                 raise click.UsageError(
                     f"--job {file}: it is damaged or was changed: its checksum differs. Other "

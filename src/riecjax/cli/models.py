@@ -20,10 +20,10 @@ def command(name: str | None, as_json: bool) -> None:
 
     With a NAME, or path/to/file.py[:object], show that model and its equations.
     """
+    shown = list(MODELS.values()) if name is None else [find_model(name)]
     if as_json:
         from riecjax.reporting.document import SCHEMA
 
-        shown = MODELS if name is None else {name: find_model(name)}
         models = {
             model.name: {
                 "summary": model.summary,
@@ -34,22 +34,22 @@ def command(name: str | None, as_json: bool) -> None:
                 ],
                 "inputs": [_entry(q) for q in model.inputs],
             }
-            for model in shown.values()
+            for model in shown
         }
         answer(json.dumps({"schema": SCHEMA, "models": models}, indent=2))
         return
     console = Console()
-    for i, model in enumerate(MODELS.values() if name is None else (find_model(name),)):
+    for i, model in enumerate(shown):
         if i:
             console.print()
         console.print(model.name, style="bold", highlight=False)
         console.print(f"  {model.summary}", highlight=False)
         console.print(_table(model))
-    if name is not None and find_model(name).procedure is not None:
+    if name is not None and shown[0].procedure is not None:
         from riecjax.reporting.equations import procedure_in_words
 
         console.print("  equations", style="dim")
-        for line in procedure_in_words(find_model(name).build_procedure()):
+        for line in procedure_in_words(shown[0].build_procedure()):
             console.print(f"  {line}", highlight=False, markup=False)
 
 

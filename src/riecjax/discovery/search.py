@@ -680,11 +680,9 @@ class Sums:
         left = [search.left([*beside, offer]) for offer in offers]
         # Of widths that leave alike the one that was chosen may stand at an end, and not the least.
         if not 0 < number < widths.size - 1:
-            sums = [np.inf if each is None else each.motion.sum() for each in left]
-            number = int(np.argmin(sums))
-        if not 0 < number < widths.size - 1:
-            return float("nan")
-        three = [each.motion for each in left[number - 1 : number + 2] if each is not None]
+            number = int(np.argmin([np.inf if x is None else x.motion.sum() for x in left]))
+        # At an end there are fewer.
+        three = [each.motion for each in left[max(number - 1, 0) : number + 2] if each is not None]
         if len(three) < 3:
             return float("nan")
         below, at, above = three

@@ -66,8 +66,6 @@ class Record(Drawn, eqx.Module):
     ):
         require("what a record is made of", arrays, Mapping, WRITE_RECORD, DataError)
         dtype = jnp.result_type(float)
-        for name in arrays:
-            require("a signal's name", name, str, WRITE_RECORD, DataError)
         self.arrays = {name: _owned(_numbers(name, v), dtype) for name, v in arrays.items()}
         # Of a batch of records, signals and time steps have the batch's axes in front.
         axes = max((values.ndim for values in self.arrays.values()), default=1) - 1
@@ -112,8 +110,6 @@ class Record(Drawn, eqx.Module):
         unequal lengths, and time that does not increase or is not evenly spaced.
         """
         require("what a record is made of", signals, Mapping, WRITE_RECORD, DataError)
-        for name in signals:
-            require("a signal's name", name, str, WRITE_RECORD, DataError)
         arrays = {name: _samples(name, values) for name, values in signals.items()}
         if (time is None) == (time_step is None):
             raise DataError("give either the time of each sample or the time step, not both.")
@@ -374,8 +370,10 @@ def _owned(values: Any, dtype: Any) -> Array:
 def _numbers(name: str, values: Any) -> Any:
     """Samples that are real numbers, as an array of NumPy or JAX.
 
-    **Raises:** `DataError` for anything else: text, times, complex numbers.
+    **Raises:** `DataError` for anything else: text, times, complex numbers; and for a name that is
+    no text.
     """
+    require("a signal's name", name, str, WRITE_RECORD, DataError)
     try:
         samples = values if isinstance(values, jax.Array) else np.asarray(values)
         samples = samples.astype(float) if samples.dtype.kind == "O" else samples

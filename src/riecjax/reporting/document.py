@@ -23,6 +23,13 @@ READABLE = (1, SCHEMA)
 """Schemas of documents that this version reads: 2 dropped `seed_scatter`, which no reader needs."""
 
 
+def unread_schema(schema: object) -> str:
+    """That this version does not read documents of a schema, in words; empty where it does."""
+    listed = " and ".join(map(str, READABLE))
+    wrong = f"it was written with schema {schema!r}, and this version reads {listed}"
+    return "" if schema in READABLE else wrong
+
+
 def sealed(document: Document) -> Document:
     """The document with a checksum of all else in it."""
     return {**document, "checksum": _checksum(document)}

@@ -24,7 +24,7 @@ from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
 from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.refine import Refined
-from riecjax.reporting.document import READABLE, Document, is_intact
+from riecjax.reporting.document import Document, is_intact, unread_schema
 from riecjax.reporting.tables import View
 from riecjax.reporting.verdict import reasons_in_words
 from riecjax.reporting.views import criterion_in_words, value_table
@@ -173,11 +173,8 @@ def _results(file: Path) -> Results:
             raise DataError(f"it is damaged, or no JSON: {error}.") from None
         if not isinstance(document, dict) or "schema" not in document:
             raise DataError("it is no results.json, which riecjax identify --out DIR writes.")
-        if document["schema"] not in READABLE:
-            raise DataError(
-                f"it was written with schema {document['schema']}, this version reads "
-                f"{' and '.join(map(str, READABLE))}: use the version of riecjax that wrote it."
-            )
+        if why := unread_schema(document["schema"]):
+            raise DataError(f"{why}: use the version of riecjax that wrote it.")
         if not is_intact(document):
             raise DataError("it is damaged or was changed: its checksum differs. Make it anew.")
         if "error" in document:

@@ -183,10 +183,11 @@ def moving_average(
     return np.where(whole, (running[count:] - running[:-count]) / count, 0.0), whole
 
 
-def _of_order_one(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """The values over a power of two, where only ratios matter: sums and squares of values near the
-    largest number would overflow."""
-    return np.ldexp(values, -np.frexp(np.max(np.abs(values), initial=0.0))[1])
+def _of_order_one(series: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """A signal's values in each record over one power of two, where only ratios matter: sums and
+    squares of values near the largest number would overflow."""
+    largest = max(np.max(np.abs(values), initial=0.0) for values in series)
+    return [np.ldexp(values, -np.frexp(largest)[1]) for values in series]
 
 
 def _centred(values: np.ndarray, present: np.ndarray) -> np.ndarray:
@@ -677,7 +678,7 @@ def loop_of(
         kinds, columns = [], list(ends)
         for kind, signals in _regressors(motion, unread, records):
             values = [np.asarray(of.centred(np.asarray(one))) for of, one in zip(errors, signals)]
-            columns.append(averaged(_of_order_one(with_pads(values, count))))
+            columns.append(averaged(with_pads(values, count)))
             kinds.append(kind)
         loops.append(largest(columns, kinds))
     return max(filter(None, loops), key=lambda one: one.size, default=None)
@@ -708,8 +709,6 @@ def _regressors(
             yield found, [memory.course(record) for record in records]
     for name in unread:
         s = _each(records, name)
-        ends = np.cumsum([one.size for one in s])[:-1]
-        s = np.split(_of_order_one(np.concatenate(s)), ends)
         for dry in (False, True):
             found = Loop("", motion, 0.0, name, 0.0, 0.0, dry)
             yield found, [one * (np.sign(w) if dry else w) for one, w in zip(s, v)]
@@ -752,7 +751,7 @@ def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
 
 
 def _each(records: Sequence[Record], name: str) -> Series:
-    return [np.nan_to_num(samples_with_nan(record, name)) for record in records]
+    return _of_order_one([np.nan_to_num(samples_with_nan(record, name)) for record in records])
 
 
 NOTABLE_SIZE = 0.02
@@ -1114,8 +1113,8 @@ def _follows(
             values.append(np.asarray(part.centred(record[name])))
             gone = np.zeros(values[-1].size) if missing is None else part.centred(missing * 1.0)
             masks.append(np.asarray(gone) == 0)
-        series, there = with_pads(values, lags), with_pads(masks, lags)
-        signal, valid = moving_average(_of_order_one(np.where(there, series, 0.0)), there, count)
+        series = with_pads(_of_order_one(values), lags)
+        signal, valid = moving_average(series, with_pads(masks, lags), count)
         both = present & valid
         if both.any() and np.ptp(signal[both]) > 0:
             step = float(errors[0].time_step)
