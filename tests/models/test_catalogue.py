@@ -72,15 +72,6 @@ def test_listed_parameters_and_units_are_those_of_the_equations(name):
     assert [p.name for p in model.parameters] == list(procedure.parameters)
 
 
-@pytest.mark.parametrize("name", IDENTIFIED)
-def test_the_listed_signals_are_all_that_the_equations_read(name):
-    model = MODELS[name]
-    samples = np.linspace(0.1, 1.0, 200)
-    record = Record({signal.name: samples for signal in model.signals}, 0.01)
-    for equation in model.build_procedure().equations:
-        DOLS().rows(equation, record)
-
-
 @pytest.mark.parametrize("name", SIMULATED)
 def test_listed_inputs_and_states_have_the_systems_units(name):
     model = MODELS[name]
