@@ -30,6 +30,7 @@ STAGES = (
 SHARED = (
     "compilation",
     "errors",
+    "extensions",
     "finding_codes",
     "findings",
     "leaves",
