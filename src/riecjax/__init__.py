@@ -23,12 +23,17 @@ def __dir__():
 
 def __getattr__(name: str):
     """A public name; of one that a submodule has, the error says where it is."""
+    import importlib.util
+
     public, _, listed = _lazy()
     if name == "__all__":
         return listed
     try:
         return public(name)
     except AttributeError as error:
+        # `from riecjax import errors` asks here for a module before it imports it.
+        if importlib.util.find_spec(f"{__name__}.{name}"):
+            raise
         for module in listed:
             if module.islower() and name in _names_of(module):
                 raise AttributeError(

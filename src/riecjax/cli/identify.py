@@ -11,7 +11,12 @@ from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from riecjax.equations.procedure import AtRest
+    from riecjax.reporting.charts.chart import Chart
+    from riecjax.reporting.document import Document
+    from riecjax.reporting.page import Page
 
 
 @click.command(
@@ -130,9 +135,17 @@ def command(
         print_everything,
         print_identification,
     )
-    from riecjax.reporting.identification_figures import identification_figures
-    from riecjax.reporting.identification_page import identification_page
     from riecjax.reporting.output import emit
+
+    def charts() -> "Mapping[str, Chart]":
+        from riecjax.reporting.identification_figures import identification_figures
+
+        return identification_figures(assessment)
+
+    def page(document: "Document") -> "Page":
+        from riecjax.reporting.identification_page import identification_page
+
+        return identification_page(document)
 
     context = click.get_current_context()
     document = identification_document(assessment, context.obj or ())
@@ -146,7 +159,7 @@ def command(
         as_json=as_json,
         out=out,
         show=print_everything if verbose else print_identification,
-        charts=lambda: identification_figures(assessment),
-        page=identification_page,
+        charts=charts,
+        page=page,
         warnings=told,
     )
