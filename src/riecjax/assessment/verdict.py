@@ -18,7 +18,7 @@ from riecjax.equations.term import Term, constant
 from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
 from riecjax.findings import Finding
 from riecjax.shows import Shown
-from riecjax.studies.sweep import MOST
+from riecjax.validation.sweep import MOST
 from riecjax.validation.residuals import EquationResidual
 
 if TYPE_CHECKING:

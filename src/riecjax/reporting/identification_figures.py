@@ -42,8 +42,8 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
-from riecjax.studies.choice import WindowChoice
-from riecjax.studies.sweep import WindowSweep
+from riecjax.validation.choice import WindowChoice
+from riecjax.validation.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import (
     CrossCorrelation,

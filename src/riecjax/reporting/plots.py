@@ -43,7 +43,7 @@ from riecjax.reporting.identification_figures import (
 )
 from riecjax.reporting.identification_page import write_report
 from riecjax.reporting.tables import with_error
-from riecjax.studies.sweep import WindowSweep
+from riecjax.validation.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 
