@@ -49,7 +49,6 @@ MANY_IMPORTS = {
     "riecjax.reporting.plots": 16,
     "riecjax.reporting.result_files": 18,
     "riecjax.reporting.views": 29,
-    "riecjax.validation.sweep": 17,
     "riecjax.summaries.one_pass": 18,
     "riecjax.summaries.summarise": 17,
     "riecjax.validation.equation_errors": 13,

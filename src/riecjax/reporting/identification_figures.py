@@ -43,7 +43,6 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.validation.choice import WindowChoice
-from riecjax.validation.sweep import WindowSweep
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import (
     CrossCorrelation,
@@ -52,6 +51,7 @@ from riecjax.validation.residuals import (
     ResidualTests,
     unbroken,
 )
+from riecjax.validation.sweep import WindowSweep
 
 LOWEST = 0.3
 """Where nothing is left, beside the least that is, on a logarithmic axis."""
