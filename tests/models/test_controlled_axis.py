@@ -5,19 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
-from scipy.integrate import solve_ivp
-
-from riecjax.errors import DataError, ModelError
-from riecjax.models.emps import (
-    Axis,
-    ControlledAxis,
-    simulate_sampled_control,
+from benchmarks.measured.emps_axis import (
+    SlidingAxis,
+    sampled_control,
     stribeck_axis,
     stribeck_balance,
     without_rise,
 )
+from scipy.integrate import solve_ivp
+
 from riecjax.records.record import Record
-from riecjax.simulation.simulate import simulate
 
 VALUES = {
     "M": 95.0,
@@ -29,8 +26,10 @@ VALUES = {
 }
 
 
-def axis(**changes: float) -> Axis:
-    return Axis(**{name: jnp.asarray(value) for name, value in {**VALUES, **changes}.items()})
+def axis(**changes: float) -> SlidingAxis:
+    return SlidingAxis(
+        **{name: jnp.asarray(value) for name, value in {**VALUES, **changes}.items()}
+    )
 
 
 class Standstill:
@@ -45,7 +44,7 @@ class Standstill:
         return x[1]
 
 
-def advance(moved: Axis, position: float, velocity: float, force: float, seconds: float):
+def advance(moved: SlidingAxis, position: float, velocity: float, force: float, seconds: float):
     state = [jnp.asarray(x) for x in (position, velocity, force, seconds)]
     return moved.advance(state[0], state[1], state[2], state[3])
 
@@ -116,44 +115,34 @@ def ramp_and_hold(count: int = 1500) -> Record:
     return Record({"qg": 0.1 * np.minimum(time, time[count // 2])}, 1e-3)
 
 
-@pytest.mark.parametrize("form", ["continuous", "sampled"])
-def test_follows_a_ramp_as_its_gains_say(form):
+GAIN = jnp.asarray(35.15065188)
+
+
+def test_follows_a_ramp_as_its_gains_say():
     """In steady motion q' = 0.1, so the force is the friction and qg - q = (0.1 + u / kv) / kp."""
-    system = ControlledAxis(axis())
-    run = simulate if form == "continuous" else simulate_sampled_control
-    record = run(system, ramp_and_hold()).checked().record
+    goal = ramp_and_hold()
+    record = sampled_control(axis(), goal, gain=GAIN, start=jnp.asarray(0.0))
     at = 700
     friction = 170.0 * 0.1 + 20.0 - 3.0
     np.testing.assert_allclose(record["dq"][at], 0.1, rtol=1e-3)
     np.testing.assert_allclose(record["force"][at], friction, rtol=2e-2)
     lag = (0.1 + friction / (35.15065188 * 243.45)) / 160.18
     # Held between samples, the controller sees the velocity one sample late: none when steady.
-    np.testing.assert_allclose(record["qg"][at] - record["q"][at], lag, rtol=1e-3)
+    np.testing.assert_allclose(goal["qg"][at] - record["q"][at], lag, rtol=1e-3)
 
 
 def test_sampled_record_obeys_the_controller_and_the_equation_of_motion():
-    record = simulate_sampled_control(
-        ControlledAxis(axis()), ramp_and_hold(), initial_state={"q": -0.001}
-    ).record
+    goal = ramp_and_hold()
+    record = sampled_control(axis(), goal, gain=GAIN, start=jnp.asarray(-0.001))
     q, dq, force = (np.asarray(record[name]) for name in ("q", "dq", "force"))
     assert q[0] == -0.001
-    law = 160.18 * (np.asarray(record["qg"]) - q)[2:] - (q[2:] - q[:-2]) / 2e-3
+    law = 160.18 * (np.asarray(goal["qg"]) - q)[2:] - (q[2:] - q[:-2]) / 2e-3
     np.testing.assert_allclose(force[2:], 35.15065188 * 243.45 * law, rtol=1e-12)
     moving = slice(20, 700)
     friction = 170.0 * dq + 20.0 - 3.0
     np.testing.assert_allclose(
         95.0 * np.asarray(record["ddq"])[moving], (force - friction)[moving], atol=1e-9
     )
-
-
-def test_unknown_states_delays_and_missing_references_are_refused():
-    system = ControlledAxis(axis())
-    with pytest.raises(ModelError, match="unknown state 'x'"):
-        simulate_sampled_control(system, ramp_and_hold(10), initial_state={"x": 0.0})
-    with pytest.raises(ModelError, match="0 or 1"):
-        simulate_sampled_control(system, ramp_and_hold(10), delay=2)
-    with pytest.raises(DataError, match="no signal 'qg'"):
-        simulate_sampled_control(system, Record({"u": np.zeros(5)}, 1e-3))
 
 
 RISING = {"M": 95.0, "Fv_pos": 160.0, "Fc_pos": 20.0, "Fv_neg": 230.0, "Fc_neg": 21.0}
