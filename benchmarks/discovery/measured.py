@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
-from benchmarks.measured.emps_axis import SlidingAxis, SteppedAxis
+from benchmarks.measured.emps_axis import RisingAxis
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.term import AbstractShape
 from riecjax.models.model import as_model
@@ -35,7 +35,7 @@ MR_TRAIN = 1000
 """Samples of the damper's 1501 that the search reads."""
 
 
-class LimitedAxis(SteppedAxis):
+class LimitedAxis(RisingAxis):
     """An axis whose dry friction grows with the speed up to a limit.
 
     **Fields:** those of an axis, `slope` in N s/m up to the speed `limit` in m/s.
@@ -44,10 +44,10 @@ class LimitedAxis(SteppedAxis):
     slope: Float[Array, ""]
     limit: Float[Array, ""]
 
-    def at_speed(self, velocity: Array) -> SlidingAxis:
-        """Both levels and slope min(|v|, limit)."""
+    def levels(self, velocity: Array) -> tuple[Array, Array]:
+        """Both and slope min(|v|, limit)."""
         more = self.slope * jnp.minimum(jnp.abs(velocity), self.limit)
-        return self.with_levels(self.Fc_pos + more, self.Fc_neg + more)
+        return self.Fc_pos + more, self.Fc_neg + more
 
 
 def told(found: Discovery) -> dict[str, Any]:

@@ -14,7 +14,6 @@ import scipy.io
 import scipy.signal
 
 from benchmarks.measured.emps_axis import (
-    SlidingAxis,
     StribeckAxis,
     sampled_control,
     stribeck_axis,
@@ -24,7 +23,13 @@ from benchmarks.measured.emps_axis import (
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.estimation.identify import identify
-from riecjax.models.emps import emps_asymmetric_equation, emps_equation
+from riecjax.models.emps import (
+    Axis,
+    emps_asymmetric_equation,
+    emps_asymmetric_system,
+    emps_equation,
+    emps_system,
+)
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
@@ -68,27 +73,19 @@ def load_rig(folder: Path) -> Rig:
     return Rig(v["t"], measured, Record({"qg": v["qg"]}, STEP), gain, v["vir"], v["qm"])
 
 
-def axis_of(values: dict[str, float]) -> SlidingAxis:
-    """With the same friction in both directions where one is named."""
-    both = {f"{k}_{side}": v for k, v in values.items() for side in ("pos", "neg") if k[0] == "F"}
-    fields = both if "Fv" in values else {k: v for k, v in values.items() if k[0] == "F"}
-    fields |= {"M": values["M"], "offset": values.get("offset", 0.0)}
-    return SlidingAxis(**{name: jnp.asarray(value) for name, value in fields.items()})
-
-
-def identified_axes(rig: Rig) -> dict[str, SlidingAxis]:
+def identified_axes(rig: Rig) -> dict[str, Axis]:
     """Published values by pointwise least squares, and RIEC's on the raw record."""
     raw = Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
     raw = differentiate(raw, "q", "dq")
     criterion = RIEC(RandomWindows(0.05, 0.5, 20_000))
     found = {}
-    for name, equation, published in (
-        ("symmetric", emps_equation(), SYMMETRIC),
-        ("asymmetric", emps_asymmetric_equation(), ASYMMETRIC),
+    for name, equation, system, published in (
+        ("symmetric", emps_equation(), emps_system, SYMMETRIC),
+        ("asymmetric", emps_asymmetric_equation(), emps_asymmetric_system, ASYMMETRIC),
     ):
-        found[f"published {name}"] = axis_of(published)
+        found[f"published {name}"] = system({k: jnp.asarray(v) for k, v in published.items()})
         estimate = identify(equation, raw, criterion, key=jax.random.key(0))
-        found[f"RIEC {name}"] = axis_of({k: float(estimate[k]) for k in published})
+        found[f"RIEC {name}"] = system({k: estimate[k] for k in published})
     return found
 
 
@@ -123,6 +120,6 @@ def errors(rig: Rig, record: dict[str, jax.Array], clock: float = STEP) -> dict[
     return found
 
 
-def sampled(rig: Rig, axis: SlidingAxis, delay: int) -> dict[str, jax.Array]:
+def sampled(rig: Rig, axis: Axis, delay: int) -> dict[str, jax.Array]:
     gain, start = jnp.asarray(rig.gain), jnp.asarray(rig.position[0])
     return sampled_control(axis, rig.reference, gain=gain, start=start, delay=delay)

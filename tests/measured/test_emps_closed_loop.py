@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from benchmarks.measured import emps_closed_loop
-from benchmarks.measured.emps_axis import SlidingAxis
 from benchmarks.measured.emps_closed_loop import (
     PUBLISHED,
     STEP,
@@ -16,6 +15,7 @@ from benchmarks.measured.emps_closed_loop import (
 
 from conftest import measured_data
 from riecjax.criteria.windows import AllWindows
+from riecjax.models.emps import Axis
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="module")
-def axes(rig) -> dict[str, SlidingAxis]:
+def axes(rig) -> dict[str, Axis]:
     return identified_axes(rig)
 
 
