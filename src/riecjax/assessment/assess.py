@@ -28,8 +28,6 @@ from riecjax.estimation.check import (
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimate as estimate_of
-from riecjax.estimation.mode_evidence import mode_evidence
-from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
@@ -40,14 +38,15 @@ from riecjax.records.recording import Recording, as_recordings, explaining_error
 from riecjax.settings.setting import taking
 from riecjax.settings.tree import Assess
 from riecjax.settings.tree import Check as CheckSettings
-from riecjax.studies.sweep import sweep_edges, window_sweep
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich, intervals_of
+from riecjax.validation.sweep import sweep_edges, window_sweep
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
+    from riecjax.estimation.mode_evidence import ModeEvidence
 
 
 @taking(Assess)
@@ -123,8 +122,7 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     with explaining_errors(asked.fitted):
         summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
     estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
-    evidence = mode_evidence(procedure, estimate) if procedure.modes else []
-    ordinary = linearised(procedure, summary, plan.given)
+    evidence, ordinary = _about_hidden(procedure, estimate, summary, plan.given)
     excited = excitations(ordinary, plan)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
@@ -209,7 +207,8 @@ def assess_sums(
 
     found = on_host(estimate_of(procedure, summary, known=known, intervals=intervals))
     plan = plan_parameters(procedure, len(summary.recordings), known, ())
-    excited = excitations(linearised(procedure, summary, plan.given), plan)
+    evidence, ordinary = _about_hidden(procedure, found, summary, plan.given)
+    excited = excitations(ordinary, plan)
     raise_if_refused(excited)
     told = [*findings, *(finding for stage in excited for finding in stage.findings())]
     sweep = None
@@ -224,8 +223,21 @@ def assess_sums(
         checked=Check(told, excited, ()),
         estimate=found,
         sweep=sweep,
-        modes=mode_evidence(procedure, found) if procedure.modes else (),
+        modes=evidence,
     )
+
+
+def _about_hidden(
+    procedure: Procedure, estimate: Estimate, summary: Summary, known: Mapping[str, Array]
+) -> tuple[list["ModeEvidence"], Summary]:
+    """What speaks for hidden modes, and the sums, linearised about hidden elements."""
+    if not procedure.has_hidden:
+        return [], summary
+    from riecjax.estimation.mode_evidence import mode_evidence
+    from riecjax.estimation.mode_windows import linearised
+
+    evidence = mode_evidence(procedure, estimate) if procedure.modes else []
+    return evidence, linearised(procedure, summary, known)
 
 
 class Answering(NamedTuple):

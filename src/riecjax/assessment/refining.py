@@ -26,7 +26,6 @@ from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
@@ -91,6 +90,8 @@ def answered(asked: Asked, estimate: Estimate, refused: bool, settings: Assess) 
             Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, settings, horizon)
         )
     else:
+        from riecjax.refinement.integral_error import IntegralError
+
         # Over the estimate's windows if no others are asked for; its values are the answer.
         if isinstance(by, IntegralError) and by.criterion is None:
             by = IntegralError(estimate.criterion)

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from riecjax import settings
+from riecjax import reporting, settings
 from riecjax.cli.command import Given, settings_command
 from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
@@ -55,8 +55,6 @@ def command(given: Given) -> None:
         print_everything,
         print_identification,
     )
-    from riecjax.reporting.identification_figures import identification_figures
-    from riecjax.reporting.identification_page import identification_page
     from riecjax.reporting.output import emit
 
     document = identification_document(assessment, given.arguments, given.with_options)
@@ -70,7 +68,7 @@ def command(given: Given) -> None:
         as_json=given.as_json,
         out=given.out,
         show=print_everything if given.verbose else print_identification,
-        charts=lambda: identification_figures(assessment),
-        page=identification_page,
+        charts=lambda: reporting.identification_figures(assessment),
+        page=lambda document: reporting.identification_page(document),
         warnings=told,
     )

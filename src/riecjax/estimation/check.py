@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Array, Float, Key
@@ -15,8 +16,6 @@ from riecjax.equations.term import RoofFunctions, Terms
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
-from riecjax.estimation.mode_evidence import ModeEvidence
-from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
@@ -31,6 +30,9 @@ from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import Survey
 from riecjax.summaries.task import ready, signals_read, task
+
+if TYPE_CHECKING:
+    from riecjax.estimation.mode_evidence import ModeEvidence
 
 FEWEST_STRETCHES = 10
 """Stretches of twice the longest window that the records should hold."""
@@ -82,7 +84,9 @@ def raise_if_refused(excitations: Iterable[Excitation]) -> None:
         raise IdentifiabilityError(refusal.message, refusal.code)
 
 
-def raise_if_not_carried(modes: Iterable[ModeEvidence], excitations: Iterable[Excitation]) -> None:
+def raise_if_not_carried(
+    modes: "Iterable[ModeEvidence]", excitations: Iterable[Excitation]
+) -> None:
     """Raise that recordings carry no such mode where that is why nothing tells regressors apart.
 
     **Raises:** `IdentifiabilityError` with the finding's message and code.
@@ -171,7 +175,10 @@ def check_sums(
     read = [read_of(procedure, one, criterion, summary is not None) for one in recordings]
     plan = plan_parameters(procedure, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
-    summary = linearised(procedure, summary, plan.given)
+    if procedure.has_hidden:
+        from riecjax.estimation.mode_windows import linearised
+
+        summary = linearised(procedure, summary, plan.given)
     excited = excitations(summary, plan) if excited is None else excited
     settings = procedure, plan.sharing, summary, plan.given
     # Deviations from the mean are no regressors of hidden elements.

@@ -17,7 +17,6 @@ from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
-from riecjax.estimation.mode_windows import find_modes
 from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
@@ -155,6 +154,8 @@ def _estimated(
     if procedure.has_hidden:
         if sharing.own:
             raise ModelError("per_record has no meaning yet for a model with hidden elements.")
+        from riecjax.estimation.mode_windows import find_modes
+
         modes = find_modes(procedure, summary, given)
         equations, sources = modes.equations, modes.sources
     window = jnp.asarray(summary.criterion.block_length)
@@ -164,6 +165,8 @@ def _estimated(
     sums = _Sums(equations, sources, summary.noise_freedom, short, window)
     fit = _solve(sums, *settings, None)
     if modes is not None:
+        from riecjax.estimation.mode_windows import find_modes
+
         other = find_modes(procedure, summary, given, rank=1)
         beside = _solve(
             sums._replace(equations=other.equations, sources=other.sources), *settings, None

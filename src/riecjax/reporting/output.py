@@ -6,17 +6,20 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
 
 from riecjax.errors import DataError
-from riecjax.reporting.charts.chart import Chart
+from riecjax.extensions import require_packages
 from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
 from riecjax.standard_output import answer
 from riecjax.whole_files import committing, is_stamped, no_folder, temporary
+
+if TYPE_CHECKING:
+    from riecjax.reporting.charts.chart import Chart
 
 RESULTS, REPORT = "results.json", "report.html"
 STAMPED = (".png", ".parquet")
@@ -30,7 +33,7 @@ def emit(
     as_json: bool,
     out: Path | None,
     show: Callable[[Document, Console], None],
-    charts: Callable[[], Mapping[str, Chart]] = dict,
+    charts: "Callable[[], Mapping[str, Chart]]" = dict,
     page: Callable[[Document], Page] = lambda _: Page("", "", ()),
     warnings: Sequence[Mapping[str, Any]] | None = None,
     others: Mapping[str, Writer] | None = None,
@@ -74,7 +77,7 @@ def emit(
 def write_folder(
     folder: Path,
     document: Document,
-    charts: Mapping[str, Chart],
+    charts: "Mapping[str, Chart]",
     page: Page,
     others: Mapping[str, Writer] | None = None,
 ) -> None:
@@ -86,7 +89,7 @@ def write_folder(
 
     **Raises:** `DataError` if the folder cannot be written, or a package for reports is missing.
     """
-    require_report_packages()
+    require_packages("report")
     from riecjax.reporting.charts.printed import print_chart
 
     with _folder_beside(folder) as made:
@@ -117,7 +120,7 @@ def require_folder(folder: Path) -> None:
 
     **Raises:** `DataError` if not, or if a package for reports is missing.
     """
-    require_report_packages()
+    require_packages("report")
     with _folder_beside(folder):
         try:
             if not folder.is_dir() and os.path.lexists(folder):
@@ -138,19 +141,3 @@ def _folder_beside(folder: Path) -> Iterator[Path]:
             yield made
     except OSError as error:
         raise DataError(no_folder(folder, error)) from None
-
-
-def require_report_packages() -> None:
-    """Make sure that figures and pages can be made.
-
-    **Raises:** `DataError` with the remedy if a package is not installed.
-    """
-    try:
-        import jinja2  # noqa: F401
-        import matplotlib  # noqa: F401
-        import plotly  # noqa: F401
-    except ImportError:
-        raise DataError(
-            "figures and reports need matplotlib, plotly and jinja2; install them by "
-            'pip install "riecjax[report]".'
-        ) from None

@@ -42,10 +42,10 @@ from riecjax.reporting.fleet import differing_table, fleet_document, left_out_ta
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
-from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
+from riecjax.validation.sweep import WindowSweep
 
 
 def in_words(thing: Any, *, brief: bool = False) -> str:
