@@ -21,7 +21,7 @@ from riecjax.estimation.excitation import Excitation
 from riecjax.finding_codes import CODES, code_of, codes_of
 from riecjax.findings import Finding
 from riecjax.models.model import as_model
-from riecjax.reporting.reproduction import road_findings
+from riecjax.paper.report import road_findings
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(riecjax.__file__).parent

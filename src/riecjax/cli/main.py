@@ -24,7 +24,7 @@ COMMANDS = {
     "init": "riecjax.cli.init",
     "models": "riecjax.cli.models",
     "simulate": "riecjax.cli.simulate",
-    "reproduce": "riecjax.cli.reproduce",
+    "reproduce": "riecjax.paper.command",
 }
 
 

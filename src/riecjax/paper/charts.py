@@ -30,7 +30,7 @@ from riecjax.paper.reproduction import (
 from riecjax.paper.study import PaperStudy
 from riecjax.paper.tables import table_3, table_4, table_5
 from riecjax.paper.variations import BANDWIDTHS, Hysteresis, Varied, VariedStudy
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting.charts import (
     BLACK,
     BLUE,
     BOLD,

@@ -21,9 +21,17 @@ from riecjax.paper.tables import (
     table_4,
     table_5,
 )
-from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
-from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.tables import say
+from riecjax.reporting import (
+    SCHEMA,
+    Document,
+    Page,
+    Section,
+    Table,
+    finite,
+    number,
+    say,
+    versions,
+)
 
 FEW_ROADS = 8
 COMPLEX = ("eigenvalue", "wheel", "body", "engine_minus_body")

@@ -51,18 +51,18 @@ def command(
     import jax
 
     from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+    from riecjax.paper.charts import study_charts, table_charts
     from riecjax.paper.claims import table_claims
-    from riecjax.paper.reproduction import run_road
-    from riecjax.paper.study import FULL, QUICK, evaluate_claims, run_study
-    from riecjax.paper.variations import write_variations
-    from riecjax.reporting.output import emit
-    from riecjax.reporting.paper_charts import study_charts, table_charts
-    from riecjax.reporting.reproduction import (
+    from riecjax.paper.report import (
         print_reproduction,
         reproduction_document,
         reproduction_page,
     )
-    from riecjax.studies.monte_carlo import over_keys
+    from riecjax.paper.reproduction import run_road
+    from riecjax.paper.study import FULL, QUICK, evaluate_claims, run_study
+    from riecjax.paper.variations import write_variations
+    from riecjax.reporting import emit
+    from riecjax.studies import over_keys
 
     shapes, key = reconstructed(), jax.random.key(seed)
     parts = None if out is None else out / PARTS
