@@ -1,6 +1,6 @@
-"""Results of the reproduction: the JSON document, and tables on a terminal."""
+"""Results of the reproduction: the JSON document, tables on a terminal, and the page."""
 
-import itertools
+import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -8,19 +8,11 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from riecjax.findings import Finding
-from riecjax.models.quarter_car.reconstruction import reconstruction_document
+from riecjax.models.quarter_car import SPRING_RATE, quarter_car_source, reconstructed
 from riecjax.paper.claims import Claim
-from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS, PublishedMode
-from riecjax.paper.reproduction import RoadResult
-from riecjax.paper.study import Scale
-from riecjax.paper.tables import (
-    Cell,
-    contact,
-    table_1,
-    table_3,
-    table_4,
-    table_5,
-)
+from riecjax.paper.published import CRITERIA, TABLE_2, TABLE_6, VARIANTS, PublishedMode
+from riecjax.paper.study import PaperStudy
+from riecjax.paper.tables import contact, number_tables, table_1
 from riecjax.reporting import (
     SCHEMA,
     Document,
@@ -36,39 +28,31 @@ from riecjax.reporting import (
 FEW_ROADS = 8
 COMPLEX = ("eigenvalue", "wheel", "body", "engine_minus_body")
 """What of a mode is a complex number."""
-SHOWN = {
-    "3": ("Identified tyre stiffness (kN/m) and masses (kg)", {"K_t": 1e3}),
-    "4": ("Identified suspension stiffness K_s (kN/m)", dict.fromkeys(VARIANTS, 1e3)),
-    "5": ("Validation error, sum of p_i over x1 to x4 (%)", {}),
-}
-"""Heading of each table, and what its rows are divided by for reading."""
 
 
-def road_findings(roads: RoadResult, scale: Scale | None = None) -> Iterator[Finding]:
+def road_findings(study: PaperStudy) -> Iterator[Finding]:
     """Roads that lost a simulation, and roads too few for means and ranges."""
-    lost = int(np.sum(~np.asarray(roads.successful)))
+    lost = int(np.sum(~np.asarray(study.roads.successful)))
     if lost:
         message = f"{lost} roads lost a simulation; their numbers are not to be trusted."
         yield Finding("simulation_lost", message)
-    count = int(np.asarray(roads.contact).size)
-    fewest = count if scale is None else min(count, scale.studied)
+    count, further = study.road_count, study.further
+    fewest = count if further is None else min(count, further.scale.studied)
     if fewest < FEW_ROADS:
-        remedy = f"Use --roads {FEW_ROADS} or more" if scale is None else "Use --full"
-        which = "" if scale is None else f" behind all but the tables ({count} behind these)"
+        remedy = f"Use --roads {FEW_ROADS} or more" if further is None else "Use --full"
+        which = "" if further is None else f" behind all but the tables ({count} behind these)"
         message = f"only {fewest} roads{which}: means and ranges are rough. {remedy}."
         yield Finding("few_roads", message)
 
 
-def reproduction_document(
-    roads: RoadResult, claims: Sequence[Claim], *, seed: int, scale: Scale | None = None
-) -> Document:
-    """The document that `--json` prints and results.json holds.
-
-    **Arguments:** `scale` of the whole study, `None` where only the tables were reproduced.
-    """
-    tables = {"3": table_3(roads), "4": table_4(roads), "5": table_5(roads)}
-    summary = {}
+def reproduction_document(study: PaperStudy, claims: Sequence[Claim], *, seed: int) -> Document:
+    """The document that `--json` prints and results.json holds."""
+    tables, numbers, summary = number_tables(study.roads), {}, {}
     for name, table in tables.items():
+        numbers[name] = {
+            row: {criterion: cell._asdict() for criterion, cell in cells.items()}
+            for row, cells in table.items()
+        }
         cells = [cell for row in table.values() for cell in row.values()]
         distances = [abs(cell.deviation) for cell in cells]
         summary[name] = {
@@ -79,63 +63,46 @@ def reproduction_document(
         }
     modes = [
         {
-            "published": _mode_document(row.published),
-            "reproduced": _mode_document(row.reproduced),
-            "agrees": bool(row.agrees),
+            "published": _mode_document(published),
+            "reproduced": _mode_document(reproduced),
+            "agrees": published == reproduced,
         }
-        for row in table_1()
+        for published, reproduced in table_1()
     ]
-    numbers = {
-        name: {
-            row: {criterion: _cell_document(cell) for criterion, cell in cells.items()}
-            for row, cells in table.items()
+    statements = [
+        {
+            "id": claim.id,
+            "statement": claim.statement,
+            "holds": claim.holds,
+            "evidence": {
+                evidence.what: {
+                    "value": finite(evidence.value),
+                    "interval95": evidence.interval and [*map(finite, evidence.interval)],
+                    "at_least": evidence.at_least,
+                    "at_most": evidence.at_most,
+                    "holds": evidence.holds,
+                }
+                for evidence in claim.evidence
+            },
+            "note": claim.note,
         }
-        for name, table in tables.items()
-    }
+        for claim in claims
+    ]
     return {
         "schema": SCHEMA,
         "tables": {"1": modes, **numbers},
-        "contact": _cell_document(contact(roads)),
+        "contact": contact(study.roads)._asdict(),
         "summary": summary,
-        "claims": [
-            {
-                "id": claim.id,
-                "statement": claim.statement,
-                "holds": claim.holds,
-                "evidence": {
-                    each.what: {
-                        "value": finite(each.value),
-                        "interval95": None
-                        if each.interval is None
-                        else [*map(finite, each.interval)],
-                        "at_least": each.at_least,
-                        "at_most": each.at_most,
-                        "holds": each.holds,
-                    }
-                    for each in claim.evidence
-                },
-                "note": claim.note,
-            }
-            for claim in claims
-        ],
+        "claims": statements,
         "reconstruction": reconstruction_document(),
-        "warnings": [finding._asdict() for finding in road_findings(roads, scale)],
+        "warnings": [finding._asdict() for finding in road_findings(study)],
         "provenance": {
             "seed": seed,
-            "roads": int(np.asarray(roads.contact).size),
-            "study": None if scale is None else scale._asdict(),
+            "roads": study.road_count,
+            "study": study.further and study.further.scale._asdict(),
             "settings": TABLE_2._asdict(),
             "versions": versions(),
         },
-    }
-
-
-def _cell_document(cell: Cell) -> Document:
-    return {
-        "published": cell.published,
-        "reproduced": cell.reproduced,
-        "interval95": [cell.low, cell.high],
-        "inside": cell.inside,
     }
 
 
@@ -147,33 +114,116 @@ def _mode_document(mode: PublishedMode) -> Document:
     }
 
 
+def reconstruction_document() -> Document:
+    """What is published, derived and reconstructed, as plain data in SI units."""
+    shapes, mount = reconstructed(), TABLE_6["pathological"]
+    source, hole = quarter_car_source(shapes), shapes.pothole
+    return {
+        "note": "curves, pot-hole and road amplitude are reconstructed, not published",
+        "published": {
+            "K_t": finite(source.tyre_stiffness),
+            "spring_rate": SPRING_RATE,
+            "mount_rate": mount.stiffness,
+            "mount_damping": mount.damping,
+        },
+        "derived_from_table_1": {
+            "M_w": finite(source.wheel_mass),
+            "M_b": finite(source.body_mass),
+            "M_e": finite(source.engine_mass),
+            "K_c": finite(source.damper_compliance),
+        },
+        "reconstructed": {
+            **{f"damper_{name}": finite(value) for name, value in vars(shapes.damper).items()},
+            "stop_gaps": finite(shapes.stop_gaps),
+            "stop_rates": finite(shapes.stop_rates),
+            "mount_cubic": finite(shapes.mount_cubic),
+            "pothole_depth_length_ramp": [*map(finite, (hole.depth, hole.length, hole.ramp))],
+            "roughness": finite(shapes.roughness),
+        },
+    }
+
+
+def mode_table(document: Document) -> Table:
+    """Table 1: a line of the paper's and one of ours for each mode."""
+
+    def pair(parts: list[float], digits: int) -> str:
+        """A complex number as the paper prints one of a pair."""
+        real, imaginary = parts
+        if imaginary == 0:
+            return f"{real:.{digits}f}"
+        sign = "±" if imaginary > 0 else "∓"
+        return f"{real:.{digits}f}{sign}{abs(imaginary):.{digits}f}i"
+
+    rows = []
+    for row in document["tables"]["1"]:
+        for label, mode, agrees in (
+            ("paper", row["published"], ""),
+            ("here", row["reproduced"], "yes" if row["agrees"] else "NO"),
+        ):
+            eigenvalue, *shape = (mode[name] for name in COMPLEX)
+            ratios = (mode["frequency"], mode["damping_ratio"])
+            rows.append(
+                [
+                    label,
+                    pair(eigenvalue, 0 if eigenvalue[1] == 0 else 2),
+                    *("-" if ratio is None else f"{ratio:.2f}" for ratio in ratios),
+                    *(pair(part, 2) for part in shape),
+                    agrees,
+                ]
+            )
+    header = ("", "eigenvalue", "Hz", "zeta", "wheel", "body", "engine-body", "agrees")
+    return Table(header, rows, "Eigenstructure of the linearised source model")
+
+
+HEADINGS = {
+    "3": ("Identified tyre stiffness (kN/m) and masses (kg)", {"K_t": 1e3}),
+    "4": ("Identified suspension stiffness K_s (kN/m)", dict.fromkeys(VARIANTS, 1e3)),
+    "5": ("Validation error, sum of p_i over x1 to x4 (%)", {}),
+}
+"""Heading of each table of numbers, and what its rows are divided by for reading."""
+
+
+def number_table(document: Document, name: str) -> Table:
+    """Published number, mean and range of each criterion in each row of a table."""
+    (heading, scales), table = HEADINGS[name], document["tables"][name]
+    digits, rows, note = 1 if name == "5" else 2, [], ""
+    for row, cells in table.items():
+        words, scale = [row], scales.get(row, 1.0)
+        for cell in (cells[criterion] for criterion in CRITERIA):
+            low, high = (value / scale for value in cell["interval95"])
+            mark = " " if cell["inside"] else "*"
+            words += [
+                f"{cell['published'] / scale:.1f}",
+                f"{cell['reproduced'] / scale:.{digits}f}",
+                f"{low:.{digits}f}..{high:.{digits}f}{mark}",
+            ]
+            if not cell["inside"]:
+                note = "* the published number, as rounded in print, lies outside"
+        rows.append(words)
+    columns = (name for criterion in CRITERIA for name in (criterion, "here", "95 % of roads"))
+    return Table(("", *columns), rows, heading, note)
+
+
 def print_reproduction(document: Document, console: Console) -> None:
     """Published numbers beside reproduced ones."""
 
-    def plain(*headings: str) -> RichTable:
-        table = RichTable(caption_justify="left", box=None, padding=(0, 1, 0, 0))
-        for heading in headings:
-            table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
-        return table
+    def show(table: Table) -> None:
+        printed = RichTable(caption_justify="left", box=None, padding=(0, 1, 0, 0))
+        for heading in table.header:
+            printed.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+        for row in table.rows:
+            printed.add_row(*row)
+        printed.caption = table.note or None
+        console.print(printed)
 
-    roads = document["provenance"]["roads"]
-    table = plain("", "eigenvalue", "Hz", "zeta", "wheel", "body", "engine-body", "agrees")
-    for row in document["tables"]["1"]:
-        table.add_row("paper", *mode_in_words(row["published"], "-"), "")
-        agrees = "yes" if row["agrees"] else "NO"
-        table.add_row("here", *mode_in_words(row["reproduced"], "-"), agrees)
-    console.print("[bold]Table 1[/bold]  Eigenstructure of the linearised source model")
-    console.print(table)
-    for name, (heading, scales) in SHOWN.items():
-        columns = ((criterion, "here", "95 % of roads") for criterion in CRITERIA)
-        table, rows = plain("", *itertools.chain(*columns)), document["tables"][name]
-        for row, cells in rows.items():
-            words = numbers_in_words(name, cells, scales.get(row, 1.0), "..", (" ", "*"))
-            table.add_row(row, *words)
-        if any_outside(rows):
-            table.caption = "* the published number, as rounded in print, lies outside"
-        console.print(f"\n[bold]Table {name}[/bold]  {heading}, {roads} roads", highlight=False)
-        console.print(table)
+    modes = mode_table(document)
+    console.print(f"[bold]Table 1[/bold]  {modes.caption}")
+    show(modes)
+    for name in HEADINGS:
+        table, roads = number_table(document, name), document["provenance"]["roads"]
+        heading = f"\n[bold]Table {name}[/bold]  {table.caption}, {roads} roads"
+        console.print(heading, highlight=False)
+        show(table)
     cell = document["contact"]
     low, high = cell["interval95"]
     say(
@@ -193,9 +243,9 @@ def print_reproduction(document: Document, console: Console) -> None:
         say(console, f"claim {claim['id']}: {_verdict(claim)}. {claim['statement']}")
         for what, entry in claim["evidence"].items():
             if not entry["holds"]:
-                between = "" if entry["interval95"] is None else f" ({_range(entry)})"
-                said = f"{number(entry['value'], 3)}{between}"
-                say(console, f"    {what}: {said}{limits_in_words(entry, ', should be ')}")
+                between = f" ({_range(entry)})" if entry["interval95"] else ""
+                limits = f", should be {_limits(entry)}" if _limits(entry) else ""
+                say(console, f"    {what}: {number(entry['value'], 3)}{between}{limits}")
         say(console, *([] if claim["holds"] else [f"    {claim['note']}"]))
     say(console, document["reconstruction"]["note"])
 
@@ -205,75 +255,29 @@ def _verdict(claim: Document) -> str:
 
 
 def _range(entry: Document) -> str:
-    low, high = (number(end, 3) for end in entry["interval95"])
-    return f"{low} to {high}"
+    return " to ".join(number(end, 3) for end in entry["interval95"] or ())
 
 
-def limits_in_words(entry: Document, before: str = "") -> str:
+def _limits(entry: Document) -> str:
     """What a number must be; nothing where it is there for comparison."""
     low, high = entry["at_least"], entry["at_most"]
-    if low is None and high is None:
-        return ""
     if low is not None and high is not None:
-        return f"{before}from {low:g} to {high:g}"
-    return f"{before}at most {high:g}" if low is None else f"{before}at least {low:g}"
-
-
-def mode_in_words(mode: Document, missing: str = "") -> list[str]:
-    """Eigenvalue, frequency, damping ratio, and the parts of the shape, as the paper prints them.
-
-    **Arguments:** `missing`, what stands for the frequency and damping ratio of a real eigenvalue.
-    """
-    ratios = (mode["frequency"], mode["damping_ratio"])
-    return [
-        _pair_in_words(mode["eigenvalue"], 0 if mode["eigenvalue"][1] == 0 else 2),
-        *(missing if ratio is None else f"{ratio:.2f}" for ratio in ratios),
-        *(_pair_in_words(mode[part], 2) for part in ("wheel", "body", "engine_minus_body")),
-    ]
-
-
-def _pair_in_words(parts: list[float], digits: int) -> str:
-    """A complex number as the paper prints one of a pair."""
-    real, imaginary = parts
-    if imaginary == 0:
-        return f"{real:.{digits}f}"
-    sign = "±" if imaginary > 0 else "∓"
-    return f"{real:.{digits}f}{sign}{abs(imaginary):.{digits}f}i"
-
-
-def numbers_in_words(
-    table: str, cells: Document, scale: float, between: str, marks: tuple[str, str]
-) -> Iterator[str]:
-    """Published number, mean and range of each criterion in one row of a table.
-
-    **Arguments:** `between` the ends of a range; `marks` after it, where the published number lies
-    inside and where it does not.
-    """
-    digits = 1 if table == "5" else 2
-    for criterion in CRITERIA:
-        cell = cells[criterion]
-        low, high = (value / scale for value in cell["interval95"])
-        yield f"{cell['published'] / scale:.1f}"
-        yield f"{cell['reproduced'] / scale:.{digits}f}"
-        yield f"{low:.{digits}f}{between}{high:.{digits}f}{marks[not cell['inside']]}"
-
-
-def any_outside(rows: Document) -> bool:
-    """Whether a published number lies outside the range over the roads."""
-    return any(not cell["inside"] for row in rows.values() for cell in row.values())
+        return f"from {low:g} to {high:g}"
+    return f"at least {low:g}" if low is not None else "" if high is None else f"at most {high:g}"
 
 
 SECTIONS = {
-    "Section 2: equation errors and windows": ((1, 2, 3), ("figure_2", "figure_3")),
-    "Section 3: the models": ((4,), ("figure_5", "figure_6")),
-    "Section 4: identification": ((5, 6, 7, 8), ("figure_7", "window_lengths")),
-    "Section 5: validation": ((9, 10, 16), ("figure_8", "figure_9", "figure_10")),
+    "Section 2: equation errors and windows": ((), (1, 2, 3), ("figure_2", "figure_3")),
+    "Section 3: the models": (("1",), (4,), ("figure_5", "figure_6")),
+    "Section 4: identification": (("3", "4"), (5, 6, 7, 8), ("figure_7", "window_lengths")),
+    "Section 5: validation": (("5",), (9, 10, 16), ("figure_8", "figure_9", "figure_10")),
     "Section 6: input bandwidth and engine mounts": (
+        (),
         (11, 12, 13, 14, 15, 17),
         ("figure_11", "figure_12", "figure_13", "figure_14"),
     ),
 }
-"""Headings of the page, each with the numbers of its claims and its figures."""
+"""Headings of the page, each with its tables, the numbers of its claims and its figures."""
 
 
 def reproduction_page(document: Document) -> Page:
@@ -286,39 +290,23 @@ def reproduction_page(document: Document) -> Page:
         else f"The whole study: tables from {roads} simulated roads, everything else from "
         f"{study['studied']} of them."
     )
-    modes = Table(
-        ("", "eigenvalue / (1/s)", "Hz", "zeta", "wheel", "body", "engine minus body"),
-        [
-            (name, *mode_in_words(row[label]))
-            for row in document["tables"]["1"]
-            for label, name in (("published", "paper"), ("reproduced", "here"))
-        ],
-        "Table 1. Eigenstructure of the linearised source model.",
-    )
-    tables = {
-        "Section 3: the models": [modes],
-        "Section 4: identification": [_number_table(document, n) for n in ("3", "4")],
-        "Section 5: validation": [_number_table(document, "5")],
-    }
-    statements = [(str(c["id"]), c["statement"], _verdict(c)) for c in document["claims"]]
+    claims = document["claims"]
+    statements = [(str(c["id"]), c["statement"], _verdict(c)) for c in claims]
     verdicts = Table(("", "statement", "here"), statements, "Statements of the paper.", "", False)
-    reconstructed = (
+    sections = [Section("At a glance", list(_glance(document)), [verdicts], ("tables",))]
+    for heading, (names, ids, charts) in SECTIONS.items():
+        tables = []
+        for name in names:
+            table = mode_table(document) if name == "1" else number_table(document, name)
+            tables.append(dataclasses.replace(table, caption=f"Table {name}. {table.caption}."))
+        tables += [_evidence(claim) for claim in claims if claim["id"] in ids]
+        sections.append(Section(heading, tables=tables, charts=charts))
+    reconstruction = (
         f"{document['reconstruction']['note'].capitalize()}: they are fitted to Tables 3 to 5, so "
         f"that these tables are no test of the method; Table 1, the comparison of the methods and "
         f"everything over bandwidth were not fitted to."
     )
-    sections = [
-        Section("At a glance", list(_glance(document)), [verdicts], ("tables",)),
-        *(
-            Section(
-                heading,
-                tables=[*tables.get(heading, []), *_evidence(document, ids)],
-                charts=charts,
-            )
-            for heading, (ids, charts) in SECTIONS.items()
-        ),
-        Section("What is reconstructed", [reconstructed]),
-    ]
+    sections.append(Section("What is reconstructed", [reconstruction]))
     return Page("Best and Gordon (1999), reproduced", lead, sections)
 
 
@@ -347,38 +335,21 @@ def _glance(document: Document) -> Iterator[str]:
     )
 
 
-def _evidence(document: Document, ids: tuple[int, ...]) -> Iterator[Table]:
-    """One table for each statement, with every number behind it."""
-    for claim in document["claims"]:
-        if claim["id"] not in ids:
-            continue
-        rows = [
-            (
-                what,
-                "" if not limits_in_words(entry) else "yes" if entry["holds"] else "NO",
-                number(entry["value"], 3),
-                "" if entry["interval95"] is None else _range(entry),
-                limits_in_words(entry) or "for comparison",
-            )
-            for what, entry in claim["evidence"].items()
-        ]
-        yield Table(
-            ("evidence", "holds", "value", "95 %", "must be"),
-            rows,
-            f"Claim {claim['id']} {_verdict(claim)}. {claim['statement']}",
-            claim["note"],
+def _evidence(claim: Document) -> Table:
+    """Every number behind a statement."""
+    rows = [
+        (
+            what,
+            "" if not _limits(entry) else "yes" if entry["holds"] else "NO",
+            number(entry["value"], 3),
+            _range(entry),
+            _limits(entry) or "for comparison",
         )
-
-
-def _number_table(document: Document, name: str) -> Table:
-    heading, scales = SHOWN[name]
-    rows = document["tables"][name]
-    lines = [
-        [row, *numbers_in_words(name, cells, scales.get(row, 1.0), " to ", ("", " *"))]
-        for row, cells in rows.items()
+        for what, entry in claim["evidence"].items()
     ]
-    header = [""]
-    for criterion in CRITERIA:
-        header += [f"{criterion}, paper", f"{criterion}, here", "95 % of roads"]
-    star = "* The published number, as rounded in print, lies outside." if any_outside(rows) else ""
-    return Table(header, lines, f"Table {name}. {heading}.", star)
+    return Table(
+        ("evidence", "holds", "value", "95 %", "must be"),
+        rows,
+        f"Claim {claim['id']} {_verdict(claim)}. {claim['statement']}",
+        claim["note"],
+    )
