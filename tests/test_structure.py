@@ -46,7 +46,6 @@ MANY_IMPORTS = {
     "riecjax.refinement.integral_error": 13,
     "riecjax.refinement.output_error": 15,
     "riecjax.reporting.identification_figures": 16,
-    "riecjax.reporting.paper_charts": 14,
     "riecjax.reporting.plots": 16,
     "riecjax.reporting.result_files": 18,
     "riecjax.reporting.views": 29,

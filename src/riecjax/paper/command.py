@@ -1,23 +1,16 @@
 """`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
+import contextlib
 import functools
 import os
 import shutil
-from collections.abc import Callable
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from riecjax.cli.options import json_option, out_option, seed_option
 from riecjax.runtime import start_jax
-from riecjax.whole_files import stamp
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from riecjax.paper.study import Progress as Report
 
 DEFAULT_ROADS = 32
 PARTS = "variations.parts"
@@ -50,60 +43,41 @@ def command(
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
     import jax
 
-    from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-    from riecjax.paper.claims import table_claims
-    from riecjax.paper.reproduction import run_road
-    from riecjax.paper.study import FULL, QUICK, evaluate_claims, run_study
+    from riecjax.models.quarter_car import reconstructed
+    from riecjax.paper.charts import study_charts
+    from riecjax.paper.claims import evaluate_claims
+    from riecjax.paper.report import print_reproduction, reproduction_document, reproduction_page
+    from riecjax.paper.study import FULL, QUICK, run_study
     from riecjax.paper.variations import write_variations
-    from riecjax.reporting.output import emit
-    from riecjax.reporting.paper_charts import study_charts, table_charts
-    from riecjax.reporting.reproduction import (
-        print_reproduction,
-        reproduction_document,
-        reproduction_page,
-    )
-    from riecjax.studies.monte_carlo import over_keys
+    from riecjax.reporting import emit, require_folder
 
-    shapes, key = reconstructed(), jax.random.key(seed)
-    parts = None if out is None else out / PARTS
-    others: dict[str, Callable[[Path], None]] = {}
+    if out is not None:
+        require_folder(out)
+    shapes, parts = reconstructed(), None if out is None else out / PARTS
+    scale = QUICK if quick else FULL if full else roads or DEFAULT_ROADS
     with _progress() as report:
-        if full or quick:
-            scale = QUICK if quick else FULL
-            study = run_study(scale, key, shapes, folder=parts, progress=report)
-            report("statements", 0, 1)
-            results, claims = study.roads, evaluate_claims(study)
-            charts = functools.partial(study_charts, study, shapes)
-            others["variations.parquet"] = lambda file: write_variations(
-                study.table, file, stamp(file)
-            )
-        else:
-            scale, count = None, roads or DEFAULT_ROADS
-            results = over_keys(
-                run_road,
-                key,
-                count,
-                quarter_car_source(shapes),
-                shapes,
-                progress=lambda done: report("roads", done, count),
-            )
-            claims = table_claims(results)
-            charts = functools.partial(table_charts, results, shapes)
+        study = run_study(scale, jax.random.key(seed), shapes, folder=parts, progress=report)
+        report("statements", 0, 1)
+        claims = evaluate_claims(study)
+    others = {}
+    if study.further is not None:
+        variations = study.further.variations
+        others["variations.parquet"] = functools.partial(write_variations, variations)
     emit(
-        reproduction_document(results, claims, seed=seed, scale=scale),
+        reproduction_document(study, claims, seed=seed),
         as_json=as_json,
         out=out,
         show=print_reproduction,
-        charts=charts,
+        charts=functools.partial(study_charts, study, shapes),
         page=reproduction_page,
         others=others,
     )
-    if scale is not None and parts is not None:
+    if study.further is not None and parts is not None:
         shutil.rmtree(parts, ignore_errors=True)
 
 
-@contextmanager
-def _progress() -> "Iterator[Report]":
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
     """A bar for each thing that is computed, on standard error."""
     from rich.console import Console
     from rich.progress import Progress
