@@ -19,7 +19,7 @@ from riecjax.standard_output import answer, for_answers_alone
 COMMANDS = {
     "identify": "riecjax.cli.identify",
     "discover": "riecjax.cli.discover",
-    "fleet": "riecjax.cli.fleet",
+    "fleet": "riecjax.fleets.command",
     "check": "riecjax.cli.check",
     "init": "riecjax.cli.init",
     "models": "riecjax.cli.models",
