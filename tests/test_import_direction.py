@@ -40,6 +40,7 @@ SHARED = (
     "tails",
     "whole_files",
     "memory",
+    "public_names",
 )
 """Modules beside the stages that all may import, and that import none of the stages."""
 STUDY = ("paper", "models/quarter_car", "reporting/paper_charts")

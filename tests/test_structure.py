@@ -49,11 +49,11 @@ MANY_IMPORTS = {
     "riecjax.reporting.plots": 16,
     "riecjax.reporting.result_files": 18,
     "riecjax.reporting.views": 27,
-    "riecjax.studies.sweep": 17,
     "riecjax.summaries.one_pass": 18,
     "riecjax.summaries.summarise": 17,
     "riecjax.validation.equation_errors": 13,
     "riecjax.validation.residuals": 13,
+    "riecjax.validation.sweep": 17,
 }
 """What still exceeds the two limits, and by how much: shorten these tables, never lengthen them."""
 

@@ -39,11 +39,11 @@ from riecjax.models.model import Model, as_model
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
-from riecjax.studies.sweep import sweep_edges, window_sweep
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import WRITE_CRITERION, ready
 from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap, Sandwich
+from riecjax.validation.sweep import sweep_edges, window_sweep
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment

@@ -17,10 +17,10 @@ from riecjax.models.model import Model
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.shows import Drawn, opened
-from riecjax.studies.choice import WindowChoice
-from riecjax.studies.sweep import WindowSweep
+from riecjax.validation.choice import WindowChoice
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
+from riecjax.validation.sweep import WindowSweep
 from riecjax.validation.whiteness import Whiteness
 
 

@@ -27,7 +27,7 @@ from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
 from riecjax.simulation.linearisation import growth
 from riecjax.simulation.system import AbstractSystem
-from riecjax.studies.choice import WindowChoice, window_choice
+from riecjax.validation.choice import WindowChoice, window_choice
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.held_out import validate_held_out
 from riecjax.validation.input_faults import drifting_inputs, silent_inputs

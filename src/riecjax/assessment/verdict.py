@@ -18,8 +18,8 @@ from riecjax.equations.term import Term, constant
 from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
 from riecjax.findings import Finding
 from riecjax.shows import Shown
-from riecjax.studies.sweep import MOST
 from riecjax.validation.residuals import EquationResidual
+from riecjax.validation.sweep import MOST
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment

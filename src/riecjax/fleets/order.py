@@ -32,10 +32,10 @@ from riecjax.fleets.sources import (
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording, read_parts
 from riecjax.runtime import collect_seldom, start_jax
-from riecjax.studies.sweep import LONGER, sweep_edges
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import stretch_starts
 from riecjax.summaries.task import ready
+from riecjax.validation.sweep import LONGER, sweep_edges
 
 USERS = "riecjax_user_"
 """Beginning of names of modules made of a user's file, which only this process has."""

@@ -40,10 +40,10 @@ from riecjax.reporting.exports import document_of
 from riecjax.reporting.page import Table
 from riecjax.reporting.tables import View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
-from riecjax.studies.sweep import WindowSweep
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
+from riecjax.validation.sweep import WindowSweep
 
 
 def in_words(thing: Any, *, brief: bool = False) -> str:
