@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 from riecjax.errors import DataError, RiecjaxError, require
-from riecjax.records.reading.read import READERS
+from riecjax.records.reading import endings
 
 DATA_SET = ".parquet"
 """Ending of a folder whose files are one recording."""
@@ -106,7 +106,7 @@ def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, dict[str, Map
             inner = fs.find(each, detail=True) if info["type"] == "directory" else {}
             for inside, about in inner.items():
                 *folders, name = inside[len(each) :].strip("/").split("/")
-                known = posixpath.splitext(name)[1].lower() in READERS
+                known = posixpath.splitext(name)[1].lower() in endings()
                 if known and not any(part.startswith(OTHERS) for part in (*folders, name)):
                     found[inside] = about
             found |= {each: info} if info["type"] == "file" else {}

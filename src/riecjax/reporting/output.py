@@ -12,6 +12,7 @@ import click
 from rich.console import Console
 
 from riecjax.errors import DataError
+from riecjax.extensions import require_packages
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
@@ -86,7 +87,7 @@ def write_folder(
 
     **Raises:** `DataError` if the folder cannot be written, or a package for reports is missing.
     """
-    require_report_packages()
+    require_packages("report")
     from riecjax.reporting.charts.printed import print_chart
 
     with _folder_beside(folder) as made:
@@ -117,7 +118,7 @@ def require_folder(folder: Path) -> None:
 
     **Raises:** `DataError` if not, or if a package for reports is missing.
     """
-    require_report_packages()
+    require_packages("report")
     with _folder_beside(folder):
         try:
             if not folder.is_dir() and os.path.lexists(folder):
@@ -138,19 +139,3 @@ def _folder_beside(folder: Path) -> Iterator[Path]:
             yield made
     except OSError as error:
         raise DataError(no_folder(folder, error)) from None
-
-
-def require_report_packages() -> None:
-    """Make sure that figures and pages can be made.
-
-    **Raises:** `DataError` with the remedy if a package is not installed.
-    """
-    try:
-        import jinja2  # noqa: F401
-        import matplotlib  # noqa: F401
-        import plotly  # noqa: F401
-    except ImportError:
-        raise DataError(
-            "figures and reports need matplotlib, plotly and jinja2; install them by "
-            'pip install "riecjax[report]".'
-        ) from None

@@ -13,6 +13,7 @@ import numpy as np
 from riecjax.assessment.assessment import Assessment
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.mode_evidence import ModeEvidence
+from riecjax.extensions import require_packages
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
@@ -33,7 +34,7 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.reporting.document import Document
-from riecjax.reporting.exports import document_of, needed
+from riecjax.reporting.exports import document_of
 from riecjax.reporting.identification_figures import (
     held_out_figure,
     identification_figures,
@@ -53,7 +54,7 @@ FARTHEST = 100.0
 
 def draw(thing: Any, ax: Any = None) -> Any:
     """Draw an object; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
-    needed("matplotlib.pyplot", "report", "a figure")
+    require_packages("figure")
     from riecjax.reporting.charts.printed import drawn
 
     return drawn(chart_of(thing), ax)
