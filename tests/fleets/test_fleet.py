@@ -16,11 +16,11 @@ from riecjax.criteria.criterion import DOLS
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.fleets import groups, kept, order, sources
-from riecjax.fleets.fleet import Fleet, fleet
+from riecjax.fleets.fleet import fleet
+from riecjax.fleets.report import sentence
 from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
-from riecjax.reporting.fleet import sentence
 
 MODEL = find_model("drag-oscillator")
 SAMPLES = 1500

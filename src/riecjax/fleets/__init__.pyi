@@ -1,5 +1,5 @@
-from .fleet import Fleet as Fleet
 from .groups import Entry as Entry
+from .report import Fleet as Fleet
 from .spread import Change as Change
 from .spread import Differing as Differing
 from .spread import Spread as Spread

@@ -90,7 +90,7 @@ def command(
     start_jax(keep_compiled=True)
     from riecjax.fleets.fleet import fleet
     from riecjax.fleets.kept import ESTIMATES, SUMMARIES
-    from riecjax.reporting.fleet import fleet_document, fleet_figures, fleet_page, print_fleet
+    from riecjax.fleets.report import fleet_document, fleet_figures, fleet_page, print_fleet
     from riecjax.reporting.output import emit, require_folder
     from riecjax.uncertainty.intervals import BlockBootstrap
 

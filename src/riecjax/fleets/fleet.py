@@ -8,7 +8,6 @@ import os
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -41,11 +40,11 @@ from riecjax.fleets.kept import (
     write_entries,
 )
 from riecjax.fleets.order import Order, order_for, planned, tasks_of
+from riecjax.fleets.report import Fleet
 from riecjax.fleets.sources import Piece, Source, find_sources
-from riecjax.fleets.spread import RATE, Change, Spread, changes, spreads
+from riecjax.fleets.spread import changes, spreads
 from riecjax.fleets.sums import DONE, Row, lost, sum_up
 from riecjax.models.model import Model, as_model
-from riecjax.shows import Shown
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
 
@@ -224,62 +223,6 @@ def judged(rows: Sequence[Row], by: Sequence[str], allow_duplicates: bool) -> li
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
 AS_THEY_ARE = {"noise": "auto", "outliers": "repair", "align": "auto", "upsample": 1, "every": 1}
 """Settings by which recordings are read where nothing is said."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Fleet(Shown):
-    """Parameters of groups of recordings; made by [`fleet`][].
-
-    **Fields:**
-
-    - `model`; `by`, what groups are; `criterion` that made the sums.
-    - `entries`: one for each parameter of each group, and one for each recording that failed.
-    - `over_time`: the same for each span of time of each recording, if asked for.
-    - `spreads` of each parameter over groups, and `changes` over time.
-    - `recordings`: one row for each, or for each stretch of a long one, without its sums.
-    - `changed`: sources that went on changing while they were summed, and count as they were then.
-    - `rate` of false discoveries among groups that are called different.
-    """
-
-    model: Model
-    by: tuple[str, ...]
-    criterion: AbstractCriterion
-    entries: Sequence[Entry]
-    over_time: Sequence[Entry]
-    spreads: Sequence[Spread]
-    changes: Sequence[Change]
-    recordings: Sequence[Row]
-    changed: Sequence[str] = ()
-    rate: float = RATE
-
-    @property
-    def failures(self) -> list[Row]:
-        """Recordings that are in no group, whose `status` says why."""
-        return [row for row in self.recordings if row.status != DONE]
-
-    @property
-    def unanswered(self) -> list[Entry]:
-        """Groups that could not be estimated, whose `status` says why."""
-        lost = {row.status for row in self.failures}
-        return [e for e in self.entries if e.status != DONE and e.status not in lost]
-
-    @property
-    def samples(self) -> int:
-        """Of all recordings that were summed."""
-        return sum(row.samples for row in self.recordings)
-
-    def to_frame(self) -> Any:
-        """All entries, those over time last, as a frame of pandas.
-
-        **Raises:** `DataError` without pandas.
-        """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise DataError(
-                'frames need pandas; install it by pip install "riecjax[frames]".'
-            ) from None
-        return pd.DataFrame([*self.entries, *self.over_time], columns=list(Entry._fields))
 
 
 def fleet(
