@@ -9,8 +9,7 @@ from rich.table import Table
 from riecjax.cli.command import Given, settings_command
 from riecjax.models.catalogue import MODELS, find_model
 from riecjax.models.model import Model, Quantity
-from riecjax.settings import Document, Settings, setting
-from riecjax.settings.kinds import CODE
+from riecjax.settings import CODE, Document, Settings, setting
 from riecjax.standard_output import answer
 
 

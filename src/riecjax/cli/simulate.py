@@ -10,8 +10,17 @@ from riecjax.cli.command import Given, settings_command
 from riecjax.cli.progress import Progress
 from riecjax.memory import require_memory
 from riecjax.runtime import start_jax
-from riecjax.settings import Document, Known, Seed, Settings, setting
-from riecjax.settings.kinds import CODE, NEW_FILE, POSITIVE, TEXT
+from riecjax.settings import (
+    CODE,
+    NEW_FILE,
+    POSITIVE,
+    TEXT,
+    Document,
+    Known,
+    Seed,
+    Settings,
+    setting,
+)
 from riecjax.standard_output import answer
 
 BYTES_PER_VALUE = 50.0

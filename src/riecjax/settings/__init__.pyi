@@ -1,3 +1,16 @@
+from .kinds import CODE as CODE
+from .kinds import FILE as FILE
+from .kinds import FINITE as FINITE
+from .kinds import FOLDER as FOLDER
+from .kinds import NEW_FILE as NEW_FILE
+from .kinds import NOT_NEGATIVE as NOT_NEGATIVE
+from .kinds import POSITIVE as POSITIVE
+from .kinds import SHARE as SHARE
+from .kinds import TEXT as TEXT
+from .kinds import Kind as Kind
+from .kinds import choice as choice
+from .kinds import number as number
+from .kinds import whole as whole
 from .setting import Contradiction as Contradiction
 from .setting import Option as Option
 from .setting import Settings as Settings
@@ -12,8 +25,8 @@ from .tree import Discover as Discover
 from .tree import Document as Document
 from .tree import Elements as Elements
 from .tree import Fit as Fit
-from .tree import Identify as Identify
 from .tree import Frame as Frame
+from .tree import Identify as Identify
 from .tree import Job as Job
 from .tree import Known as Known
 from .tree import ModelName as ModelName

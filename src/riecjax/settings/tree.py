@@ -253,7 +253,6 @@ class Fit(Fitted):
         default_in_words="4; 2, trapezoids, for random windows between samples",
     )
     """Order of the integrals in the time step, for test functions that have one."""
-    noise: "GivenNoise" = "auto"
 
     @property
     def says_of_windows(self) -> bool:
@@ -381,6 +380,7 @@ class Check(Sharing, Known, Fit):
     """Keywords of [`check`][riecjax.check]; `key`, of random windows."""
 
     key: "Key[Array, ''] | None" = None
+    noise: "GivenNoise" = "auto"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -388,6 +388,7 @@ class Identify(Uncertainty, Sharing, Known, Fit):
     """Keywords of [`identify`][riecjax.identify]; `key`, of random windows."""
 
     key: "Key[Array, ''] | None" = None
+    noise: "GivenNoise" = "auto"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -400,6 +401,7 @@ class Assess(Validate, Uncertainty, Sharing, Known, Refine, Fit):
     """
 
     key: "Key[Array, ''] | None" = None
+    noise: "GivenNoise" = "auto"
     on_estimate: "Callable[[Estimate], None] | None" = None
     progress: Callable[[float], None] | None = None
 
@@ -452,6 +454,7 @@ class Discover(Seed, Uncertainty, Known, Fit, Offered):
     smallest: float = setting("--smallest SHARE", SHARE, SHARE_OF_TARGET)
     """Of the target's energy, the share that a term must make up for: less for exact data."""
     resamples: int = RESAMPLES
+    noise: "GivenNoise" = "auto"
 
 
 @dataclass(frozen=True, kw_only=True)
