@@ -35,7 +35,7 @@ from riecjax.leaves import on_host
 from riecjax.models.model import Model, as_model
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
-from riecjax.settings.setting import taking
+from riecjax.settings.option import taking
 from riecjax.settings.tree import Assess
 from riecjax.settings.tree import Check as CheckSettings
 from riecjax.summaries.summarise import summarise

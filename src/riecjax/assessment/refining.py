@@ -72,8 +72,8 @@ def answered(asked: Asked, estimate: Estimate, refused: bool, settings: Assess) 
     """The refinement and the validation of an estimate, which may be no more than a start (it was
     `refused`).
 
-    **Arguments:** `settings`, of whose `progress` a refinement by itself tells nothing: it takes few
-    seconds, and a program that calls Python back cannot be kept for the next time.
+    **Arguments:** `settings`, of whose `progress` a refinement by itself tells nothing: it takes
+    few seconds, and a program that calls Python back cannot be kept for the next time.
 
     **Raises:** as `refine`, for a refinement that was asked for.
     """

@@ -15,7 +15,7 @@ from riecjax.cli.job import digest, job_file, read_job
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
 from riecjax.settings.kinds import TEST_FUNCTIONS
-from riecjax.settings.setting import Contradiction, Option, Settings
+from riecjax.settings.option import Contradiction, Option, Settings
 from riecjax.settings.tree import Elements, Reading
 from riecjax.whole_files import seen_from
 

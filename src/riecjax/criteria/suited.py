@@ -22,7 +22,7 @@ from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record
-from riecjax.settings.setting import Contradiction
+from riecjax.settings.option import Contradiction
 from riecjax.settings.tree import Fit
 
 LENGTHS = 8

@@ -39,7 +39,7 @@ from riecjax.models.model import Model, as_model
 from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
-from riecjax.settings.setting import taking
+from riecjax.settings.option import taking
 from riecjax.settings.tree import Discover as DiscoverSettings
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals, intervals_of

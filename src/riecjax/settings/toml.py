@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from riecjax.settings.setting import Option, Settings
+from riecjax.settings.option import Option, Settings
 
 
 def form(
@@ -57,6 +57,7 @@ def assigned(key: str, value: Any) -> Iterator[str]:
 
 
 def quoted_key(name: str) -> str:
+    """A name as a key of TOML."""
     return name if BARE.fullmatch(name) else toml_value(name)
 
 

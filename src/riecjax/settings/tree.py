@@ -32,7 +32,7 @@ from riecjax.settings.kinds import (
     choice,
     whole,
 )
-from riecjax.settings.setting import Contradiction, Settings, flag, many, named, setting
+from riecjax.settings.option import Contradiction, Settings, flag, many, named, setting
 
 if TYPE_CHECKING:
     from jaxtyping import Array, Key
