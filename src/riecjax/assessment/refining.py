@@ -19,13 +19,14 @@ from riecjax.assessment.asked import Asked, size_of
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
 from riecjax.assessment.trust import horizons, seen, system_of, unseen, validated
 from riecjax.compilation import kept_jit
-from riecjax.errors import DataError, RiecjaxError, require
+from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
+from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
@@ -124,10 +125,7 @@ def answered(asked: Asked, estimate: Estimate, refused: bool, settings: Assess) 
 
 
 def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None:
-    """What a refinement makes small; `None` for no refinement.
-
-    **Raises:** `ModelError` for what is none.
-    """
+    """What a refinement makes small; `None` for no refinement."""
     if settings.refine in (None, "none"):
         return None
     if settings.refine == "integral":
@@ -136,8 +134,6 @@ def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None
         horizon = settings.horizon
         shooting = WholeRecord() if horizon is None else Tiles(seconds=horizon)
         return OutputError(shooting, channels=settings.channels or None, loss=settings.loss)
-    if settings.refine != "auto" and not hasattr(type(settings.refine), "specify"):
-        require("refine", settings.refine, (), "refine=rx.OutputError(), 'auto' or None")
     return settings.refine  # type: ignore[return-value]
 
 

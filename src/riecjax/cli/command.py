@@ -243,11 +243,10 @@ class Given:
                 }
             typed[name] = both
             typed = {k: v for k, v in typed.items() if k not in option.excludes}
-        options = self.command.options
-        return [
-            str(self.command.name),
-            *(word for name, value in typed.items() for word in options[name].words(value)),
-        ]
+        said = [(self.command.options[name], value) for name, value in typed.items()]
+        arguments_first = sorted(said, key=lambda each: each[0].flag != "")
+        words = (word for option, value in arguments_first for word in option.words(value))
+        return [str(self.command.name), *words]
 
 
 class SettingsCommand(click.Command):
@@ -290,9 +289,9 @@ class SettingsCommand(click.Command):
                 else value
             )
         values |= {name: typed[name] for name in typed if not isinstance(typed[name], dict)}
-        for param in self.params:
-            option = self.options[str(param.name)]
-            if option.required and values[str(param.name)] in (None, ()):
+        for param in sorted(self.params, key=lambda param: isinstance(param, click.Option)):
+            name = str(param.name)
+            if self.options[name].required and values[name] in (None, ()):
                 raise click.MissingParameter(ctx=ctx, param=param)
         ctx.params = {"given": Given(self, values, typed, job, recorded)}
         return []

@@ -146,14 +146,15 @@ class Option:
         if isinstance(value, bool):
             return value
         texts = [text for said in self.texts(value) for text in said]
-        numbers = [_number(text) if self.kind.is_number else text for text in texts]
         if isinstance(value, str) and value in self.alone:
             return [value] if self.shape == "many" else value
         if self.shape == "named" or "=" in self.form:
             pairs = [text.partition("=") for text in texts]
             if len({name for name, equals, _ in pairs if equals}) == len(pairs):
                 return {name: _number(text) for name, _, text in pairs}
-        return numbers[0] if self.shape == "once" and self.count == 1 else numbers
+        if self.shape == "once" and self.count == 1:
+            return _number(texts[0])
+        return [_number(text) if self.count > 1 else text for text in texts]
 
     def of_plain(self, value: Plain) -> Any:
         """The setting that a job file's value says.

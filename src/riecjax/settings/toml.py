@@ -19,12 +19,13 @@ def form(
     holds them; `notes`, lines that go below a key's own, or instead of its empty one.
     """
     yield "# A job for: riecjax identify --job FILE. Paths are relative to this file."
-    for name, kind in kinds.items():
-        option = kind.options()[name]
+    options = {name: kind.options()[name] for name, kind in kinds.items()}
+    for name in sorted(options, key=lambda name: not options[name].required):
+        option = options[name]
         if option.key == "job":
             continue
         yield ""
-        if help := kind.help(name):
+        if help := kinds[name].help(name):
             yield f"# {help}"
         key = option.key
         lines = [*(assigned(key, said[key]) if key in said else ()), *notes.get(key, ())]

@@ -10,7 +10,7 @@ from operator import add, mul
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from riecjax.errors import DataError
+from riecjax.errors import DataError, require
 from riecjax.settings.kinds import (
     CODE,
     ELEMENT,
@@ -338,6 +338,9 @@ class Refine(Settings):
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+        by = self.refine
+        if not (by is None or isinstance(by, str) or hasattr(type(by), "specify")):
+            require("refine", by, (), "refine=rx.OutputError(), 'auto' or None")
         if self.channels and self.refine != "output-error":
             raise Contradiction("{channels} goes with {refine:output-error}.", self.options())
         if self.loss != "squares" and self.refine != "output-error":
