@@ -34,8 +34,8 @@ from riecjax.reporting.document import (
     probability,
     versions,
 )
-from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.tables import in_rich, print_table, say
+from riecjax.reporting.page import Page, Section
+from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 LISTED = 50
 """Groups, changes and recordings of each kind that a document lists; the tables hold all."""

@@ -22,8 +22,8 @@ from riecjax.paper.tables import (
     table_5,
 )
 from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
-from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.tables import say
+from riecjax.reporting.page import Page, Section
+from riecjax.reporting.tables import Table, say
 
 FEW_ROADS = 8
 COMPLEX = ("eigenvalue", "wheel", "body", "engine_minus_body")

@@ -39,8 +39,7 @@ from riecjax.reporting.equations import (
 from riecjax.reporting.estimate import parameter_table
 from riecjax.reporting.exports import document_of
 from riecjax.reporting.fleet import differing_table, fleet_document, left_out_table, spread_table
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import View, in_html, in_text, with_error
+from riecjax.reporting.tables import Table, View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
