@@ -116,10 +116,11 @@ def test_the_core_and_its_own_distribution_come_before_foreign_ones(foreign, tmp
     assert {*read_channels(tmp_path / "a.npz").columns} == {"t", "x"}
     assert run(["models", "duffing"]) == 0
     assert "Hello" not in capfd.readouterr().out
-    for kind, name in (("readers", "h5"), ("commands", "fleet")):
-        declared = PROJECT["entry-points"][f"riecjax.{kind}"][name]
-        module, _, target = declared.partition(":")
-        assert extension(kind, name) is getattr(importlib.import_module(module), target)
+    reader, command = extension("readers", "h5"), extension("commands", "fleet")
+    assert reader is not None
+    assert command is not None
+    assert reader.__module__ == "riecjax.readers.hdf5"
+    assert command.callback.__module__ == "riecjax.fleets.command"
 
 
 def test_what_two_foreign_distributions_offer_is_refused_with_both_names(foreign, install):
