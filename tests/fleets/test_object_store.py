@@ -14,6 +14,7 @@ from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.fleets import sums
 from riecjax.fleets.fleet import fleet
+from riecjax.fleets.report import Fleet
 from riecjax.fleets.sums import rows_of
 from riecjax.models.catalogue import find_model
 from riecjax.records.writing import write_record

@@ -1,6 +1,6 @@
 """The verbs that ask everything of recordings: estimate, refine, test and validate; or of sums.
 
-[`assess`][] reads samples, `assess_sums` what was summed of them, and `check_answering` says
+[`assess`][] reads samples, [`assess_summary`][] what was summed of them, and `check_answering` says
 beforehand whether there is an answer.
 """
 
@@ -32,7 +32,7 @@ from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
-from riecjax.models.model import Model, as_model
+from riecjax.models.model import as_model
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
 from riecjax.settings.option import taking
@@ -183,11 +183,11 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     )
 
 
-def assess_sums(
-    model: Model,
-    procedure: Procedure,
+def assess_summary(
+    model: Equation | Procedure | HasProcedure,
     summary: Summary,
     *,
+    procedure: Procedure | None = None,
     lengths: Summary | None = None,
     findings: Sequence[Finding] = (),
     known: Mapping[str, float | Array] | None = None,
@@ -196,15 +196,22 @@ def assess_sums(
     """As [`assess`][riecjax.assess], without what needs samples: tests of residuals, refinement
     and simulation (not under jit).
 
-    **Arguments:** `procedure` that the model builds; `summary` of recordings; `lengths`, sums of
-    the same by window lengths, for drift; `findings` of the recordings, each with the parameters
-    that it concerns, or for all.
+    **Arguments:** `model`, `known` and `intervals` as for [`assess`][riecjax.assess];
+
+    - `summary` of recordings by [`summarise`][riecjax.summarise].
+    - `procedure`: what the model builds, where that is there already: equations that are built once
+      compile once.
+    - `lengths`: sums of the same recordings in bins of window lengths, for drift.
+    - `findings` of the recordings, each with the parameters that it concerns, or for all; see
+      [`recording_findings`][riecjax.estimation.recording_findings].
 
     **Raises:** as [`estimate`][riecjax.estimate], and `IdentifiabilityError` for what
     [`check`][riecjax.check] refuses.
     """
     from riecjax.assessment.assessment import Assessment
 
+    model = as_model(model)
+    procedure = model.build_procedure() if procedure is None else procedure
     found = on_host(estimate_of(procedure, summary, known=known, intervals=intervals))
     plan = plan_parameters(procedure, len(summary.recordings), known, ())
     evidence, ordinary = _about_hidden(procedure, found, summary, plan.given)

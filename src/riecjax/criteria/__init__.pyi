@@ -1,3 +1,4 @@
+from .criterion import AbstractCriterion as AbstractCriterion
 from .criterion import Rows as Rows
 from .laws import DensityLaw as DensityLaw
 from .laws import SteppedLaw as SteppedLaw

@@ -224,6 +224,34 @@ def of_sensors(procedure: Procedure, recording: Recording, read: Collection[str]
     return [*of_signals, *of_pairs]
 
 
+def recording_findings(
+    procedure: Procedure, recording: Recording, criterion: AbstractCriterion
+) -> list[Finding]:
+    """What is amiss with one recording and its sensors, as far as a criterion reads it.
+
+    Each finding names the parameters that it concerns, those of equations that read its signals;
+    one that names none concerns all.
+
+    **Raises:** `DataError` for a missing signal or a record shorter than a window.
+    """
+    read, record = read_of(procedure, recording, criterion, summed=True), recording.record
+    equations = [(e, e.signals_read(record, criterion.smoothness)) for e in procedure.equations]
+
+    def concerned(finding: Finding) -> tuple[str, ...]:
+        reading = [equation for equation, names in equations if {*finding.signals} & names]
+        return tuple(dict.fromkeys(name for equation in reading for name in equation.parameters))
+
+    return [
+        finding
+        if finding.parameters or not finding.signals
+        else finding._replace(parameters=concerned(finding))
+        for finding in (
+            *recording.concerning(read).findings,
+            *of_sensors(procedure, recording, read),
+        )
+    ]
+
+
 def _sensors(
     procedure: Procedure, recordings: list[Recording], read: list[tuple[str, ...]]
 ) -> list[Finding]:

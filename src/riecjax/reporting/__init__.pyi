@@ -15,6 +15,7 @@ from .page import Page as Page
 from .page import Section as Section
 from .result_files import Results as Results
 from .tables import Table as Table
+from .tables import View as View
 from .tables import in_rich as in_rich
 from .tables import print_table as print_table
 from .tables import say as say

@@ -34,6 +34,22 @@ LARGEST = 1e150
 """Size of a value past which its square is no number."""
 
 
+def default_criterion(
+    model: Equation | Procedure | HasProcedure, records: Records, noise: GivenNoise = "auto"
+) -> AbstractCriterion:
+    """What [`identify`][] takes where no criterion is given.
+
+    Boxcars of the model's band where every velocity was measured, smooth windows else.
+
+    **Arguments:** as of [`identify`][].
+
+    **Raises:** `DataError` for a missing signal.
+    """
+    procedure = as_procedure(model)
+    recordings = [each.record for each in ready(procedure, records, noise)]
+    return suited(procedure, getattr(model, "band", None), recordings)
+
+
 class Task(NamedTuple):
     """What is to be summed: a procedure's equations on records, by a criterion fitted to them.
 
