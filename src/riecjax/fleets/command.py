@@ -2,57 +2,21 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from riecjax import settings
 from riecjax.cli import Given, settings_command
+from riecjax.fleets.settings import Fleets
 from riecjax.runtime import start_jax
-from riecjax.settings import (
-    FOLDER,
-    POSITIVE,
-    TEXT,
-    Prepare,
-    Read,
-    Settings,
-    flag,
-    many,
-    setting,
-    whole,
-)
+from riecjax.settings import FOLDER, TEXT, many, setting
 
 
 @dataclass(frozen=True, kw_only=True)
-class Groups(Settings):
-    """What is estimated together, and by whom."""
-
-    by: str | Sequence[str] = setting("--by file|folder|COLUMN[,COLUMN]", TEXT, "file")
-    """What is estimated together: each file, each folder, or all that agrees in keys of its path
-    (vehicle=3/) or columns of its Parquet files."""
-    span: float | None = setting("--span SECONDS", POSITIVE)
-    """Estimate over time as well, in spans of about this length."""
-    workers: int | None = setting("--workers N", whole(0, 4096), default_in_words="one a core")
-    """Processes that sum; 0 for none but this one."""
-    scheduler: str | None = setting("--scheduler ADDRESS", TEXT)
-    """Use the workers of this scheduler of Dask."""
-    strict: bool = flag("--strict")
-    """End at the first recording that cannot be summed."""
-
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
-        if self.workers is not None and self.scheduler is not None:
-            raise settings.Contradiction(
-                "{workers} are of this machine, {scheduler} has its own: give one.", self.options()
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Patterns(Prepare, Read):
-    """Where recordings are, and how all that matches is read."""
+class Patterns(settings.Settings):
+    """Where recordings are."""
 
     files: Sequence[str] = many("PATTERN...", TEXT, required=True)
-    allow_duplicates: bool = flag("--allow-duplicates")
-    """Take recordings that hold the same samples, which are refused otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +30,7 @@ class Folder(settings.Document):
 
 @settings_command(
     "fleet",
-    *(settings.ModelName, Groups, Patterns, settings.Elements, settings.Fit, settings.Known),
-    *(settings.Uncertainty, settings.Seed, Folder),
+    *(settings.ModelName, Patterns, Fleets, settings.Elements, Folder),
     short_help="Identify a model's parameters from groups of recordings.",
 )
 def command(given: Given) -> None:
@@ -78,7 +41,7 @@ def command(given: Given) -> None:
     are one recording. The summaries.parquet of an earlier run is estimated anew, with other known
     values or groups, and no recording is read again.
     """
-    groups, fit, patterns = given.take(Groups), given.take(settings.Fit), given.take(Patterns)
+    asked = given.take(Fleets)
     start_jax(keep_compiled=True)
     from riecjax.fleets.fleet import fleet
     from riecjax.fleets.kept import ESTIMATES, SUMMARIES
@@ -89,21 +52,8 @@ def command(given: Given) -> None:
     model = given.model()
     began = time.monotonic()
     with _Told() as told:
-        found = fleet(
-            model,
-            patterns.files,
-            **groups.keywords(),
-            **fit.keywords(),
-            known=given.known,
-            intervals=given.intervals,
-            seed=given.seed,
-            at_rest=given.at_rest,
-            out=given.out,
-            allow_duplicates=given.allow_duplicates,
-            progress=told.progress,
-            on_start=told.dashboard,
-            **{name: given.values[name] for name in (*Read.options(), *Prepare.options())},
-        )
+        asked = replace(asked, out=given.out, progress=told.progress, on_start=told.dashboard)
+        found = fleet(model, given.files, **asked.keywords())
     emit(
         fleet_document(found, given.arguments, time.monotonic() - began),
         as_json=given.as_json,

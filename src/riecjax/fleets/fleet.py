@@ -2,17 +2,14 @@
 
 import contextlib
 import dataclasses
-import math
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from numbers import Real
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
-from riecjax import DOLS, BlockBootstrap, DataError, Equation, ModelError, Naive, Sandwich, Summary
-from riecjax.criteria import AbstractCriterion
-from riecjax.equations import AtRest, HasProcedure, Procedure
+from riecjax import DOLS, BlockBootstrap, DataError, Equation, ModelError, Summary
+from riecjax.criteria import AbstractCriterion, criterion_for
+from riecjax.equations import HasProcedure, Procedure
 from riecjax.errors import require
 from riecjax.estimation import plan_parameters
 from riecjax.extensions import require_packages
@@ -21,40 +18,26 @@ from riecjax.fleets.groups import Entry, estimated, grouped, named
 from riecjax.fleets.kept import ESTIMATES, SumStore, is_result, is_table, read_rows, write_batches
 from riecjax.fleets.order import Order
 from riecjax.fleets.report import Fleet
+from riecjax.fleets.settings import Fleets
 from riecjax.fleets.sources import Piece, Source, find_sources
 from riecjax.fleets.spread import changes, spreads
 from riecjax.fleets.sums import DONE, Row, lost, sum_up
 from riecjax.models import as_model
+from riecjax.settings import Reading
+from riecjax.settings.option import taking
 from riecjax.whole_files import no_folder
 
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
-AS_THEY_ARE = {"noise": "auto", "outliers": "repair", "align": "auto", "upsample": 1, "every": 1}
-"""Settings by which recordings are read where nothing is said."""
 
 Progress = Callable[[str, int, int, int], None]
 """Told what is being done, how much of it is, of how much, and how many samples that were."""
 
 
+@taking(Fleets)
 def fleet(
     model: Equation | Procedure | HasProcedure,
     patterns: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    criterion: AbstractCriterion | None = None,
-    *,
-    by: str | Sequence[str] = "file",
-    span: float | None = None,
-    known: Mapping[str, float] | None = None,
-    intervals: BlockBootstrap | Naive | Sandwich | None = None,
-    at_rest: AtRest | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    out: str | os.PathLike[str] | None = None,
-    strict: bool = False,
-    allow_duplicates: bool = False,
-    storage: Mapping[str, Any] | None = None,
-    parts: Sequence[str] = (),
-    progress: Progress | None = None,
-    on_start: Callable[[str], None] | None = None,
-    **reading: Any,
+    settings: Fleets,
 ) -> Fleet:
     """Identify a model's parameters from each group of recordings, of which there may be many.
 
@@ -64,25 +47,13 @@ def fleet(
     workers, in any order, after any interruption. A script calls it below `if __name__ ==
     "__main__":`, since processes import it.
 
-    **Arguments:** `model`, `criterion`, `known`, `intervals`, `at_rest` as for [`identify`][];
+    **Arguments:**
 
     - `patterns`: paths, folders, `drives/**/*.csv`, `s3://bucket/drives/*.parquet` of stores that
       fsspec knows; or a `summaries.parquet` of an earlier run, to estimate anew. A folder called
       `*.parquet` is a data set, whose files are one recording.
-    - `by`: what a group is: each `"file"`, each `"folder"`, or recordings that agree in these keys
-      of their paths (`vehicle=3/`) or columns of their Parquet files, `"vehicle,load"`.
-    - `span`: estimate each recording over time as well, in spans of about so many seconds.
-    - `workers`: processes of this machine, one a core by default; 0 for none but this one.
-      `scheduler`: address of one of Dask's, whose workers are used instead.
-    - `out`: folder for `summaries.parquet` and `estimates.parquet`; `None` keeps nothing.
-    - `strict`: raise what the first recording fails by, instead of going on without it.
-    - `allow_duplicates`: count recordings of a group that hold the same samples each.
-    - `storage`: what fsspec is to know of the store.
-    - `parts`: names of the recordings that are read of each file that holds several; all of them,
-      if none is given.
-    - `progress`: called with what is being done, how much of it is, of how much, and samples.
-    - `on_start`: called with the address of Dask's dashboard, if it has one.
-    - `reading`: keywords of [`ReadingSettings`][riecjax.records.ReadingSettings].
+    - others: see `riecjax.fleets.Fleets`; `criterion`, `known`, `intervals` and `at_rest` as for
+      [`identify`][], and those of reading as for [`read_recording`][riecjax.read_recording].
 
     **Returns:** a [`Fleet`][riecjax.fleets.Fleet].
 
@@ -91,37 +62,29 @@ def fleet(
     criterion that draws windows, and for sums of another model.
     """
     require_packages("fleet")
-    require("by", by, str | list | tuple, "by='file', 'folder' or names of columns")
-    keys = tuple(part.strip() for part in by.split(",")) if isinstance(by, str) else tuple(by)
-    if not keys or not all(keys):
-        raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
-    for name in keys:
-        require("a name of by", name, str, "by='vehicle,load'")
-    require("known", known or {}, Mapping, "known={'M_s': 302.7}")
-    if span is not None and not (isinstance(span, Real) and 0 < span < math.inf):
-        raise ModelError(f"span is a positive number of seconds; got {span!r}.")
-    if workers is not None and not (isinstance(workers, int) and workers >= 0):
-        raise ModelError(f"workers is a number of processes, 0 for none; got {workers!r}.")
-    require("parts", parts, (tuple, list), f"parts=('{parts}',), names of recordings in a file")
     require("patterns", patterns, str | os.PathLike | list | tuple, PATTERNS)
     listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
     for pattern in listed:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
+    model, seed = as_model(model), settings.seed
+    criterion = criterion_for(settings, model.build_procedure(), model.band, ())
+    usual = settings.intervals in (None, "bootstrap")
     asked = Order(
-        as_model(model),
+        model,
         criterion or DOLS(),
-        reading=reading,
-        by=keys,
-        storage=storage or {},
-        at_rest=at_rest,
-        parts=parts,
-        known=known or {},
-        intervals=intervals or BlockBootstrap(),
-        span=span,
+        reading=settings.reading,
+        by=settings.keys,
+        storage=settings.storage or {},
+        at_rest=settings.at_rest,
+        known=settings.known,
+        intervals=BlockBootstrap(seed=seed) if usual else settings.intervals,
+        span=settings.span,
     )
-    tell: Progress = progress or (lambda *_: None)
+    tell: Progress = settings.progress or (lambda *_: None)
     with contextlib.ExitStack() as stack:
-        folder = Path(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
+        folder = Path(
+            settings.out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
+        )
 
         def look() -> list[Source]:
             return find_sources(listed, asked.storage, lambda path: is_result(folder, path))
@@ -138,24 +101,24 @@ def fleet(
         except OSError as error:
             raise DataError(no_folder(folder, error)) from None
         store = None if has_table else SumStore(folder, order)
-        runs = stack.enter_context(engine(workers, scheduler))
-        if on_start is not None and runs.dashboard:
-            on_start(runs.dashboard)
+        runs = stack.enter_context(engine(settings.workers, settings.scheduler))
+        if settings.on_start is not None and runs.dashboard:
+            settings.on_start(runs.dashboard)
         changed: list[str] = []
         if store is not None:
             pieces = [*order.pieces_of(sources)]
-            _sum(order, pieces, store, runs, strict, tell)
+            _sum(order, pieces, store, runs, settings.strict, tell)
             table = store.finish([piece.identity for piece in pieces])
             later = [piece for piece in order.pieces_of(look()) if piece.identity not in store]
             changed = sorted({piece.source.name for piece in later})
         rows = (row.without_sums for row in read_rows(table))
-        pairs = named(rows, keys, allow_duplicates)
+        pairs = named(rows, settings.keys, settings.allow_duplicates)
         entries, over_time = _estimate(order, pairs, read_rows(table), runs, tell)
-        if out is not None:
+        if settings.out is not None:
             write_batches(folder / ESTIMATES, Entry, [[*entries, *over_time]], {})
     found = Fleet(
         order.model,
-        keys,
+        settings.keys,
         order.criterion,
         entries,
         over_time,
@@ -175,18 +138,16 @@ def _order_of(table: Path, asked: Order, criterion: AbstractCriterion | None) ->
     **Raises:** `DataError` for settings by which no sample can be read again; `ModelError` for sums
     of another model, or by another criterion than is asked for.
     """
-    reading = [n for n, value in asked.reading.items() if value and value != AS_THEY_ARE.get(n)]
-    if reading or asked.parts:
+    if said := [name for name in asked.reading.options() if asked.reading.says(name)]:
         raise DataError(
             f"{table.name} holds sums, of which no sample is read again: it cannot heed "
-            f"{', '.join([*reading, *['parts'] * bool(asked.parts)])}. Leave that out, or give the "
-            f"recordings."
+            f"{', '.join(said)}. Leave that out, or give the recordings."
         )
     row = next((row for row in read_rows(table) if row.status == DONE), None)
     if row is None:
         raise DataError(f"{table.name}: no recording of it could be summed.")
     summary = Summary.from_bytes(row.sums)
-    order = dataclasses.replace(asked, criterion=summary.criterion, reading={})
+    order = dataclasses.replace(asked, criterion=summary.criterion, reading=Reading())
     summary.require_model(order.procedure)
     if criterion is not None and criterion.describe() != summary.criterion.describe():
         raise ModelError(

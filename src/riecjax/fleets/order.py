@@ -21,6 +21,7 @@ from riecjax.equations import AtRest, Procedure, with_rests
 from riecjax.errors import DataError, ModelError, reason_of
 from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, rows_at_hand, stretches
 from riecjax.runtime import collect_seldom, start_jax
+from riecjax.settings import Reading
 from riecjax.summaries import Outline, default_criterion, stretch_starts
 from riecjax.validation import LONGER, sweep_edges
 
@@ -45,24 +46,22 @@ class Order:
     """How each recording is read, summed and grouped, and each group estimated.
 
     **Fields:** `model`; `criterion`, fitted to what was recorded; `edges` of bins of window lengths
-    in seconds that drift is looked for over, `None` for none; `reading`, keywords of
-    [`read_recordings`][riecjax.read_recordings]; `by`, `"file"`, `"folder"`, or names of columns or
-    keys; `starts` of a stretch of a long recording, whose windows have `window` samples at most;
-    `storage`, what fsspec is told; `at_rest`; `parts`, names of recordings that are read of a file
-    that holds several, all if empty; `known` values; `intervals`; `span` in seconds, of estimates
-    over time, `None` for none.
+    in seconds that drift is looked for over, `None` for none; `reading`, how they are read and
+    prepared; `by`, `"file"`, `"folder"`, or names of columns or keys; `starts` of a stretch of a
+    long recording, whose windows have `window` samples at most; `storage`, what fsspec is told;
+    `at_rest`; `known` values; `intervals`; `span` in seconds, of estimates over time, `None` for
+    none.
     """
 
     model: Model
     criterion: AbstractCriterion
     edges: np.ndarray | None = None
-    reading: Mapping[str, Any] = field(default_factory=dict)
+    reading: Reading = field(default_factory=Reading)
     by: Sequence[str] = ("file",)
     starts: int = 0
     window: int = 0
     storage: Mapping[str, Any] = field(default_factory=dict)
     at_rest: AtRest | None = None
-    parts: Sequence[str] = ()
     known: Mapping[str, float] = field(default_factory=dict)
     intervals: BlockBootstrap | Naive | Sandwich = field(default_factory=BlockBootstrap)
     span: float | None = None
@@ -72,11 +71,7 @@ class Order:
 
         **Raises:** `DataError`, also for a part that it lacks.
         """
-        return [
-            recording
-            for part in self.parts or (None,)
-            for recording in read_recordings(file, model=self.model, part=part, **self.reading)
-        ]
+        return read_recordings(file, **{**self.reading.keywords(), "model": self.model})
 
     @functools.cached_property
     def procedure(self) -> Procedure:
@@ -108,10 +103,9 @@ class Order:
             "equations": Outline.of(self.procedure.linear).fingerprint,
             "criterion": self.criterion.describe(),
             "edges": None if self.edges is None else self.edges.tolist(),
-            "reading": {name: _plain(value) for name, value in self.reading.items()},
+            "reading": self.reading.plain(),
             "columns": self.columns,
             "at_rest": self.at_rest,
-            "parts": [*self.parts],
         }
         written = json.dumps(settings, sort_keys=True, default=repr)
         return hashlib.sha256(written.encode()).hexdigest()
@@ -148,7 +142,7 @@ class Order:
             )
         first = self._first(sources)
         if criterion is None:
-            noise = self.reading.get("noise", "auto")
+            noise = self.reading.noise
             criterion = default_criterion(self.model, first, noise)
         edges, step = None, float(first.record.time_step)
         if criterion.in_closed_form and not self.procedure.has_hidden:
@@ -202,12 +196,6 @@ class Order:
                     yield from stretches(recording, self.starts, self.window)
                 else:
                     yield recording
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in sorted(value.items())}
-    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 @functools.lru_cache(maxsize=2)
