@@ -1,10 +1,8 @@
 """`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
-import contextlib
 import functools
 import os
 import shutil
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
@@ -42,6 +40,8 @@ def command(
         )
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
     import jax
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
 
     from riecjax.models.quarter_car import reconstructed
     from riecjax.paper.charts import study_charts
@@ -55,7 +55,15 @@ def command(
         require_folder(out)
     shapes, parts = reconstructed(), None if out is None else out / PARTS
     scale = QUICK if quick else FULL if full else roads or DEFAULT_ROADS
-    with _progress() as report:
+    bars: dict[str, TaskID] = {}
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+
+        def report(what: str, done: int, total: int) -> None:
+            """A bar for each thing that is computed."""
+            if what not in bars:
+                bars[what] = bar.add_task(what, total=total)
+            bar.update(bars[what], completed=done, total=total)
+
         study = run_study(scale, jax.random.key(seed), shapes, folder=parts, progress=report)
         report("statements", 0, 1)
         claims = evaluate_claims(study)
@@ -74,20 +82,3 @@ def command(
     )
     if study.further is not None and parts is not None:
         shutil.rmtree(parts, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar for each thing that is computed, on standard error."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        tasks = {}
-
-        def report(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = progress.add_task(what, total=total)
-            progress.update(tasks[what], completed=done, total=total)
-
-        yield report
