@@ -45,11 +45,12 @@ def test_what_to_write_comes_before_jaxs_own_words():
 
 @pytest.mark.parametrize(
     ("name", "place"),
-    [("window_sweep", "studies"), ("RoofFunctions", "equations"), ("Rows", "criteria")],
+    [("window_sweep", "validation"), ("RoofFunctions", "equations"), ("Rows", "criteria")],
 )
-def test_a_name_that_a_submodule_has_says_where_it_is(name, place):
-    with pytest.raises(AttributeError, match=rf"write rx\.{place}\.{name}\."):
-        getattr(riecjax, name)
+@pytest.mark.parametrize("package", [riecjax, riecjax.studies])
+def test_a_name_that_stands_elsewhere_says_where_it_is(package, name, place):
+    with pytest.raises(AttributeError, match=rf"has no '{name}': write rx\.{place}\.{name}\."):
+        getattr(package, name)
     assert hasattr(getattr(riecjax, place), name)
 
 

@@ -24,8 +24,7 @@ import riecjax as rx
 from riecjax.paper.published import TABLE_2
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.system import AbstractSystem
-from riecjax.studies.input_design import inverse, levels_of, plan_experiment
-from riecjax.studies.monte_carlo import over_keys
+from riecjax.studies import over_keys, predicted_standard_errors
 
 CAR_SENSORS: tuple[str, ...] = ("x1", "x2", "x3", "x4", "F_t")
 
@@ -35,12 +34,10 @@ def drag_bound(noise: float, *, velocity: bool) -> np.ndarray:
     clean = DRAG.signals()
     sigma = {name: noise * clean[name].std() for name in ("x", "dx")[: 1 + velocity]}
     record = DRAG.record()
-    plan = plan_experiment(
+    bounds = predicted_standard_errors(
         drag_oscillator(), DRAG.truth, record, channels=tuple(sigma), sigma=sigma
     )
-    information, _ = plan.information(levels_of(plan, record))
-    size = np.array(list(DRAG.truth.values()))
-    return size * np.sqrt(np.diagonal(np.asarray(inverse(information)))[: size.size])
+    return np.array(list(bounds.values()))
 
 
 CARS: dict[str, dict[str, float]] = {

@@ -147,7 +147,7 @@ CODES: dict[str, FindingCode] = {
         "validation.residuals:NOTABLE_GAIN",
     ),
     "window_sensitive": FindingCode(
-        "model", "estimates drift with window length", "studies.sweep:SMALLEST_DRIFT"
+        "model", "estimates drift with window length", "validation.sweep:SMALLEST_DRIFT"
     ),
     "uneven_errors": FindingCode(
         "model", "errors differ much along the record", "validation.residuals:NOTABLE_RATIO"

@@ -74,7 +74,7 @@ def refine(*arguments, **settings):
 
 
 def sweep(criterion, **settings):
-    return rx.studies.window_sweep(EQUATION, RECORD, criterion, **settings)
+    return rx.validation.window_sweep(EQUATION, RECORD, criterion, **settings)
 
 
 CALLS = {

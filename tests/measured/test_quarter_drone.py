@@ -12,7 +12,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.recording import read_record
-from riecjax.studies.sweep import window_sweep
+from riecjax.validation.sweep import window_sweep
 
 FILES = (
     "sinal2_degraus_malha_fechada.csv",

@@ -23,7 +23,7 @@ from riecjax.reporting.identification_figures import (
     window_choice_figures,
 )
 from riecjax.simulation.inputs import band_limited_noise
-from riecjax.studies.choice import window_choice
+from riecjax.validation.choice import window_choice
 from riecjax.validation.residuals import ResidualTests, residual_tests
 
 MASS = rx.Term("m", "a", unit="kg")

@@ -84,7 +84,7 @@ def all_print_briefly(*objects):
 
 
 def test_everything_prints_briefly_and_in_html(estimate, assessed):
-    sweep = rx.studies.window_sweep(equation(), record(), CRITERION)
+    sweep = rx.validation.window_sweep(equation(), record(), CRITERION)
     held = assessed.validations[0].held
     checked = rx.check(equation(), record(), CRITERION)
     known = rx.identify(equation(), record(), CRITERION, known={"m": 2.0, "k": 50.0})

@@ -11,7 +11,7 @@ import pytest
 from tests.machines import MACHINES, SHORT
 
 import riecjax as rx
-from riecjax.studies.monte_carlo import over_keys, seed_scatter
+from riecjax.studies import over_keys, seed_scatter
 
 KEY = jax.random.key(42)
 TRACES = []
@@ -60,7 +60,7 @@ start_jax(devices=2)
 import jax, numpy as np
 assert jax.local_device_count() == 2
 from tests.studies.test_monte_carlo import KEY, draw
-from riecjax.studies.monte_carlo import over_keys
+from riecjax.studies import over_keys
 for chunk in (1, 4, 5):
     found = over_keys(draw, KEY, 9, 2.0, chunk=chunk)
     np.savez(f"{sys.argv[1]}/{chunk}.npz", **found)

@@ -9,7 +9,7 @@ from jaxtyping import Array
 import riecjax as rx
 from riecjax.refinement.output_error import Tiles
 from riecjax.simulation.system import AbstractSystem
-from riecjax.studies.recovery import recovery_map
+from riecjax.studies import recovery_map
 
 
 class Oscillator(AbstractSystem):

@@ -1,5 +1,5 @@
 """Discovery: which terms a model lacks, chosen from one Gram matrix of all candidates."""
 
-import lazy_loader
+from riecjax.public_names import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = attach(__name__, __file__)

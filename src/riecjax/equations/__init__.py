@@ -1,5 +1,5 @@
 """Equations of motion, linear in their parameters, as sums of terms."""
 
-import lazy_loader
+from riecjax.public_names import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = attach(__name__, __file__)

@@ -3,41 +3,48 @@
 import functools
 import os
 import shutil
-from pathlib import Path
+from dataclasses import dataclass
 
-import click
-
-from riecjax.cli.options import json_option, out_option, seed_option
+from riecjax.cli import Given, settings_command
 from riecjax.runtime import start_jax
+from riecjax.settings import Contradiction, Output, Seed, Settings, flag, setting, whole
 
 DEFAULT_ROADS = 32
 PARTS = "variations.parts"
 """Folder of what is finished of an interrupted study, inside the one of --out."""
 
 
-@click.command("reproduce", short_help="Repeat the study of Best and Gordon (1999).")
-@seed_option
-@click.option(
-    "--roads",
-    type=click.IntRange(min=1, max=100_000),
-    help=f"Number of random roads behind the tables. [default: {DEFAULT_ROADS}]",
+@dataclass(frozen=True, kw_only=True)
+class Study(Settings):
+    """How much of the study is repeated."""
+
+    roads: int | None = setting("--roads N", whole(1, 100_000), default_in_words=f"{DEFAULT_ROADS}")
+    """Number of random roads behind the tables."""
+    full: bool = flag("--full")
+    """The whole study: every table, figure and statement."""
+    quick: bool = flag("--quick")
+    """The whole study on few roads, in about a minute."""
+
+    def require_sense(self) -> None:
+        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+        if self.roads and (self.full or self.quick):
+            raise Contradiction(
+                "{roads} excludes {full} and {quick}, which set the number of roads.",
+                self.options(),
+            )
+
+
+@settings_command(
+    "reproduce", Seed, Study, Output, short_help="Repeat the study of Best and Gordon (1999)."
 )
-@click.option("--full", is_flag=True, help="The whole study: every table, figure and statement.")
-@click.option("--quick", is_flag=True, help="The whole study on few roads, in about a minute.")
-@json_option
-@out_option
-def command(
-    seed: int, roads: int | None, full: bool, quick: bool, as_json: bool, out: Path | None
-) -> None:
+def command(given: Given) -> None:
     """Reproduce Best and Gordon (1999) on simulated roads.
 
     Without --full or --quick: Tables 1, 3, 4 and 5, and the statements that they decide. A study
     with --out that is interrupted goes on where it was when it is started again.
     """
-    if roads and (full or quick):
-        raise click.UsageError(
-            "--roads excludes --full and --quick, which set the number of roads."
-        )
+    given.take(Study)
+    out = given.out
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
     import jax
     from rich.console import Console
@@ -54,7 +61,7 @@ def command(
     if out is not None:
         require_folder(out)
     shapes, parts = reconstructed(), None if out is None else out / PARTS
-    scale = QUICK if quick else FULL if full else roads or DEFAULT_ROADS
+    scale = QUICK if given.quick else FULL if given.full else given.roads or DEFAULT_ROADS
     bars: dict[str, TaskID] = {}
     with Progress(console=Console(stderr=True), transient=True) as bar:
 
@@ -64,7 +71,7 @@ def command(
                 bars[what] = bar.add_task(what, total=total)
             bar.update(bars[what], completed=done, total=total)
 
-        study = run_study(scale, jax.random.key(seed), shapes, folder=parts, progress=report)
+        study = run_study(scale, jax.random.key(given.seed), shapes, folder=parts, progress=report)
         report("statements", 0, 1)
         claims = evaluate_claims(study)
     others = {}
@@ -72,8 +79,8 @@ def command(
         variations = study.further.variations
         others["variations.parquet"] = functools.partial(write_variations, variations)
     emit(
-        reproduction_document(study, claims, seed=seed),
-        as_json=as_json,
+        reproduction_document(study, claims, seed=given.seed),
+        as_json=given.as_json,
         out=out,
         show=print_reproduction,
         charts=functools.partial(study_charts, study, shapes),

@@ -302,7 +302,9 @@ def reproduction_page(document: Document) -> Page:
     glance = [words, f"{held} of {len(claims)} statements of the paper hold here."]
     glance += [f"{line[0].upper()}{line[1:]}." for line in _summary(document)]
     statements = [(str(c["id"]), c["statement"], _verdict(c)) for c in claims]
-    verdicts = Table(("claim", "statement", "here"), statements, "Statements of the paper.", "", False)
+    verdicts = Table(
+        ("claim", "statement", "here"), statements, "Statements of the paper.", "", False
+    )
     sections = [Section("At a glance", glance, [verdicts], ("tables",))]
     for heading, (names, ids, charts) in SECTIONS.items():
         tables = []

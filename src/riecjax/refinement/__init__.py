@@ -1,5 +1,5 @@
 """Non-linear refinement: what the linear stage cannot reach, from its estimate as a start."""
 
-import lazy_loader
+from riecjax.public_names import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = attach(__name__, __file__)

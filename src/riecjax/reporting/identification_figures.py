@@ -42,8 +42,7 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
-from riecjax.studies.choice import WindowChoice
-from riecjax.studies.sweep import WindowSweep
+from riecjax.validation.choice import WindowChoice
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import (
     CrossCorrelation,
@@ -52,6 +51,7 @@ from riecjax.validation.residuals import (
     ResidualTests,
     unbroken,
 )
+from riecjax.validation.sweep import WindowSweep
 
 LOWEST = 0.3
 """Where nothing is left, beside the least that is, on a logarithmic axis."""

@@ -8,6 +8,7 @@ from .inputs import robson_road as robson_road
 from .linearisation import Mode as Mode
 from .linearisation import linearise as linearise
 from .linearisation import modes as modes
+from .linearisation import suitable_steps as suitable_steps
 from .method import SimulationStatus as SimulationStatus
 from .simulate import Simulation as Simulation
 from .system import AbstractSystem as AbstractSystem

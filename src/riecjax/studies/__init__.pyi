@@ -1,5 +1,3 @@
-from .choice import WindowChoice as WindowChoice
-from .choice import window_choice as window_choice
 from .input_design import Design as Design
 from .input_design import design_input as design_input
 from .input_design import predicted_standard_errors as predicted_standard_errors
@@ -7,5 +5,3 @@ from .monte_carlo import over_keys as over_keys
 from .monte_carlo import seed_scatter as seed_scatter
 from .recovery import RecoveryMap as RecoveryMap
 from .recovery import recovery_map as recovery_map
-from .sweep import WindowSweep as WindowSweep
-from .sweep import window_sweep as window_sweep

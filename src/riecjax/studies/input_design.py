@@ -25,145 +25,122 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Key
 
-from riecjax.errors import ModelError
+from riecjax import Adaptive, FixedStep, ModelError, Record, simulate
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_scaled
-from riecjax.records.record import Record
-from riecjax.refinement.objective import AbstractParametric, as_parametric_system
-from riecjax.refinement.output_error import observed
-from riecjax.simulation.inputs import multisine
-from riecjax.simulation.linearisation import suitable_steps
-from riecjax.simulation.method import AbstractMethod, FixedStep
-from riecjax.simulation.system import AbstractSystem
+from riecjax.refinement import AbstractParametric, as_parametric_system
+from riecjax.simulation import AbstractSystem, multisine, suitable_steps
 
 
-class Experiment(eqx.Module):
+class _Experiment(eqx.Module):
     """A model that is to be excited, and what is measured of it.
 
     **Fields:**
 
-    - `system` for every value of its parameters; `values` of the `parameters` that will be
+    - `model` for every value of its parameters; `values` of the `parameters` that will be
       estimated; `known`, values held.
     - `initial_state`, which will be estimated too.
     - `sigma`: standard deviation of the white noise on each of `channels`.
-    - `time_step` in seconds; `method` of simulation.
+    - `method` of simulation.
     """
 
-    system: AbstractParametric
+    model: AbstractParametric
     values: Float[Array, " p"]
     known: dict[str, Array]
     initial_state: Float[Array, " states"]
     sigma: Float[Array, " channels"]
-    time_step: Float[Array, ""]
-    method: AbstractMethod
+    method: FixedStep | Adaptive
     channels: tuple[str, ...] = eqx.field(static=True)
     parameters: tuple[str, ...] = eqx.field(static=True)
 
-    def built(self, values: Float[Array, " p"] | None = None) -> AbstractSystem:
-        """The system at its values, or at others."""
-        chosen = self.values if values is None else values
-        return self.system.build({**self.known, **dict(zip(self.parameters, chosen))})
+    def system(self, values: Float[Array, " p"]) -> AbstractSystem:
+        """The system at these values."""
+        return self.model.build({**self.known, **dict(zip(self.parameters, values))})
 
-    def trajectory(self, levels: Float[Array, "n inputs"]) -> Float[Array, "n states"]:
-        """States from the initial one, along the inputs."""
-        return self._states(self.built(), self.initial_state, levels)
+    def signals(
+        self, values: Float[Array, " p"], start: Float[Array, " states"], inputs: Record
+    ) -> dict[str, Array]:
+        """All that is simulated from an initial state, along the inputs."""
+        system = self.system(values)
+        initial = dict(zip(system.state_names, start))
+        return simulate(system, inputs, method=self.method, initial_state=initial).record.arrays
 
-    def information(
-        self, levels: Float[Array, "n inputs"]
-    ) -> tuple[Float[Array, "p+s p+s"], Float[Array, "n states"]]:
-        """Information matrix of the parameters and, after them, the initial state; and the states.
+    def standard_errors(self, inputs: Record) -> tuple[Float[Array, " p"], dict[str, Array]]:
+        """Least standard deviation of each parameter in its unit, and the simulated signals.
 
-        Of parameters in units of their values, where these are not zero, and of states in theirs.
+        All other parameters and the initial state are unknown too.
         """
-        p, size = self.values.shape[0], self._size()
-        # A share of a value; from a value of zero, one unit.
-        unknown = jnp.concatenate([self.values / size, self.initial_state])
-
-        def simulated(unknown: Array) -> tuple[Array, Array]:
-            system = self.built(unknown[:p] * size)
-            states = self._states(system, unknown[p:], levels)
-            return observed(system, states, levels, self.channels) / self.sigma[None, :], states
-
-        slopes, states = jax.jacfwd(simulated, has_aux=True)(unknown)
-        return jnp.einsum("nci,ncj->ij", slopes, slopes), states
-
-    def standard_errors(self, information: Float[Array, "p+s p+s"]) -> Float[Array, " p"]:
-        """Least standard deviation of each parameter in its unit, all others being unknown."""
         p = self.values.shape[0]
-        return jnp.sqrt(jnp.diagonal(inverse(information))[:p]) * self._size()
+        # Parameters in shares of their values; one that is zero, in its unit.
+        size = jnp.where(self.values != 0, jnp.abs(self.values), 1.0)
 
-    def _size(self) -> Float[Array, " p"]:
-        return jnp.where(self.values != 0, jnp.abs(self.values), 1.0)
+        def measured(unknown: Array) -> tuple[Array, dict[str, Array]]:
+            signals = self.signals(unknown[:p] * size, unknown[p:], inputs)
+            columns = jnp.stack([signals[name] for name in self.channels], axis=-1)
+            return columns / self.sigma[None, :], signals
 
-    def _states(
-        self, system: AbstractSystem, start: Float[Array, " states"], levels: Array
-    ) -> Float[Array, "n states"]:
-        return self.method.trajectory(system, levels, self.time_step, start)[0]
+        unknown = jnp.concatenate([self.values / size, self.initial_state])
+        slopes, signals = jax.jacfwd(measured, has_aux=True)(unknown)
+        information = jnp.einsum("nci,ncj->ij", slopes, slopes)
+        # Its inverse is huge, not infinite, where there is no information.
+        k, dtype = information.shape[0], information.dtype
+        rounding = 8 * k * float(jnp.finfo(dtype).eps)
+        inverse = solve_scaled(information, jnp.eye(k, dtype=dtype), ridge=rounding)
+        return jnp.sqrt(jnp.diagonal(inverse)[:p]) * size, signals
 
 
-def inverse(information: Float[Array, "k k"]) -> Float[Array, "k k"]:
-    """Inverse of an information matrix; huge, not infinite, where there is no information."""
-    k = information.shape[0]
-    rounding = 8 * k * float(jnp.finfo(information.dtype).eps)
-    return solve_scaled(information, jnp.eye(k, dtype=information.dtype), ridge=rounding)
-
-
-def plan_experiment(
-    model: Any,
+def _planned(
+    model: AbstractParametric,
     values: Mapping[str, float | Array],
-    record: Record,
-    *,
+    inputs: Record,
     channels: Sequence[str],
     sigma: Mapping[str, float | Array],
-    known: Mapping[str, float | Array] | None = None,
-    initial_state: Mapping[str, float | Array] | None = None,
-    method: AbstractMethod | None = None,
-) -> Experiment:
-    """An experiment, checked.
-
-    **Arguments:** as of [`predicted_standard_errors`][].
-
-    **Raises:** `ModelError` for unknown names, no parameter, no channel, or noise that is not
-    given; `DataError` for a missing input.
-    """
-    system = as_parametric_system(model, record)
-    named = {**dict(known or {}), **values}
-    if unknown := [n for n in named if system.parameters and n not in system.parameters]:
+    settings: Mapping[str, Any],
+) -> _Experiment:
+    """An experiment, checked. `settings`: `known`, `initial_state` and `method`, or None."""
+    known, initial_state = settings["known"] or {}, settings["initial_state"] or {}
+    if unknown := [
+        n for n in {**known, **values} if model.parameters and n not in model.parameters
+    ]:
         raise ModelError(
-            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(system.parameters)}."
+            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(model.parameters)}."
         )
     if not values or not channels:
         raise ModelError("an experiment needs a parameter to estimate and a channel to measure.")
-    held = {**system.defaults, **dict(known or {})}
+    held = {**model.defaults, **known}
     held = {name: jnp.asarray(value) for name, value in held.items() if name not in values}
     free = {name: jnp.asarray(value, float) for name, value in values.items()}
-    built: AbstractSystem = system.build({**held, **free})
+    system: AbstractSystem = model.build({**held, **free})
     if missing := [name for name in channels if name not in sigma]:
         raise ModelError(f"no noise (sigma) is given for {', '.join(missing)}.")
-    made = built.simulated_names
+    made = system.simulated_names
     if unknown := [name for name in channels if name not in made]:
         raise ModelError(
             f"the simulation has no signal '{unknown[0]}' to measure; it has: {', '.join(made)}."
         )
-    built.require_states(initial_state or {})
-    start = [jnp.asarray((initial_state or {}).get(name, 0.0), float) for name in built.state_names]
-    experiment = Experiment(
-        system,
+    system.require_states(initial_state)
+    start = [jnp.asarray(initial_state.get(name, 0.0), float) for name in system.state_names]
+    experiment = _Experiment(
+        model,
         jnp.stack(list(free.values())),
         held,
         jnp.stack(start),
         jnp.stack([jnp.asarray(sigma[name], float) for name in channels]),
-        record.time_step,
-        FixedStep() if method is None else method,
+        settings["method"] or FixedStep(),
         tuple(channels),
         tuple(free),
     )
-    if method is not None or not is_concrete(experiment, record):
+    if settings["method"] is not None or not is_concrete(experiment, inputs):
         return experiment
     # Steps that are short enough along the motion that this record excites.
-    levels = levels_of(experiment, record)
-    states = eqx.filter_jit(Experiment.trajectory)(experiment, levels)
-    steps = suitable_steps(built, states, levels, float(record.time_step))
+    signals = eqx.filter_jit(_Experiment.signals)(
+        experiment, experiment.values, experiment.initial_state, inputs
+    )
+    states, levels = (
+        jnp.stack([source[name] for name in names], axis=-1)
+        for source, names in ((signals, system.state_names), (inputs, system.input_names))
+    )
+    steps = suitable_steps(system, states, levels, float(inputs.time_step))
     return eqx.tree_at(lambda e: e.method, experiment, FixedStep(steps))
 
 
@@ -176,7 +153,7 @@ def predicted_standard_errors(
     sigma: Mapping[str, float | Array],
     known: Mapping[str, float | Array] | None = None,
     initial_state: Mapping[str, float | Array] | None = None,
-    method: AbstractMethod | None = None,
+    method: FixedStep | Adaptive | None = None,
 ) -> dict[str, Float[Array, ""]]:
     """Standard errors that output error would have of a recording under these inputs.
 
@@ -193,31 +170,14 @@ def predicted_standard_errors(
     - `initial_state`: state name to value; those not named start at zero. It will be estimated.
     - `method`: as for [`simulate`][]; by default steps short enough for the model.
 
-    **Raises:** as [`plan_experiment`][].
+    **Raises:** `ModelError` for unknown names, no parameter, no channel, or noise that is not
+    given; `DataError` for a missing input.
     """
-    experiment = plan_experiment(
-        model,
-        values,
-        record,
-        channels=channels,
-        sigma=sigma,
-        known=known,
-        initial_state=initial_state,
-        method=method,
-    )
-    return dict(
-        zip(experiment.parameters, _standard_errors(experiment, levels_of(experiment, record)))
-    )
-
-
-def levels_of(experiment: Experiment, record: Record) -> Float[Array, "n inputs"]:
-    """The inputs of the system, side by side."""
-    return jnp.stack([record.signals[name] for name in experiment.built().input_names], axis=-1)
-
-
-@eqx.filter_jit
-def _standard_errors(experiment: Experiment, levels: Array) -> Float[Array, " p"]:
-    return experiment.standard_errors(experiment.information(levels)[0])
+    settings = {"known": known, "initial_state": initial_state, "method": method}
+    family = as_parametric_system(model, record)
+    experiment = _planned(family, values, record, channels, sigma, settings)
+    errors, _ = eqx.filter_jit(_Experiment.standard_errors)(experiment, record)
+    return dict(zip(experiment.parameters, errors))
 
 
 # The multisine that makes one parameter's interval tightest, within the travel that a rig allows.
@@ -290,53 +250,56 @@ class Design(eqx.Module):
         return DesignStatus[self.status]
 
 
-class _Task(eqx.Module):
+class _Problem(eqx.Module):
     """The cost of an input in terms of the cosine and sine part of each harmonic.
 
     Unlike a phase, which means nothing at zero amplitude, these have no singular point. Their
     common factor is free, since the input is scaled to its r.m.s.
     """
 
-    experiment: Experiment
+    experiment: _Experiment
     frequencies: Float[Array, " k"]
     rms: Float[Array, ""]
-    limits: Float[Array, " limited"]
-    sample_count: int = eqx.field(static=True)
-    place: int = eqx.field(static=True)
-    limited: tuple[int, ...] = eqx.field(static=True)
+    travel: dict[str, Array]
+    sampling: Record
+    parameter: str = eqx.field(static=True)
+
+    def wave(self, coefficients: Float[Array, " 2k"]) -> Float[Array, " n"]:
+        """The input before it is scaled."""
+        cosine = jnp.zeros_like(self.frequencies)
+        phases = jnp.concatenate([cosine, cosine - jnp.pi / 2])
+        both = jnp.concatenate([self.frequencies, self.frequencies])
+        sampling = self.sampling
+        return multisine(coefficients, phases, both, sampling.sample_count, sampling.time_step)
 
     def polar(self, coefficients: Float[Array, " 2k"]) -> tuple[Array, Array]:
         """Amplitudes and phases of the input."""
         cosine, sine = jnp.split(coefficients, 2)
-        factor = self.rms / _rms(self._raw(coefficients))
+        factor = self.rms / _rms(self.wave(coefficients))
         return factor * jnp.hypot(cosine, sine), jnp.arctan2(-sine, cosine)
 
-    def levels(self, coefficients: Float[Array, " 2k"]) -> Float[Array, "n 1"]:
-        """The input, of exactly the r.m.s. that is asked for."""
-        raw = self._raw(coefficients)
-        return (raw * (self.rms / _rms(raw)))[:, None]
-
-    def _raw(self, coefficients: Array) -> Float[Array, " n"]:
-        cosine = jnp.zeros_like(self.frequencies)
-        phases = jnp.concatenate([cosine, cosine - jnp.pi / 2])
-        both = jnp.concatenate([self.frequencies, self.frequencies])
-        step = self.experiment.time_step
-        return multisine(coefficients, phases, both, self.sample_count, step)
-
-    def peaks(self, states: Float[Array, "n states"]) -> Float[Array, " limited"]:
-        """Largest size of each limited state."""
-        return jnp.max(jnp.abs(states[:, np.array(self.limited, int)]), axis=0)
-
-    def excess(self, states: Float[Array, "n states"]) -> Float[Array, ""]:
-        """Squared travel beyond the limits, as shares of them, over all samples."""
-        share = jnp.abs(states[:, np.array(self.limited, int)]) / self.limits[None, :]
-        return jnp.sum(jnp.maximum(share - (1 - MARGIN), 0.0) ** 2)
+    def outcome(
+        self, coefficients: Float[Array, " 2k"]
+    ) -> tuple[Float[Array, " n"], Float[Array, " p"], dict[str, Array], Float[Array, ""]]:
+        """The input, of exactly the r.m.s. that is asked for; each parameter's standard error;
+        the largest size of each limited state; and the squared travel beyond the limits, as shares
+        of them, over all samples."""
+        wave = self.wave(coefficients)
+        wave = wave * (self.rms / _rms(wave))
+        inputs = eqx.tree_at(
+            lambda r: r.arrays, self.sampling, {n: wave for n in self.sampling.arrays}
+        )
+        errors, signals = self.experiment.standard_errors(inputs)
+        sizes = {name: jnp.abs(signals[name]) for name in self.travel}
+        beyond = [jnp.maximum(sizes[n] / self.travel[n] - (1 - MARGIN), 0.0) for n in sizes]
+        excess = sum((jnp.sum(share**2) for share in beyond), jnp.zeros(()))
+        return wave, errors, {name: jnp.max(size) for name, size in sizes.items()}, excess
 
     def cost(self, coefficients: Float[Array, " 2k"], penalty: Array) -> Float[Array, ""]:
         """Logarithm of the parameter's variance, with a penalty on travel."""
-        information, states = self.experiment.information(self.levels(coefficients))
-        variance = inverse(information)[self.place, self.place]
-        return jnp.log(variance) + penalty * self.excess(states)
+        _, errors, _, excess = self.outcome(coefficients)
+        place = self.experiment.parameters.index(self.parameter)
+        return 2 * jnp.log(errors[place]) + penalty * excess
 
 
 def design_input(
@@ -354,7 +317,7 @@ def design_input(
     travel: Mapping[str, float | Array] | None = None,
     known: Mapping[str, float | Array] | None = None,
     initial_state: Mapping[str, float | Array] | None = None,
-    method: AbstractMethod | None = None,
+    method: FixedStep | Adaptive | None = None,
     starts: int = 4,
     max_steps: int = 100,
 ) -> Design:
@@ -391,58 +354,32 @@ def design_input(
             f"the input of a system with one input can be designed; this one has {len(inputs)}: "
             f"{', '.join(inputs)}. Give a system in which the others are known."
         )
-    experiment = plan_experiment(
-        model,
-        values,
-        Record({inputs[0]: wave}, time_step),
-        channels=channels,
-        sigma=sigma,
-        known=known,
-        initial_state=initial_state,
-        method=method,
-    )
-    task = _task(experiment, parameter, grid, sample_count, rms, dict(travel or {}))
+    sampling = Record({inputs[0]: wave}, time_step)
+    settings = {"known": known, "initial_state": initial_state, "method": method}
+    experiment = _planned(family, values, sampling, channels, sigma, settings)
+    if parameter not in values:
+        raise ModelError(f"'{parameter}' is not estimated; estimated are: {', '.join(values)}.")
+    system = experiment.system(experiment.values)
+    system.require_states(travel or {})
+    limits = {name: jnp.asarray(limit, float) for name, limit in (travel or {}).items()}
+    if wrong := [n for n, limit in limits.items() if is_concrete(limit) and not limit > 0]:
+        raise ModelError(f"the travel of {wrong[0]} needs a positive limit.")
+    rms = jnp.asarray(rms, float)
+    problem = _Problem(experiment, grid, rms, limits, sampling, parameter)
     found = jnp.concatenate([jnp.cos(phases), -jnp.sin(phases)], axis=1)
     settled = jnp.zeros(starts, bool)
     for penalty in PENALTIES if travel else PENALTIES[:1]:
-        found, settled = _search(task, found, jnp.asarray(penalty), max_steps)
-    return _best(task, found, settled, inputs[0], parameter)
+        found, settled = _search(problem, found, jnp.asarray(penalty), max_steps)
+    return _best(problem, found, settled)
 
 
 def _rms(wave: Float[Array, " n"]) -> Float[Array, ""]:
     return jnp.sqrt(jnp.mean(wave**2))
 
 
-def _task(
-    experiment: Experiment,
-    parameter: str,
-    frequencies: Float[Array, " k"],
-    sample_count: int,
-    rms: float | Array,
-    travel: Mapping[str, float | Array],
-) -> _Task:
-    system = experiment.built()
-    if parameter not in experiment.parameters:
-        raise ModelError(
-            f"'{parameter}' is not estimated; estimated are: {', '.join(experiment.parameters)}."
-        )
-    system.require_states(travel)
-    if wrong := [n for n, limit in travel.items() if is_concrete(limit) and not limit > 0]:
-        raise ModelError(f"the travel of {wrong[0]} needs a positive limit.")
-    return _Task(
-        experiment,
-        frequencies,
-        jnp.asarray(rms, float),
-        jnp.asarray(list(travel.values()), float),
-        sample_count,
-        experiment.parameters.index(parameter),
-        tuple(system.state_names.index(name) for name in travel),
-    )
-
-
 @eqx.filter_jit
 def _search(
-    task: _Task, first: Float[Array, "starts 2k"], penalty: Float[Array, ""], max_steps: int
+    problem: _Problem, first: Float[Array, "starts 2k"], penalty: Float[Array, ""], max_steps: int
 ) -> tuple[Float[Array, "starts 2k"], Bool[Array, " starts"]]:
     """Each start's least cost, and whether its search converged."""
 
@@ -452,7 +389,7 @@ def _search(
             optx.BFGS(TOLERANCE, TOLERANCE),
             # One size for all starts: the cost does not depend on it, but the steps do.
             coefficients / _rms(coefficients),
-            args=(task, penalty),
+            args=(problem, penalty),
             max_steps=max_steps,
             throw=False,
         )
@@ -463,43 +400,34 @@ def _search(
 
 @eqx.filter_jit
 def _best(
-    task: _Task,
-    found: Float[Array, "starts 2k"],
-    settled: Bool[Array, " starts"],
-    name: str,
-    parameter: str,
+    problem: _Problem, found: Float[Array, "starts 2k"], settled: Bool[Array, " starts"]
 ) -> Design:
     """The best of those that keep the travel; if none does, the one that comes nearest."""
-
-    def outcome(coefficients: Array) -> tuple[Array, ...]:
-        levels = task.levels(coefficients)
-        information, states = task.experiment.information(levels)
-        errors = task.experiment.standard_errors(information)
-        return levels, errors, task.peaks(states), task.excess(states)
-
-    levels, errors, peaks, excess = jax.vmap(outcome)(found)
-    finite = jnp.isfinite(errors[:, task.place])
-    within = jnp.all(peaks <= task.limits[None, :], axis=1) & finite
-    promised = jnp.where(within, errors[:, task.place], jnp.inf)
+    experiment = problem.experiment
+    place = experiment.parameters.index(problem.parameter)
+    waves, errors, peaks, excess = jax.vmap(problem.outcome)(found)
+    within = finite = jnp.isfinite(errors[:, place])
+    for name, limit in problem.travel.items():
+        within = within & (peaks[name] <= limit)
+    promised = jnp.where(within, errors[:, place], jnp.inf)
     nearest = jnp.argmin(jnp.where(finite, excess, jnp.inf))
     best = jnp.where(jnp.any(within), jnp.argmin(promised), nearest)
-    amplitudes, phases = task.polar(found[best])
-    wave = levels[best, :, 0]
-    experiment = task.experiment
-    states = experiment.built().state_names
+    amplitudes, phases = problem.polar(found[best])
     status = DesignStatus.where(settled[best], DesignStatus.converged, DesignStatus.out_of_steps)
     status = DesignStatus.where(jnp.any(within), status, DesignStatus.travel_exceeded)
     status = DesignStatus.where(jnp.any(finite), status, DesignStatus.not_finite)
+    wave, system = waves[best], experiment.system(experiment.values)
+    (name,) = problem.sampling.arrays
     return Design(
-        record=Record({name: wave}, experiment.time_step, units=experiment.built().inputs),
-        frequencies=task.frequencies,
+        record=Record({name: wave}, problem.sampling.time_step, units=system.inputs),
+        frequencies=problem.frequencies,
         amplitudes=amplitudes,
         phases=phases,
-        standard_error=errors[best, task.place],
+        standard_error=errors[best, place],
         standard_errors=dict(zip(experiment.parameters, errors[best])),
         rms=_rms(wave),
-        peaks={states[i]: peak for i, peak in zip(task.limited, peaks[best])},
+        peaks={name: peak[best] for name, peak in peaks.items()},
         starts=promised,
         status=status,
-        parameter=parameter,
+        parameter=problem.parameter,
     )

@@ -14,14 +14,8 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, Key
 
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import ModelError, renamed, require
-from riecjax.estimation.parameters import Sharing, plan_parameters
-from riecjax.estimation.stages import all_normal_equations, solve_stages
-from riecjax.records.record import Record, Records, as_records
-from riecjax.summaries.task import record_keys, require_key
+from riecjax import RIEC, Estimate, ModelError, Naive, Record, Recording, identify
+from riecjax.errors import require
 
 
 def over_keys(
@@ -98,11 +92,10 @@ class SeedScatter(eqx.Module):
         return jnp.std(self.theta, axis=0, ddof=1)
 
 
-@renamed(own="per_record")
 def seed_scatter(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
-    criterion: AbstractCriterion,
+    model: Any,
+    records: Record | Recording | Sequence[Record] | Sequence[Recording],
+    criterion: RIEC,
     *,
     key: Key[Array, ""],
     known: Mapping[str, float | Array] | None = None,
@@ -111,38 +104,34 @@ def seed_scatter(
 ) -> SeedScatter:
     """Identify with `seeds` draws of random windows, vmapped; other arguments as for `identify`.
 
+    Sums are taken as they are: no noise is taken off.
+
     **Raises:** `ModelError` for a criterion that draws nothing, or fewer than two seeds.
     """
-    procedure = as_procedure(model)
-    require(
-        "the criterion", criterion, AbstractCriterion, "rx.RIEC(rx.RandomWindows(0.05, 0.5, 8000))"
-    )
-    require_key(key)
+    require("the criterion", criterion, RIEC, "rx.RIEC(rx.RandomWindows(0.05, 0.5, 8000))")
+    require("the key", key, jax.Array, f"key=jax.random.key({key})")
     if not criterion.needs_key:
         raise ModelError("only random windows scatter from seed to seed; this criterion has none.")
     if seeds < 2:
         raise ModelError(f"scatter needs at least two seeds; got {seeds}.")
-    recordings = as_records(records)
-    sharing, given, plan = plan_parameters(procedure, len(recordings), known, per_record)
-    keys = jax.random.split(key, seeds)
-    theta = _estimates(procedure, sharing, recordings, criterion, keys, given)
-    return SeedScatter(theta, tuple(name for _, names in plan for name in names))
+    values = {name: jnp.asarray(value) for name, value in (known or {}).items()}
+    estimates = _estimates(
+        jax.random.split(key, seeds), model, records, criterion, values, tuple(per_record)
+    )
+    return SeedScatter(estimates.theta, estimates.parameters)
 
 
 @eqx.filter_jit
 def _estimates(
-    procedure: Procedure,
-    sharing: Sharing,
-    records: list[Record],
-    criterion: AbstractCriterion,
     keys: Key[Array, " seeds"],
+    model: Any,
+    records: Any,
+    criterion: RIEC,
     known: Mapping[str, Array],
-) -> Float[Array, "seeds p"]:
-    def with_key(key: Key[Array, ""]) -> Float[Array, " p"]:
-        own_keys = record_keys(key, len(records))
-        stages = all_normal_equations(procedure, sharing, records, criterion, own_keys)
-        solutions = solve_stages([stage.flattened() for stage in stages], known)
-        return jnp.concatenate([stage.solution.theta for stage in solutions])
-
+    per_record: tuple[str, ...],
+) -> Estimate:
+    settings = {"known": known, "per_record": per_record, "intervals": Naive(), "noise": "none"}
     # Some at a time: rows of all draws at once would need their memory many times over.
-    return jax.lax.map(with_key, keys, batch_size=4)
+    return jax.lax.map(
+        lambda key: identify(model, records, criterion, key=key, **settings), keys, batch_size=4
+    )

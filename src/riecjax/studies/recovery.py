@@ -10,10 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.errors import ModelError
-from riecjax.records.record import Record
-from riecjax.refinement.objective import AbstractObjective
-from riecjax.refinement.refine import Refined, refine
+from riecjax import IntegralError, ModelError, OutputError, Record, Refined, refine
 from riecjax.studies.monte_carlo import over_keys
 
 
@@ -51,7 +48,7 @@ def recovery_map(
     model: Any,
     record: Record,
     optimum: Refined,
-    objectives: Sequence[AbstractObjective],
+    objectives: Sequence[OutputError | IntegralError],
     *,
     key: Key[Array, ""],
     starts: int = 100,
@@ -101,7 +98,7 @@ def _from_random_start(
     model: Any,
     record: Record,
     optimum: Refined,
-    objectives: tuple[AbstractObjective, ...],
+    objectives: tuple[OutputError | IntegralError, ...],
     farthest: float,
     max_steps: int,
 ) -> tuple[Array, Array, Array, Array, Array]:

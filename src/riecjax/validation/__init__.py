@@ -1,5 +1,5 @@
-"""How well a simulated model predicts a record."""
+"""How well a simulated model predicts, what its equations leave, and which windows suit it."""
 
-import lazy_loader
+from riecjax.public_names import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = attach(__name__, __file__)

@@ -7,6 +7,6 @@ stretch that is too short for a step becomes missing as a whole, and a signal of
 left is a `DataError`.
 """
 
-import lazy_loader
+from riecjax.public_names import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = attach(__name__, __file__)

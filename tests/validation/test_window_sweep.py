@@ -8,7 +8,7 @@ import riecjax as rx
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.models.oscillators import drag_oscillator_equation
-from riecjax.studies.sweep import window_sweep
+from riecjax.validation.sweep import window_sweep
 
 KEY = jax.random.key(0)
 CRITERION = rx.RIEC(rx.RandomWindows(0.05, 0.5, 3000), rx.Hat(6))

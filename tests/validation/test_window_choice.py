@@ -7,7 +7,7 @@ from riecjax.models.quarter_car.identification import mass_equation, quarter_car
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
 from riecjax.simulation.inputs import band_limited_noise
-from riecjax.studies.choice import window_choice
+from riecjax.validation.choice import window_choice
 
 
 @pytest.fixture(scope="module")
