@@ -137,8 +137,8 @@ def run_variations(
 
     **Arguments:**
 
-    - `folder`: where finished parts are kept, some roads under one mount in each. Those of an
-      interrupted study with the same numbers, key and versions are taken up; others are computed.
+    - `folder`: where finished parts are kept if it can be written, some roads under one mount in
+      each. Those of an interrupted study with the same numbers, key and versions are taken up.
     - `progress`: called with the numbers of finished and of all parts.
     """
     # What a part's numbers depend on.
@@ -150,7 +150,8 @@ def run_variations(
     }
     settings = hashlib.sha256(json.dumps(depends_on).encode()).hexdigest()
     if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
     store = None if folder is None else Store(folder, ".part", MOST_KEPT)
     places = [(case, first) for case in TABLE_6 for first in range(0, roads, ROADS_TO_A_PART)]
     parts: dict[str, list[RoadVariations]] = {case: [] for case in TABLE_6}
