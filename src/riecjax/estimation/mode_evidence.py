@@ -116,17 +116,17 @@ class ModeEvidence(Drawn):
 
     def findings(self) -> list[Finding]:
         """Warnings if nothing speaks for the mode, or little, and of modes found elsewhere."""
-        return [*self._not_carried(), *self._elsewhere()]
-
-    def _elsewhere(self) -> Iterator[Finding]:
-        for names, asked, found in self.strays:
-            yield Finding(
+        elsewhere = [
+            Finding(
                 "mode_elsewhere",
                 f"{self.stage}: no mode near {asked:.4g} Hz: the search for {names.mass} ended at "
                 f"{found:.3g} Hz. If the record carries both, ask for both (on the command line: "
                 f"--add-mode {self.on}={asked:.4g} --add-mode {self.on}={found:.3g}).",
                 parameters=tuple(names),
             )
+            for names, asked, found in self.strays
+        ]
+        return [*self._not_carried(), *elsewhere]
 
     def _not_carried(self) -> list[Finding]:
         if self.carried:
@@ -187,7 +187,18 @@ def mode_evidence(
             positive = min(mass, stiffness, damping) > 0
             oscillates = positive and damping**2 < 4 * mass * stiffness
             on = procedure.mode_named(own[-1]).on
-            shape = _shape(own[-1], estimate)
+            # Frequency and damping ratio, with errors by their logarithms' slopes:
+            # log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
+            carried = {name: jnp.asarray(estimate[name]) for name in own[-1]}
+            places = [estimate.parameters.index(name) for name in own[-1]]
+            size = np.array([float(carried[name]) for name in own[-1]])
+            relative = np.asarray(estimate.covariance)[np.ix_(places, places)] / np.outer(
+                size, size
+            )
+            slopes = np.array([[-0.5, 0.5, 0.0], [-0.5, -0.5, 1.0]])
+            errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, relative, slopes))
+            pairs = zip(mode_frequency(carried, own[-1]), errors)
+            shape = [(float(v), abs(float(v)) * float(e)) for v, e in pairs]
             evidence.append(
                 ModeEvidence(own[-1], label, on, *shape, oscillates, *raw, lengths, strays)
             )
@@ -213,24 +224,6 @@ def _seen(
     for found in (stray.found for stray in strays if stray.parameters == names):
         low, high = np.minimum(low, found / NEAR), np.maximum(high, found * NEAR)
     return low, high
-
-
-def _shape(
-    names: ModeParameters, estimate: Estimate
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Frequency and damping ratio, with errors that their logarithms' slopes make of those found.
-
-    log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
-    """
-    values = {name: jnp.asarray(estimate[name]) for name in names}
-    found = mode_frequency(values, names)
-    at = [estimate.parameters.index(name) for name in names]
-    size = np.array([float(values[name]) for name in names])
-    relative = np.asarray(estimate.covariance)[np.ix_(at, at)] / np.outer(size, size)
-    slopes = np.array([[-0.5, 0.5, 0.0], [-0.5, -0.5, 1.0]])
-    errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, relative, slopes))
-    frequency, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in zip(found, errors))
-    return frequency, ratio
 
 
 @kept_jit

@@ -84,8 +84,15 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
             asked = (where, wanted)
             used, at, band, there = _in_best_windows(expanded, summary, i, known, asked, rank)
             shown = shown & there
-            if looked_at:
-                _require_motion(procedure.equation_names[i], equations[i], at)
+            # Sums that are not finite themselves are for the fit to refuse.
+            finite = looked_at and all(bool(np.isfinite(e.moments).all()) for e in equations[i])
+            if finite and not bool(np.isfinite(at).all()):
+                raise IdentifiabilityError(
+                    f"{', '.join(procedure.equation_names[i])}: nothing in the record tells of the "
+                    f"hidden element, as a signal that it acts on never moves. Check that signal's "
+                    f"channel, or excite it.",
+                    "not_excited",
+                )
         # What no later equation with an element asks for is left to the fit.
         later = [e for stage in procedure.expanded[i:] for e in stage if e.elements]
         if set(stage.linear) & {name for e in later for name in e.all_parameters}:
@@ -210,22 +217,6 @@ def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " 
     step = solve_scaled(jax.lax.stop_gradient(bend), slope[:, None])[:, 0]
     # The value is what was found: only derivatives come from the step.
     return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
-
-
-def _require_motion(
-    names: tuple[str, ...], equations: list[NormalEquations], at: Float[Array, " shapes"]
-) -> None:
-    """That a search which found nothing at all is said to lack what it searches in.
-
-    Sums that are not finite themselves are for the fit to refuse.
-    """
-    finite = all(bool(jnp.all(jnp.isfinite(one.moments))) for one in equations)
-    if finite and not bool(jnp.all(jnp.isfinite(at))):
-        raise IdentifiabilityError(
-            f"{', '.join(names)}: nothing in the record tells of the hidden element, as a signal "
-            f"that it acts on never moves. Check that signal's channel, or excite it.",
-            "not_excited",
-        )
 
 
 def search_band(
