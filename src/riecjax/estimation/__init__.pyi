@@ -1,8 +1,6 @@
 from .check import Check as Check
 from .hidden_modes import ModeMap as ModeMap
-from .mode_evidence import CarriedModes as CarriedModes
 from .mode_evidence import ModeEvidence as ModeEvidence
-from .mode_evidence import carried_modes as carried_modes
 from .mode_evidence import mode_evidence as mode_evidence
 from .stages import Solution as Solution
 from .stages import solve as solve

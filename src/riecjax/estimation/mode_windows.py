@@ -6,7 +6,6 @@ stage's equations are linearised, and from then on they are as any others.
 """
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -67,7 +66,21 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
     stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
     signal that tells of an element never moves.
     """
-    _require_whole_elements(procedure, given)
+    for number, _ in enumerate(procedure.modes):
+        names = ModeParameters.of(number)
+        held = [name for name in names if name in given]
+        if held and len(held) < 3:
+            raise ModelError(
+                f"of a hidden mode all of {', '.join(names)} are known or none; got "
+                f"{', '.join(held)}."
+            )
+    for number, spring in enumerate(procedure.springs):
+        coefficient, stiffness = SpringParameters.of(number, spring)
+        if stiffness in given and coefficient not in given:
+            raise ModelError(
+                f"of a spring in series {stiffness} is known only where {coefficient} is; leave "
+                f"it out, or give both."
+            )
     known = {name: jnp.asarray(value) for name, value in given.items()}
     found, shown = FoundModes([], [], [], [], [], jnp.array(True)), jnp.array(True)
     equations, sources = summary.equations(), summary.noise_by_source()
@@ -240,24 +253,6 @@ def search_band(
     # which shows below its corner, to a sixth of a sample.
     highest = 1 / (8 * step) if isinstance(names, ModeParameters) else 1 / step
     return 0.5 / windows.beta, highest
-
-
-def _require_whole_elements(procedure: Procedure, known: Mapping[str, object]) -> None:
-    for number, _ in enumerate(procedure.modes):
-        names = ModeParameters.of(number)
-        held = [name for name in names if name in known]
-        if held and len(held) < 3:
-            raise ModelError(
-                f"of a hidden mode all of {', '.join(names)} are known or none; got "
-                f"{', '.join(held)}."
-            )
-    for number, spring in enumerate(procedure.springs):
-        coefficient, stiffness = SpringParameters.of(number, spring)
-        if stiffness in known and coefficient not in known:
-            raise ModelError(
-                f"of a spring in series {stiffness} is known only where {coefficient} is; leave "
-                f"it out, or give both."
-            )
 
 
 # Sums of a model's own parameters, of which hidden elements make it depend nonlinearly on some.

@@ -507,6 +507,14 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
         edges = np.linspace(0, blocks.start.size, parts + 1).astype(int)
         pairs = itertools.pairwise(edges) if parts else ()
         stretches += [_Blocks(*(values[a:b] for values in blocks)) for a, b in pairs]
+    # Analysis of variance of the logarithms of the blocks' mean squares. A mean square of nu
+    # degrees of freedom scatters in proportion to its size, its logarithm by about sqrt(2 / nu)
+    # whatever the size, as the analysis presumes; nor does one loud block decide.
+    squares, p_value = [part.error_square for part in stretches], float("nan")
+    largest = max((square.max() for square in squares), default=0.0)
+    if len(squares) >= FEWEST_STRETCHES and largest > min(square.min() for square in squares):
+        logarithms = [np.log(np.maximum(square, SILENT * largest)) for square in squares]
+        p_value = tails.equal_means(logarithms)
     error, target = (
         np.concatenate([getattr(blocks, field) for blocks in records]).mean()
         for field in ("error_square", "target_square")
@@ -524,7 +532,7 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
         target_mean_square=np.array(
             [_share(part.target_square.mean(), target) for part in stretches]
         ),
-        p_value=_p_value([part.error_square for part in stretches]),
+        p_value=p_value,
         correlation=_share(shared / count, error),
         window_share=float(np.mean(lags) * len(sizes) / np.sum(sizes)),
     )
@@ -570,20 +578,6 @@ def _rises(values: np.ndarray, starts: np.ndarray, lags: np.ndarray, length: int
             mean[some] += rises.sum(1) / windows
             square[some] += np.einsum("ij,ij->i", rises, rises) / windows
     return _Rises(mean, square)
-
-
-def _p_value(stretches: list[np.ndarray]) -> float:
-    """Analysis of variance of the logarithms of the blocks' mean squares.
-
-    A mean square of nu degrees of freedom scatters in proportion to its size, its logarithm by
-    about sqrt(2 / nu) whatever the size, as the analysis presumes; nor does one loud block decide.
-    """
-    if len(stretches) < FEWEST_STRETCHES:
-        return float("nan")
-    largest = max(square.max() for square in stretches)
-    if largest == min(square.min() for square in stretches):
-        return float("nan")
-    return tails.equal_means([np.log(np.maximum(s, SILENT * largest)) for s in stretches])
 
 
 def _share(part: float, whole: float) -> float:
