@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command_line import call
 
-from riecjax.cli.main import COMMANDS
+from riecjax.cli.main import ORDER
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.models.catalogue import MODELS
@@ -67,7 +67,7 @@ def test_listed_inputs_are_those_of_the_system(name):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["models"], ["models", "--json"], ["--version"], *([c, "--help"] for c in COMMANDS)],
+    [["models"], ["models", "--json"], ["--version"], *([c, "--help"] for c in ORDER)],
     ids=" ".join,
 )
 def test_listing_and_help_import_no_jax(arguments):
@@ -90,4 +90,4 @@ def test_help_names_every_command(capsys, arguments):
     assert (result.status, result.out == "") == ((0, False) if arguments else (2, True))
     told = result.out or result.err
     assert told.startswith("Usage: riecjax")
-    assert all(command in told for command in COMMANDS)
+    assert all(command in told for command in ORDER)

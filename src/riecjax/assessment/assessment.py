@@ -1,9 +1,9 @@
 """All that is known of an answer, in numbers and codes; sentences and tables are `reporting`'s."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from jaxtyping import Array, Key
 
@@ -11,32 +11,34 @@ from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
-from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.shows import Drawn, opened
 from riecjax.validation.choice import WindowChoice
-from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.sweep import WindowSweep
 from riecjax.validation.whiteness import Whiteness
+
+if TYPE_CHECKING:
+    from riecjax.estimation.mode_evidence import ModeEvidence
+    from riecjax.validation.held_out import HeldOut
 
 
 class ValidationRun(NamedTuple):
     """A simulation of the identified model along a recording, compared with it in `held`."""
 
     recording: Recording
-    held: HeldOut
+    held: "HeldOut"
 
 
 class BeforeAfter(NamedTuple):
     """Simulations along one recording with the start of a refinement and with its result."""
 
     recording: Recording
-    before: HeldOut
-    after: HeldOut
+    before: "HeldOut"
+    after: "HeldOut"
 
     @property
     def worst_fits(self) -> tuple[float, float]:
@@ -44,7 +46,7 @@ class BeforeAfter(NamedTuple):
         return _worst(self.before), _worst(self.after)
 
 
-def _worst(held: HeldOut) -> float:
+def _worst(held: "HeldOut") -> float:
     if not held.ran:
         return -float("inf")
     fits = [float(held.signals[name].fit) for name in held.judged]
@@ -128,7 +130,7 @@ class Assessment(Drawn):
     refinement: Refinement | None = None
     failures: Sequence[Finding] = ()
     key: Key[Array, ""] | None = None
-    modes: Sequence[ModeEvidence] = ()
+    modes: "Sequence[ModeEvidence]" = ()
 
     @property
     def answer(self) -> AbstractEstimate:
@@ -162,6 +164,29 @@ class Assessment(Drawn):
             if not run.held.predicts
         ]
         return [*before, *after]
+
+    def parameters_of(self, finding: Finding) -> set[str]:
+        """Parameters that a finding concerns: those it names, or of equations that read its
+        signals."""
+        names = self.answer.parameters
+
+        def among(some: Collection[str]) -> set[str]:
+            # Of a parameter with a value in each recording, offset[1] is offset's, and named by it.
+            return {name for name in names if name in some or name.partition("[")[0] in some}
+
+        if finding.parameters:
+            return among(finding.parameters)
+        # Of sums alone it is not known which equation reads which signal.
+        if not finding.signals or not self.recordings:
+            return set(names)
+        smoothness, record = self.estimate.criterion.smoothness, self.recordings[0].record
+        reading = [
+            equation
+            for stage in self.procedure.stages
+            for equation in stage
+            if equation.signals_read(record, smoothness) & set(finding.signals)
+        ]
+        return among({name for equation in reading for name in equation.parameters})
 
     def show(self) -> Path:
         """Write the report to a temporary folder and open it in the browser.

@@ -10,7 +10,8 @@ import sys
 
 import click
 
-from riecjax.errors import RiecjaxError, printable
+from riecjax.errors import RiecjaxError, printable, require
+from riecjax.extensions import extension, extension_names
 from riecjax.memory import REMEDY
 from riecjax.runtime import collect_seldom
 from riecjax.standard_output import answer, for_answers_alone
@@ -19,23 +20,44 @@ from riecjax.standard_output import answer, for_answers_alone
 COMMANDS = {
     "identify": "riecjax.cli.identify",
     "discover": "riecjax.cli.discover",
-    "fleet": "riecjax.cli.fleet",
     "check": "riecjax.cli.check",
     "init": "riecjax.cli.init",
     "models": "riecjax.cli.models",
     "simulate": "riecjax.cli.simulate",
-    "reproduce": "riecjax.cli.reproduce",
 }
+"""Module of each of the core's own."""
+ORDER = ("identify", "discover", "fleet", "check", "init", "models", "simulate", "reproduce")
+"""In which help lists them, before further ones."""
 
 
 class LazyGroup(click.Group):
+    """The core's own commands and those of extensions, which never replace one of the core's."""
+
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
+        listed = dict.fromkeys([*COMMANDS, *extension_names("commands")])
+        return sorted(listed, key=lambda name: (*ORDER, name).index(name))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS:
-            return None
-        return importlib.import_module(COMMANDS[cmd_name]).command
+        if cmd_name in COMMANDS:
+            return importlib.import_module(COMMANDS[cmd_name]).command
+        try:
+            command = extension("commands", cmd_name)
+            if command is not None:
+                require(f"the command '{cmd_name}'", command, click.Command, "a click.Command")
+            return command
+        except RiecjaxError as error:
+            # The help of all commands is not to fail by one of them.
+            return _refusing(cmd_name, error)
+
+
+def _refusing(name: str, error: RiecjaxError) -> click.Command:
+    """What stands in the place of a command that cannot be loaded: it says why."""
+
+    def refuse() -> None:
+        raise error
+
+    any_words = {"ignore_unknown_options": True, "allow_extra_args": True}
+    return click.Command(name, any_words, refuse, short_help=str(error), add_help_option=False)
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

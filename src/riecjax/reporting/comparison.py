@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import ModelError
+from riecjax.extensions import require_packages
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document
-from riecjax.reporting.exports import document_of, needed, to_dict, to_frame
-from riecjax.reporting.page import Table
+from riecjax.reporting.exports import document_of, to_dict, to_frame
 from riecjax.reporting.plots import relative_figure
-from riecjax.reporting.tables import View, in_latex, in_markdown, with_error
+from riecjax.reporting.tables import Table, View, in_latex, in_markdown, with_error
 from riecjax.shows import Drawn
 
 SAME = 1e-6
@@ -48,7 +48,9 @@ class Comparison(Drawn):
 
         **Raises:** `DataError` if pandas is not installed.
         """
-        pandas = needed("pandas", "frames", "a data frame")
+        require_packages("frame")
+        import pandas
+
         return pandas.concat(
             {name: to_frame(_Held(of)) for name, of in self.documents.items()}, names=["result"]
         ).swaplevel()

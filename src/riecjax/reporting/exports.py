@@ -1,38 +1,23 @@
 """What objects hold as plain documents, and these as dictionaries, frames and tables of a paper."""
 
 import functools
-import importlib
 from typing import Any
 
 import numpy as np
 
 from riecjax.assessment.assessment import Assessment
-from riecjax.errors import DataError, ModelError
+from riecjax.errors import ModelError
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
+from riecjax.extensions import require_packages
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.reporting.document import Document, finite
 from riecjax.reporting.estimate import estimate_entries, parameter_entries
 from riecjax.reporting.identification import identification_document
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_latex, in_markdown, with_error
+from riecjax.reporting.tables import Table, in_latex, in_markdown, with_error
 
 COLUMNS = ("value", "std_error", "low95", "high95")
 """Numbers of each parameter in a frame."""
-
-
-def needed(package: str, extra: str, purpose: str) -> Any:
-    """An optional package.
-
-    **Raises:** `DataError` with the remedy if it is not installed.
-    """
-    try:
-        return importlib.import_module(package)
-    except ImportError:
-        raise DataError(
-            f"{purpose} needs {package.partition('.')[0]}; install it by "
-            f'pip install "riecjax[{extra}]".'
-        ) from None
 
 
 @functools.singledispatch
@@ -113,7 +98,9 @@ def _axes(shape: tuple[int, ...]) -> list[str]:
 def to_frame(source: Any) -> Any:
     """A data frame, see [`Tabled.to_frame`][riecjax.shows.Tabled.to_frame]; or of a record, its
     signals over time in seconds, NaN where a sample is missing."""
-    pandas = needed("pandas", "frames", "a data frame")
+    require_packages("frame")
+    import pandas
+
     if isinstance(source, Record):
         columns = {name: samples_with_nan(source, name) for name in source.arrays}
         return pandas.DataFrame(columns, index=pandas.Index(np.asarray(source.time), name="t"))
@@ -132,7 +119,9 @@ def to_frame(source: Any) -> Any:
 
 def to_xarray(source: Any) -> Any:
     """A data set, see [`Saved.to_xarray`][riecjax.shows.Saved.to_xarray]."""
-    xarray = needed("xarray", "frames", "a data set")
+    require_packages("data set")
+    import xarray
+
     numbers, shape, entries = _columns(source)
     axes = _axes(shape)
     data = {name: ([*axes, "parameter"], values) for name, values in numbers.items()}

@@ -6,17 +6,20 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
 
 from riecjax.errors import DataError
-from riecjax.reporting.charts.chart import Chart
+from riecjax.extensions import require_packages
 from riecjax.reporting.document import Document, sealed
-from riecjax.reporting.page import Page, render
 from riecjax.standard_output import answer
 from riecjax.whole_files import committing, is_stamped, no_folder, temporary
+
+if TYPE_CHECKING:
+    from riecjax.reporting.charts.chart import Chart
+    from riecjax.reporting.page import Page
 
 RESULTS, REPORT = "results.json", "report.html"
 STAMPED = (".png", ".parquet")
@@ -30,8 +33,8 @@ def emit(
     as_json: bool,
     out: Path | None,
     show: Callable[[Document, Console], None],
-    charts: Callable[[], Mapping[str, Chart]] = dict,
-    page: Callable[[Document], Page] = lambda _: Page("", "", ()),
+    charts: "Callable[[], Mapping[str, Chart]]" = dict,
+    page: "Callable[[Document], Page] | None" = None,
     warnings: Sequence[Mapping[str, Any]] | None = None,
     others: Mapping[str, Writer] | None = None,
     beside: Sequence[str] = (),
@@ -62,7 +65,7 @@ def emit(
     is_watched = sys.stdout.isatty() and not as_json
     if is_watched:
         say()
-    if out is not None:
+    if out is not None and page is not None:
         write_folder(out, document, charts(), page(document), others)
     if not is_watched:
         say()
@@ -74,8 +77,8 @@ def emit(
 def write_folder(
     folder: Path,
     document: Document,
-    charts: Mapping[str, Chart],
-    page: Page,
+    charts: "Mapping[str, Chart]",
+    page: "Page",
     others: Mapping[str, Writer] | None = None,
 ) -> None:
     """results.json, a PNG of each chart and report.html, each whole or not at all.
@@ -86,8 +89,9 @@ def write_folder(
 
     **Raises:** `DataError` if the folder cannot be written, or a package for reports is missing.
     """
-    require_report_packages()
+    require_packages("report")
     from riecjax.reporting.charts.printed import print_chart
+    from riecjax.reporting.page import render
 
     with _folder_beside(folder) as made:
         pictures = {name: made / f"{name}.png" for name in charts}
@@ -117,7 +121,7 @@ def require_folder(folder: Path) -> None:
 
     **Raises:** `DataError` if not, or if a package for reports is missing.
     """
-    require_report_packages()
+    require_packages("report")
     with _folder_beside(folder):
         try:
             if not folder.is_dir() and os.path.lexists(folder):
@@ -138,19 +142,3 @@ def _folder_beside(folder: Path) -> Iterator[Path]:
             yield made
     except OSError as error:
         raise DataError(no_folder(folder, error)) from None
-
-
-def require_report_packages() -> None:
-    """Make sure that figures and pages can be made.
-
-    **Raises:** `DataError` with the remedy if a package is not installed.
-    """
-    try:
-        import jinja2  # noqa: F401
-        import matplotlib  # noqa: F401
-        import plotly  # noqa: F401
-    except ImportError:
-        raise DataError(
-            "figures and reports need matplotlib, plotly and jinja2; install them by "
-            'pip install "riecjax[report]".'
-        ) from None

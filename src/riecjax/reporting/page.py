@@ -5,28 +5,16 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.charts.interactive import Spaces, interactive
 from riecjax.reporting.document import Document
+from riecjax.reporting.tables import Table
+
+if TYPE_CHECKING:
+    from riecjax.reporting.charts.chart import Chart
 
 SCREEN_INCH = 100
 """Pixels to an inch of the printed figure, at most, so that a small figure stays small."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table: first column left, the others to the right where they are `numeric`.
-
-    **Fields:** `header` and `rows`, as many texts in each; `caption`, and a `note` beneath it.
-    """
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    caption: str = ""
-    note: str = ""
-    numeric: bool = True
 
 
 @dataclass(frozen=True)
@@ -62,7 +50,7 @@ class Page:
 
 
 def render(
-    page: Page, document: Document, charts: Mapping[str, Chart], pictures: Mapping[str, Path]
+    page: Page, document: Document, charts: "Mapping[str, Chart]", pictures: Mapping[str, Path]
 ) -> str:
     """The page as one HTML file that needs nothing else, with the document's warnings.
 
@@ -72,6 +60,8 @@ def render(
     import jinja2
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
+
+    from riecjax.reporting.charts.interactive import Spaces, interactive
 
     def figure(name: str) -> dict[str, Any]:
         chart = charts[name]

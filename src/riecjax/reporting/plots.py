@@ -33,7 +33,7 @@ from riecjax.reporting.charts.chart import (
     single,
 )
 from riecjax.reporting.document import Document
-from riecjax.reporting.exports import document_of, needed
+from riecjax.reporting.exports import document_of
 from riecjax.reporting.identification_figures import (
     held_out_figure,
     identification_figures,
@@ -53,7 +53,6 @@ FARTHEST = 100.0
 
 def draw(thing: Any, ax: Any = None) -> Any:
     """Draw an object; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
-    needed("matplotlib.pyplot", "report", "a figure")
     from riecjax.reporting.charts.printed import drawn
 
     return drawn(chart_of(thing), ax)

@@ -1,7 +1,6 @@
 """Named columns as a file holds them, the limits on reading them, and NPZ, which holds no more."""
 
 import contextlib
-import importlib.util
 import math
 import re
 import warnings
@@ -52,14 +51,6 @@ def size_of(file: Path) -> int:
     """Bytes of a file, or of all files in a folder."""
     files = file.iterdir() if file.is_dir() else [file]
     return sum(one.stat().st_size for one in files if one.is_file())
-
-
-def check_extra(module: str, kind: str, extra: str) -> None:
-    """Refuse to read where a library is missing, with a `DataError` that says how to get it."""
-    if importlib.util.find_spec(module) is None:
-        raise DataError(
-            f'to read {kind} files, install the package\'s extra: pip install "riecjax[{extra}]".'
-        )
 
 
 @contextlib.contextmanager

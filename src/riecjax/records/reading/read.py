@@ -1,39 +1,40 @@
 """What a file holds, whatever its format."""
 
 import importlib
+import inspect
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from riecjax.errors import DataError, RiecjaxError, printable
+from riecjax.errors import DataError, RiecjaxError, printable, require
+from riecjax.extensions import extension, extension_names
 from riecjax.memory import require_memory
-from riecjax.records.reading.channels import LARGEST_FILE, Channels, called, check_names, size_of
+from riecjax.records.reading.channels import (
+    LARGEST_FILE,
+    Channels,
+    called,
+    check_names,
+    first_sentence,
+    size_of,
+)
 from riecjax.whole_files import no_file
 
-TEXT = (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm", ".log", ".prn")
-SHEETS = (".xlsx", ".xlsm")
 READERS = {
-    **dict.fromkeys(TEXT, "delimited.read_delimited"),
+    **dict.fromkeys(
+        (".csv", ".tsv", ".txt", ".asc", ".dat", ".lvm", ".log", ".prn"), "delimited.read_delimited"
+    ),
     ".npz": "channels.read_npz",
-    ".mat": "matlab.read_mat",
-    **dict.fromkeys((".h5", ".hdf5"), "hdf5.read_hdf5"),
     **dict.fromkeys((".jsonl", ".ndjson"), "json_objects.read_json_lines"),
     ".json": "json_objects.read_json",
-    **dict.fromkeys(SHEETS, "spreadsheet.read_spreadsheet"),
     ".parquet": "parquet.read_parquet",
-    ".tdms": "tdms.read_tdms",
-    **dict.fromkeys((".mcap", ".db3", ".bag"), "ros_bag.read_ros_bag"),
-    **dict.fromkeys((".mf4", ".mdf"), "mdf.read_mdf"),
 }
-"""Module and function that read a file, by its name's ending; imported where one is read."""
+"""Module and function that read a file, by its name's ending; imported where one is read. Readers
+of further endings are extensions."""
 
 MEMORY_PER_BYTE = 8.0
-MEMORY_PER_BYTE_OF_SHEETS = 20.0
-"""What reading takes for each byte of a file."""
-METADATA = "metadata.yaml"
-"""What makes a folder a bag of ROS 2."""
+"""What reading takes for each byte of a file; a reader that takes more asks for it itself."""
 
 LONGEST_MESSAGE = 2000
 """Characters of a message; names in a damaged file can be of any length."""
@@ -57,13 +58,15 @@ def read_channels(
     file = Path(path)
     try:
         reader = _reader(file)
+        dialect = _dialect(file, reader, delimiter, decimal, columns)
+        require_memory(
+            f"reading {file.name}", MEMORY_PER_BYTE * size_of(file), "Read a part of the file."
+        )
     except OSError as error:  # of a name that is too long
         raise DataError(printable(f"cannot read '{file.name[:60]}': {error.strerror}.")) from None
-    dialect = _dialect(file, delimiter, decimal, columns)
-    each = MEMORY_PER_BYTE_OF_SHEETS if file.suffix.lower() in SHEETS else MEMORY_PER_BYTE
-    require_memory(f"reading {file.name}", each * size_of(file), "Read a part of the file.")
     try:
-        channels = reader(file, *dialect)
+        channels = reader(file, **dialect)
+        require("what its reader returned", channels, Channels, "a reader that returns Channels")
         # Nothing in names and words may steer a terminal.
         check_names(map(printable, channels.columns))
         return replace(
@@ -78,33 +81,54 @@ def read_channels(
     except OSError as error:
         said = f"{file.name}: cannot be read: {error.strerror or error}."
         raise DataError(printable(said)) from None
+    except Exception as error:
+        if isinstance(error, MemoryError) or file.suffix.lower() in READERS:
+            raise
+        # Of a reader from elsewhere anything may come.
+        said = f"its reader failed: {first_sentence(error)}"
+        raise _about(file, DataError(said)) from error
+
+
+def endings() -> tuple[str, ...]:
+    """Endings of names of files that can be read, the core's own first."""
+    return (*READERS, *(f".{name}" for name in extension_names("readers") if "." not in name))
 
 
 def _reader(file: Path) -> Callable[..., Channels]:
-    is_bag = (file / METADATA).is_file()
-    reader = READERS.get(".mcap" if is_bag else file.suffix.lower())
+    """What reads a file by its ending, or a folder by a file in it."""
+    name, is_recording = file.suffix.lower(), file.is_file()
+    if file.is_dir():
+        inside = [one for one in extension_names("readers") if (file / one).is_file()]
+        name, is_recording = (inside[0], True) if inside else (name, False)
+    if name in READERS:
+        module, function = READERS[name].split(".")
+        reader = getattr(importlib.import_module(f"riecjax.records.reading.{module}"), function)
+    else:
+        reader = extension("readers", name.removeprefix("."))
     if reader is None:
-        raise DataError(
-            f"cannot read '{file.name or file}': its ending must be one of {', '.join(READERS)}."
-        )
-    if not (file.is_file() or is_bag):
+        listed = ", ".join(endings())
+        raise DataError(f"cannot read '{file.name or file}': its ending must be one of {listed}.")
+    if not is_recording:
         raise DataError(no_file(file))
     if size_of(file) > LARGEST_FILE:
         raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")
-    module, function = reader.split(".")
-    return getattr(importlib.import_module(f"riecjax.records.reading.{module}"), function)
+    return reader
 
 
 def _dialect(
-    file: Path, delimiter: str | None, decimal: str | None, columns: Sequence[str]
-) -> tuple[Any, ...]:
-    """What the file's reader has to know besides the file."""
-    ending = file.suffix.lower()
+    file: Path,
+    reader: Callable[..., Channels],
+    delimiter: str | None,
+    decimal: str | None,
+    columns: Sequence[str],
+) -> dict[str, Any]:
+    """What the file's reader has to know besides the file: as much of this as it takes."""
+    takes = inspect.signature(reader).parameters
     # A tab as it can be typed.
     delimiter = "\t" if delimiter == "\\t" else delimiter
-    if delimiter and ending not in TEXT:
+    if delimiter and "delimiter" not in takes:
         raise DataError(f"{file.name}: a delimiter is for text files.")
-    if (decimal or columns) and ending not in TEXT + SHEETS:
+    if (decimal and "decimal" not in takes) or (columns and "columns" not in takes):
         raise DataError(
             f"{file.name}: decimal sign and names of columns are for text files and spreadsheets."
         )
@@ -114,9 +138,8 @@ def _dialect(
         len(delimiter) != 1 or delimiter in '"\r\n' or not delimiter.isascii()
     ):
         raise DataError(f"{file.name}: the delimiter must be one character; got {delimiter!r}.")
-    if ending in SHEETS:
-        return decimal, columns
-    return (delimiter, decimal, columns) if ending in TEXT else ()
+    given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
+    return {name: value for name, value in given.items() if name in takes}
 
 
 def _about(file: Path, error: RiecjaxError) -> RiecjaxError:

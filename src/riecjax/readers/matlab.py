@@ -1,4 +1,4 @@
-"""Reading MATLAB files: v4 and v5 through SciPy, v7.3 through HDF5.
+"""Reading MATLAB files: v4 and v5 through SciPy, v7.3 through HDF5, with the extra `hdf5`.
 
 SciPy trusts a file of v5: a damaged one ends the process or asks for all memory, and so it is read
 in a process of its own, as HDF5 is.
@@ -12,18 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.records.reading.channels import (
+from riecjax.extensions import require_packages
+from riecjax.readers.hdf5 import DEEPEST, check_size, walk
+from riecjax.records.reading import (
     Channels,
     check_column_count,
     check_names,
     check_unpacked,
     foreign_reader,
+    read_apart,
     vectors,
     with_structure_times,
     with_units_beside,
 )
-from riecjax.records.reading.child_process import read_apart
-from riecjax.records.reading.hdf5 import DEEPEST, check_size, walk
 
 V73 = b"MATLAB 7.3"
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -43,11 +44,13 @@ def read_mat(file: Path) -> Channels:
     MATLAB), columns of matrices `matrix[0]` (from 0). A structure's `time` is the time of what
     lies in it, as in Simulink's structures with time.
 
-    **Raises:** `DataError` for a damaged file or one that unpacks to too much; `MemoryError`.
+    **Raises:** `DataError` for a damaged file, one that unpacks to too much, or where h5py is
+    not installed, which version 7.3 needs; `MemoryError`.
     """
     with file.open("rb") as stream:
         start = stream.read(HEADER + len(HDF5))
     if start.startswith(V73) or HDF5 in (start[: len(HDF5)], start[HEADER:]):
+        require_packages("HDF5")
         return read_apart(_read_v73, file, "MAT (v7.3)")
     return read_apart(_read_v5, file, "MAT")
 

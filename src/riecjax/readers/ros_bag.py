@@ -5,15 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.records.reading.channels import (
+from riecjax.extensions import require_packages
+from riecjax.records.reading import (
     Channels,
     check_column_count,
-    check_extra,
     foreign_reader,
+    gathered,
+    numbers_of,
+    read_apart,
     without_common_group,
 )
-from riecjax.records.reading.child_process import read_apart
-from riecjax.records.reading.json_objects import gathered, numbers_of
 
 LONGEST_ARRAY = 100
 """Elements of a field past which it is a picture or a cloud, and no set of channels."""
@@ -32,7 +33,7 @@ def read_ros_bag(file: Path) -> Channels:
 
     **Raises:** `DataError` for a damaged bag, or where rosbags is not installed; `MemoryError`.
     """
-    check_extra("rosbags", "ROS", "ros")
+    require_packages("ROS")
     return read_apart(_read, file, "ROS bag")
 
 

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.channels import (
+from riecjax.extensions import require_packages
+from riecjax.records.reading import (
     Channels,
     check_column_count,
-    check_extra,
     check_unpacked,
     foreign_reader,
+    read_apart,
 )
-from riecjax.records.reading.child_process import read_apart
 
 IDENTIFICATIONS = (b"MDF ", b"UnFinMF ")
 """What an MDF file begins with, finished or not."""
@@ -28,7 +28,7 @@ def read_mdf(file: Path) -> Channels:
 
     **Raises:** `DataError` for a damaged file, or where asammdf is not installed; `MemoryError`.
     """
-    check_extra("asammdf", "MDF", "mdf")
+    require_packages("MDF")
     with file.open("rb") as stream:
         if not stream.read(8).startswith(IDENTIFICATIONS):
             raise DataError("not a readable MDF file: it has no header of an MDF file.")

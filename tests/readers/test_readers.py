@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from damage import damaged, outcome
 from riecjax.errors import DataError
-from riecjax.records.reading.read import READERS, read_channels
+from riecjax.records.reading import endings, read_channels
 from riecjax.records.recording import read_record, read_recording
 
 N = 60
@@ -128,7 +128,14 @@ MAKERS: dict[str, tuple[str, Callable[..., None]]] = {
     "bag in a database": (".db3", write_database),
     "MDF": (".mf4", write_mdf),
 }
-EXTRAS = {"Excel": "excel", "TDMS": "tdms", "bag": "ros", "MDF": "mdf"}
+EXTRAS = {
+    "Excel": "excel",
+    "TDMS": "tdms",
+    "bag": "ros",
+    "MDF": "mdf",
+    "HDF5": "hdf5",
+    "MAT v7.3": "hdf5",
+}
 """What has to be installed for a format, as its error says."""
 NAMES_FREELY = ("CSV", "NPZ", "Parquet", "HDF5", "JSON lines", "JSON", "TDMS", "MDF")
 """Formats in which a column may be called anything."""
@@ -170,7 +177,10 @@ def named(case: str, *names: str) -> dict[str, str]:
 
 
 def test_every_reader_keeps_to_the_contracts():
-    assert {READERS[ending] for ending, _ in MAKERS.values()} == {*READERS.values()}
+    alike = {".hdf5": ".h5", ".ndjson": ".jsonl", ".xlsm": ".xlsx", ".bag": ".mcap", ".mdf": ".mf4"}
+    text = {".tsv", ".asc", ".dat", ".lvm", ".log", ".prn"}
+    made = {ending for ending, _ in MAKERS.values()}
+    assert {alike.get(ending, ending) for ending in endings()} - text == made
 
 
 @pytest.mark.portable
@@ -262,7 +272,7 @@ def test_a_larger_file_than_is_read_is_refused(file, monkeypatch, case):
         read_channels(file(case))
 
 
-@pytest.mark.parametrize("ending", [*READERS, ".xyz", ""])
+@pytest.mark.parametrize("ending", [*endings(), ".xyz", ""])
 def test_what_is_no_plain_file_is_never_opened(tmp_path, ending):
     os.mkfifo(tmp_path / f"pipe{ending}")
     (tmp_path / f"zero{ending}").symlink_to("/dev/zero")
@@ -270,7 +280,7 @@ def test_what_is_no_plain_file_is_never_opened(tmp_path, ending):
         with pytest.raises(DataError) as refused:
             read_channels(tmp_path / name)
         assert "\n" not in str(refused.value)
-        if ending in READERS and not name.startswith("a"):
+        if ending in endings() and not name.startswith("a"):
             assert "is a pipe or device, and no file" in str(refused.value)
 
 

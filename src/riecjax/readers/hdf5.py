@@ -1,4 +1,4 @@
-"""Reading HDF5 files, and the walk through their groups that MATLAB's v7.3 needs too."""
+"""Reading HDF5 files, with the extra `hdf5`; MATLAB's v7.3 walks through them as well."""
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -7,18 +7,19 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.channels import (
+from riecjax.extensions import require_packages
+from riecjax.records.reading import (
+    BY_ATTRIBUTE,
     Channels,
     check_column_count,
     check_names,
     check_unpacked,
     foreign_reader,
+    read_apart,
     vectors,
     with_structure_times,
     without_common_group,
 )
-from riecjax.records.reading.child_process import read_apart
-from riecjax.records.reading.units import BY_ATTRIBUTE
 
 DEEPEST = 16
 """Groups within groups past which a file is not followed."""
@@ -39,8 +40,10 @@ def read_hdf5(file: Path) -> Channels:
     state units; `scale_factor`, `add_offset` and `_FillValue` are applied, as NetCDF means them. A
     group's `time` is the time of what lies in it.
 
-    **Raises:** `DataError` for a damaged file or one that unpacks to too much; `MemoryError`.
+    **Raises:** `DataError` for a damaged file, one that unpacks to too much, or where h5py is not
+    installed; `MemoryError`.
     """
+    require_packages("HDF5")
     return read_apart(_read, file, "HDF5")
 
 

@@ -20,8 +20,8 @@ from rosbags.typesys import Stores, get_typestore
 import riecjax as rx
 from damage import outcome
 from riecjax.errors import DataError
-from riecjax.records.reading import hdf5
-from riecjax.records.reading.matlab import _variables_v5
+from riecjax.readers import hdf5
+from riecjax.readers.matlab import _variables_v5
 from riecjax.records.reading.parquet import _read as read_parquet
 from riecjax.records.reading.read import read_channels
 

@@ -7,17 +7,20 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from riecjax.errors import DataError
-from riecjax.records.reading.channels import (
+from riecjax.extensions import require_packages
+from riecjax.memory import require_memory
+from riecjax.records.reading import (
     Channels,
     check_column_count,
-    check_extra,
     check_unpacked,
     foreign_reader,
     joined,
+    read_apart,
+    read_table,
 )
-from riecjax.records.reading.child_process import read_apart
-from riecjax.records.reading.delimited import read_table
 
+MEMORY_PER_BYTE = 20.0
+"""What reading takes for each byte of a file."""
 FEWEST_ROWS, FEWEST_COLUMNS = 10, 2
 """Of a sheet that may be a recording, where there are several sheets."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
@@ -39,7 +42,9 @@ def read_spreadsheet(
     **Raises:** `DataError` for a damaged file, one that unpacks to too much, one without a table,
     or where python-calamine is not installed; `MemoryError`.
     """
-    check_extra("python_calamine", "Excel", "excel")
+    require_packages("Excel")
+    size = MEMORY_PER_BYTE * file.stat().st_size
+    require_memory(f"reading {file.name}", size, "Read a part of the file.")
     return read_apart(_read, file, "Excel", decimal, list(columns))
 
 

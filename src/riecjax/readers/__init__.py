@@ -1,0 +1,1 @@
+"""Readers of binary formats and spreadsheets, each imported where a file of it is read."""
