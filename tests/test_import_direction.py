@@ -1,6 +1,7 @@
-"""Data flows one way through the stages, and so do imports; the paper's study uses public names."""
+"""Data and imports flow one way through the core's stages; the core knows nobody of the rim."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,9 +9,9 @@ import pytest
 
 import riecjax
 
-STAGES = (
+CORE = (
+    "settings",
     "records",
-    "readers",
     "equations",
     "criteria",
     "summaries",
@@ -19,16 +20,16 @@ STAGES = (
     "simulation",
     "refinement",
     "validation",
-    "studies",
     "models",
     "discovery",
     "assessment",
-    "fleets",
-    "paper",
     "reporting",
     "cli",
 )
-SHARED = (
+"""Stages in the order of the data; a module imports from its own or an earlier one."""
+RIM = ("readers", "fleets", "paper", "studies")
+"""A foreign distribution could stand in the place of each: they import public names alone."""
+BASE = (
     "compilation",
     "errors",
     "extensions",
@@ -36,19 +37,20 @@ SHARED = (
     "findings",
     "leaves",
     "linear_algebra",
+    "memory",
+    "public_names",
     "runtime",
     "shows",
     "standard_output",
     "tails",
     "whole_files",
-    "memory",
-    "public_names",
 )
-"""Modules beside the stages that all may import, and that import none of the stages."""
-STUDY = ("paper", "models/quarter_car", "reporting/paper_charts")
-"""A user's own study could stand in the place of these: they import what is public, as public."""
+"""Modules beside the packages that all may import, and that import none of these."""
+PLACE_OF_RIM = re.compile(rf"(riecjax)?\.({'|'.join(RIM)})\b")
 ROOT = Path(riecjax.__file__).parent
-MODULES = sorted(path.relative_to(ROOT) for path in ROOT.glob("*/**/*.py"))
+MODULES = sorted(
+    path.relative_to(ROOT) for kind in ("py", "pyi") for path in ROOT.rglob(f"*.{kind}")
+)
 
 
 def exported(stub: Path) -> dict[str, str]:
@@ -74,94 +76,107 @@ def read(module: Path) -> str:
     return (ROOT / module).read_text(encoding="utf-8")
 
 
-def belongs_to_the_study(module: Path) -> bool:
-    return module.as_posix().startswith(STUDY)
-
-
-def imported_names(tree: ast.AST, package: tuple[str, ...]) -> Iterator[str]:
-    """Full names of everything that is imported from this package."""
-    for node in ast.walk(tree):
+def imported_names(source: str, module: Path) -> Iterator[str]:
+    """Full names of everything that a module imports from this package, for types too."""
+    package = ("riecjax", *module.parent.parts)
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
-            module = ".".join((*base, *filter(None, [node.module])))
-            names = [f"{module}.{alias.name}" for alias in node.names]
+            path = ".".join((*base, *filter(None, [node.module])))
+            names = [f"{path}.{alias.name}" for alias in node.names]
         else:
             continue
         yield from (name for name in names if name.split(".")[0] == "riecjax")
 
 
+def strings_naming_the_rim(source: str, module: Path) -> Iterator[str]:
+    """Text from which a module of the rim could be imported; a docstring is none."""
+    nodes = list(ast.walk(ast.parse(source)))
+    prose = [node.value for node in nodes if isinstance(node, ast.Expr)]
+    for node in nodes:
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in prose:
+            # The readers' group of entry points has the name of their package.
+            is_group = module == Path("extensions.py") and node.value == "riecjax.readers"
+            if PLACE_OF_RIM.match(node.value) and not is_group:
+                yield node.value
+
+
 def violations(source: str, module: Path) -> list[str]:
+    """What a module of the core or beside it takes from where it must not; a public name counts as
+    where it is defined."""
     stage = module.parts[0]
-    allowed = {*STAGES[: STAGES.index(stage) + 1], *SHARED}
-    wrong = []
-    for name in imported_names(ast.parse(source), ("riecjax", *module.parent.parts)):
-        # The study imports a public name from where users do; it counts as where it is defined.
-        defined = PUBLIC.get(name, name) if belongs_to_the_study(module) else name
-        if not {*defined.split(".")[1:2]} & allowed:
-            wrong.append(name)
-    return wrong
+    allowed = {*(CORE[: CORE.index(stage) + 1] if stage in CORE else ()), *BASE}
+    names = imported_names(source, module)
+    wrong = [name for name in names if not {*PUBLIC.get(name, name).split(".")[1:2]} & allowed]
+    return wrong + list(strings_naming_the_rim(source, module))
 
 
 def private_imports(source: str, module: Path) -> list[str]:
-    """What a module of the study takes from the engine that is not public."""
-    own = tuple(f"riecjax.{folder.replace('/', '.')}." for folder in (*STUDY, module.parts[0]))
-    if module.parts[0] == "models":
-        own = ("riecjax.models.quarter_car.",)
-    # Modules beside the stages are public, and so are the options that commands share.
-    open_to_all = tuple(f"riecjax.{name}." for name in (*SHARED, "cli.options"))
-    names = imported_names(ast.parse(source), ("riecjax", *module.parent.parts))
-    return [name for name in names if name not in PUBLIC and not name.startswith(own + open_to_all)]
+    """What a module of the rim takes from elsewhere that is not public."""
+    own, shared = f"riecjax.{module.parts[0]}.", tuple(f"riecjax.{name}." for name in BASE)
+    return [
+        name
+        for name in imported_names(source, module)
+        if not (name.startswith(own) or name == "riecjax" or name in PUBLIC)
+        and not (f"{name}.".startswith(shared) and "._" not in name)
+    ]
 
 
-def test_every_folder_is_a_stage():
-    assert {module.parts[0] for module in MODULES} <= set(STAGES)
+def test_every_folder_is_a_stage_or_of_the_rim_and_every_module_beside_them_is_known():
+    assert {module.parts[0] for module in MODULES if module.parent.parts} <= {*CORE, *RIM}
+    beside = {module.stem for module in MODULES if not module.parent.parts}
+    assert beside - {"__init__", "__main__"} <= {*BASE}
 
 
-def test_a_module_imports_only_from_its_own_or_an_earlier_stage():
-    wrong = {str(module): violations(read(module), module) for module in MODULES}
+@pytest.mark.parametrize("package", [*CORE, "beside them"])
+def test_the_core_imports_from_its_own_or_an_earlier_stage_and_nothing_of_the_rim(package):
+    modules = [m for m in MODULES if (m.parts[0] if m.parent.parts else "beside them") == package]
+    modules = [m for m in modules if m.parent.parts or m.stem not in ("__init__", "__main__")]
+    wrong = {str(module): violations(read(module), module) for module in modules}
     assert {module: names for module, names in wrong.items() if names} == {}
 
 
-def test_modules_beside_the_stages_are_shared_and_import_none_of_these():
-    assert {path.stem for path in ROOT.glob("*.py")} - {"__init__", "__main__"} == set(SHARED)
-    for name in SHARED:
-        source = (ROOT / f"{name}.py").read_text()
-        names = imported_names(ast.parse(source), ("riecjax",))
-        assert {name.split(".")[1] for name in names} <= set(SHARED)
+@pytest.mark.parametrize("package", RIM)
+def test_the_rim_needs_nothing_private(package):
+    modules = [module for module in MODULES if module.parts[0] == package]
+    wrong = {str(module): private_imports(read(module), module) for module in modules}
+    assert {module: names for module, names in wrong.items() if names} == {}
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        "import riecjax.estimation.identify",
-        "import riecjax",
-        "from ..estimation import identify",
-        "from .. import estimation",
-        "def f():\n    from riecjax.cli import main",
-    ],
-)
+LATER_OR_RIM = [
+    "import riecjax.estimation.identify",
+    "import riecjax",
+    "from ..estimation import identify",
+    "from .. import estimation",
+    "def f():\n    from riecjax.cli import main",
+    "if TYPE_CHECKING:\n    from riecjax.fleets.fleet import Fleet",
+    "from riecjax import fleet",
+    "from riecjax import studies",
+    "from ..paper import study",
+    "importlib.import_module('riecjax.readers.hdf5')",
+    "importlib.import_module(f'riecjax.fleets.{name}')",
+    "importlib.import_module('.paper', 'riecjax')",
+]
+
+
+@pytest.mark.parametrize("source", LATER_OR_RIM)
 def test_a_later_import_is_noticed_in_every_form_and_an_earlier_is_not(source):
-    earlier = "from riecjax.records.record import Record\nfrom . import windows\nimport jax.numpy\n"
+    earlier = """from riecjax.records.record import Record
+from riecjax import DOLS, Record
+from . import windows
+import jax.numpy
+"""
     assert not violations(earlier, Path("criteria/windows.py"))
     assert violations(earlier + source, Path("criteria/windows.py"))
 
 
-def test_readers_need_nothing_private_and_nobody_needs_them():
-    for module in MODULES:
-        if module.parts[0] == "readers":
-            assert private_imports(read(module), module) == []
-        else:
-            tree = ast.parse(read(module))
-            names = imported_names(tree, ("riecjax", *module.parent.parts))
-            assert not [name for name in names if name.startswith("riecjax.readers")]
-
-
-def test_the_papers_study_needs_nothing_private():
-    study = filter(belongs_to_the_study, MODULES)
-    wrong = {str(module): private_imports(read(module), module) for module in study}
-    assert {module: names for module, names in wrong.items() if names} == {}
+def test_a_module_beside_the_packages_imports_none_and_only_one_knows_the_group_of_readers():
+    group = "from riecjax.errors import DataError\nentry_points(group='riecjax.readers')"
+    assert not violations(group, Path("extensions.py"))
+    assert violations(group, Path("shows.py"))
+    assert violations("from riecjax.records.record import Record", Path("shows.py"))
 
 
 @pytest.mark.parametrize(
@@ -169,15 +184,17 @@ def test_the_papers_study_needs_nothing_private():
     [
         "from riecjax.criteria.criterion import RIEC",
         "from ..estimation.stages import solve_stages",
+        "from ..errors import _listed",
+        "from riecjax.studies.monte_carlo import over_keys",
         "def f():\n    from riecjax.records.writing import write_whole",
     ],
 )
-def test_a_private_import_of_the_study_is_noticed(source):
-    assert private_imports(source, Path("paper/study.py"))
-
-
-def test_public_names_count_as_where_they_are_defined():
-    public = "from riecjax import RIEC, Model\nfrom riecjax.studies import over_keys"
+def test_a_private_import_of_the_rim_is_noticed_and_a_public_is_not(source):
+    public = """import riecjax
+from riecjax import RIEC, Model, studies, tails
+from riecjax.studies import over_keys
+from riecjax.errors import DataError
+from .claims import claims
+"""
     assert not private_imports(public, Path("paper/study.py"))
-    assert not violations(public, Path("paper/study.py"))
-    assert violations("from riecjax import RIEC", Path("studies/sweep.py")) == ["riecjax.RIEC"]
+    assert private_imports(public + source, Path("paper/study.py"))

@@ -14,10 +14,11 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 56_000,
-    "src modules": 300,
-    "src statements": 26_700,
-    "src literals": 1_850,
+    "src lines": 54_000,
+    "src modules": 285,
+    "src statements": 25_700,
+    "src literals": 1_800,
+    "lines of commands and settings": 1_900,
     "tests lines": 26_000,
     "benchmarks lines": 8_500,
     "README lines": 150,
@@ -45,7 +46,6 @@ MANY_IMPORTS = {
     "riecjax.refinement.integral_error": 13,
     "riecjax.refinement.output_error": 15,
     "riecjax.reporting.identification_figures": 16,
-    "riecjax.reporting.paper_charts": 14,
     "riecjax.reporting.plots": 16,
     "riecjax.reporting.result_files": 18,
     "riecjax.reporting.views": 27,
@@ -157,6 +157,9 @@ def sizes(texts) -> dict[str, int]:
         "src modules": len(MODULES),
         "src statements": sum(map(is_statement, nodes)),
         "src literals": sum(map(is_literal, nodes)),
+        "lines of commands and settings": sum(
+            line_count(source_files(f"src/riecjax/{room}", {".py"})) for room in ("cli", "settings")
+        ),
         "tests lines": line_count(source_files("tests", {".py"})),
         "benchmarks lines": line_count(source_files("benchmarks", {".py"})),
         "README lines": line_count([PROJECT / "README.md"]),

@@ -16,9 +16,9 @@ from jaxtyping import Array, Float
 
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
+from benchmarks.measured.emps_axis import RisingAxis
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.term import AbstractShape
-from riecjax.models.emps import Axis, SteppedAxis
 from riecjax.models.model import as_model
 from riecjax.records.preparation import upsample
 from riecjax.refinement.output_error import OutputError, Tiles
@@ -35,19 +35,19 @@ MR_TRAIN = 1000
 """Samples of the damper's 1501 that the search reads."""
 
 
-class LimitedAxis(SteppedAxis):
+class LimitedAxis(RisingAxis):
     """An axis whose dry friction grows with the speed up to a limit.
 
-    **Fields:** those of `Axis`, `slope` in N s/m up to the speed `limit` in m/s.
+    **Fields:** those of an axis, `slope` in N s/m up to the speed `limit` in m/s.
     """
 
     slope: Float[Array, ""]
     limit: Float[Array, ""]
 
-    def at_speed(self, velocity: Array) -> Axis:
-        """Both levels and slope min(|v|, limit)."""
+    def levels(self, velocity: Array) -> tuple[Array, Array]:
+        """Both and slope min(|v|, limit)."""
         more = self.slope * jnp.minimum(jnp.abs(velocity), self.limit)
-        return self.with_levels(self.Fc_pos + more, self.Fc_neg + more)
+        return self.Fc_pos + more, self.Fc_neg + more
 
 
 def told(found: Discovery) -> dict[str, Any]:

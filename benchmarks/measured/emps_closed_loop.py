@@ -13,21 +13,22 @@ import numpy as np
 import scipy.io
 import scipy.signal
 
+from benchmarks.measured.emps_axis import (
+    StribeckAxis,
+    sampled_control,
+    stribeck_axis,
+    stribeck_balance,
+    without_rise,
+)
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.emps import (
     Axis,
-    ControlledAxis,
-    StribeckAxis,
     emps_asymmetric_equation,
     emps_asymmetric_system,
     emps_equation,
     emps_system,
-    simulate_sampled_control,
-    stribeck_axis,
-    stribeck_balance,
-    without_rise,
 )
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
@@ -108,7 +109,7 @@ def refined_axis(rig: Rig, windows: AllWindows) -> tuple[Refined, StribeckAxis]:
     return refined, stribeck_axis(refined.values)
 
 
-def errors(rig: Rig, record: Record, clock: float = STEP) -> dict[str, float]:
+def errors(rig: Rig, record: dict[str, jax.Array], clock: float = STEP) -> dict[str, float]:
     """Relative errors in percent of a simulation read every `clock` seconds, as if every ms."""
     read = np.arange(rig.time.size) * clock
     found = {}
@@ -119,11 +120,6 @@ def errors(rig: Rig, record: Record, clock: float = STEP) -> dict[str, float]:
     return found
 
 
-def sampled(rig: Rig, axis: Axis, delay: int) -> Record:
-    system = ControlledAxis(axis, gtau=rig.gain)
-    start = {"q": rig.position[0]}
-    return (
-        simulate_sampled_control(system, rig.reference, delay=delay, initial_state=start)
-        .checked()
-        .record
-    )
+def sampled(rig: Rig, axis: Axis, delay: int) -> dict[str, jax.Array]:
+    gain, start = jnp.asarray(rig.gain), jnp.asarray(rig.position[0])
+    return sampled_control(axis, rig.reference, gain=gain, start=start, delay=delay)

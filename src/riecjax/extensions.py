@@ -67,7 +67,7 @@ def require_packages(use: str) -> None:
         )
 
 
-def names(kind: Kind) -> list[str]:
+def extension_names(kind: Kind) -> list[str]:
     """Names of all extensions of a kind, this distribution's first; none is imported.
 
     **Raises:** `ExtensionError` if what is installed cannot be listed.
@@ -75,7 +75,7 @@ def names(kind: Kind) -> list[str]:
     return list(_offered(kind, tuple(sys.path)))
 
 
-def find(kind: Kind, name: str) -> Any | None:
+def extension(kind: Kind, name: str) -> Any | None:
     """What is called so among the extensions of a kind, imported now; `None` if nothing is.
 
     **Raises:** `ExtensionError` if it cannot be imported, or several distributions offer it.
@@ -101,11 +101,11 @@ def find(kind: Kind, name: str) -> Any | None:
 def element(name: str) -> Callable[..., Any]:
     """What makes the element of this name.
 
-    **Raises:** `ModelError` if no distribution has it; `ExtensionError` as `find` does.
+    **Raises:** `ModelError` if no distribution has it; `ExtensionError` as `extension`.
     """
-    made = find("elements", name)
+    made = extension("elements", name)
     if not callable(made):
-        listed = ", ".join(names("elements")) or "none"
+        listed = ", ".join(extension_names("elements")) or "none"
         raise ModelError(f"there is no element '{name}'; installed are: {listed}.")
     return made
 

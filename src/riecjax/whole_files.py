@@ -96,6 +96,20 @@ def no_folder(path: Path, error: OSError) -> str:
     return f"cannot write to '{path}': {error.strerror}."
 
 
+def seen_from(folder: Path | None, path: str) -> str:
+    """A path, which starts from here, as one that starts from a folder, on any system.
+
+    It is absolute where the folder is on another drive, to which no path of Windows leads.
+    """
+    seen = os.path.normpath(path)
+    if folder is not None and not os.path.isabs(path):
+        try:
+            seen = os.path.relpath(path, folder)
+        except ValueError:
+            seen = os.path.abspath(path)
+    return seen.replace(os.sep, "/")
+
+
 def read_plain(file: Path) -> bytes:
     """What a plain file of settings or results holds.
 

@@ -83,7 +83,7 @@ def test_what_voids_an_answer_is_its_reason_and_the_first_thing_to_do():
     assert {one.level for one in verdict.parameters.values()} == {"do not use"}
     assert verdict.sentence.endswith(": time may be in another unit than seconds.")
     assert len(verdict.causes) > 1
-    steps = verdict_entries(verdict, ("identify", "run.csv"))["next"]
+    steps = verdict_entries(verdict)["next"]
     assert steps[0]["words"].startswith("State the unit of time")
 
 

@@ -10,9 +10,7 @@ from riecjax.models.quarter_car.source import (
     BumpStopSpring,
     DigressiveDamper,
     HardeningMount,
-    LinearDamper,
     QuarterCarSource,
-    SplineDamper,
 )
 
 
@@ -22,22 +20,12 @@ def built_in(**settings: float) -> QuarterCarSource:
     return source
 
 
-def spline_damper() -> SplineDamper:
-    return SplineDamper(
-        jnp.asarray(5000.0),
-        jnp.array([4000.0, 2000.0, 1000.0, 800.0]),
-        jnp.array([3500.0, 1500.0, 900.0, 400.0]),
-    )
-
-
 def digressive_damper() -> DigressiveDamper:
     return DigressiveDamper(jnp.asarray(4000.0), jnp.array([900.0, 600.0]), jnp.array([0.1, 0.2]))
 
 
 DAMPERS = {
-    "spline": spline_damper,
     "digressive": digressive_damper,
-    "linear": lambda: LinearDamper(jnp.asarray(1500.0)),
     "built in": lambda: built_in().damper,
 }
 SPEEDS = [1e-9, 1e-4, 0.02, 0.05, 0.1, 0.15, 0.3, 0.4, 0.7, 1.0, 2.5]

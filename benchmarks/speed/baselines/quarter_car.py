@@ -1,6 +1,6 @@
 """The paper's seven-state source model, eqs (19)-(20), for SciPy."""
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 import scipy.integrate
@@ -13,29 +13,14 @@ from riecjax.models.quarter_car.source import (
     QuarterCarSource,
 )
 
-
-class Car(NamedTuple):
-    """The source model's numbers, in SI units."""
-
-    wheel_mass: float
-    body_mass: float
-    engine_mass: float
-    tyre_stiffness: float
-    lift_off_force: float
-    damper_compliance: float
-    slope_at_rest: float
-    compression_slope: float
-    rebound_slope: float
-    compression_knee: float
-    rebound_knee: float
-    spring_rate: float
-    compression_gap: float
-    rebound_gap: float
-    compression_stop: float
-    rebound_stop: float
-    mount_rate: float
-    mount_cubic: float
-    mount_damping: float
+Car = namedtuple(
+    "Car",
+    "wheel_mass body_mass engine_mass tyre_stiffness lift_off_force damper_compliance "
+    "slope_at_rest compression_slope rebound_slope compression_knee rebound_knee spring_rate "
+    "compression_gap rebound_gap compression_stop rebound_stop mount_rate mount_cubic "
+    "mount_damping",
+)
+"""The source model's numbers, in SI units."""
 
 
 def car_of(source: QuarterCarSource) -> Car:

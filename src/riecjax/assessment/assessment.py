@@ -3,7 +3,7 @@
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from jaxtyping import Array, Key
 
@@ -11,32 +11,34 @@ from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
-from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.shows import Drawn, opened
 from riecjax.validation.choice import WindowChoice
-from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.sweep import WindowSweep
 from riecjax.validation.whiteness import Whiteness
+
+if TYPE_CHECKING:
+    from riecjax.estimation.mode_evidence import ModeEvidence
+    from riecjax.validation.held_out import HeldOut
 
 
 class ValidationRun(NamedTuple):
     """A simulation of the identified model along a recording, compared with it in `held`."""
 
     recording: Recording
-    held: HeldOut
+    held: "HeldOut"
 
 
 class BeforeAfter(NamedTuple):
     """Simulations along one recording with the start of a refinement and with its result."""
 
     recording: Recording
-    before: HeldOut
-    after: HeldOut
+    before: "HeldOut"
+    after: "HeldOut"
 
     @property
     def worst_fits(self) -> tuple[float, float]:
@@ -44,7 +46,7 @@ class BeforeAfter(NamedTuple):
         return _worst(self.before), _worst(self.after)
 
 
-def _worst(held: HeldOut) -> float:
+def _worst(held: "HeldOut") -> float:
     if not held.ran:
         return -float("inf")
     fits = [float(held.signals[name].fit) for name in held.judged]
@@ -128,7 +130,7 @@ class Assessment(Drawn):
     refinement: Refinement | None = None
     failures: Sequence[Finding] = ()
     key: Key[Array, ""] | None = None
-    modes: Sequence[ModeEvidence] = ()
+    modes: "Sequence[ModeEvidence]" = ()
 
     @property
     def answer(self) -> AbstractEstimate:

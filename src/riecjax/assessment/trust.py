@@ -29,7 +29,6 @@ from riecjax.simulation.linearisation import growth
 from riecjax.simulation.system import AbstractSystem
 from riecjax.validation.choice import WindowChoice, window_choice
 from riecjax.validation.equation_errors import errors_over_records
-from riecjax.validation.held_out import validate_held_out
 from riecjax.validation.input_faults import drifting_inputs, silent_inputs
 from riecjax.validation.late_signals import late_signals
 from riecjax.validation.residuals import ResidualTests, residual_tests
@@ -117,6 +116,10 @@ def validated(
 ) -> tuple[list[ValidationRun], list[Finding]]:
     """Simulations with these values that could be made, and why the others could not."""
     runs, failed = [], []
+    if not recordings:
+        return runs, failed
+    from riecjax.validation.held_out import validate_held_out
+
     for (number, recording), horizon in zip(recordings, windows):
         # A fit is not lost because its model cannot be simulated.
         try:

@@ -10,8 +10,8 @@ import sys
 
 import click
 
-from riecjax import extensions
 from riecjax.errors import RiecjaxError, printable, require
+from riecjax.extensions import extension, extension_names
 from riecjax.memory import REMEDY
 from riecjax.runtime import collect_seldom
 from riecjax.standard_output import answer, for_answers_alone
@@ -34,14 +34,14 @@ class LazyGroup(click.Group):
     """The core's own commands and those of extensions, which never replace one of the core's."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        listed = dict.fromkeys([*COMMANDS, *extensions.names("commands")])
+        listed = dict.fromkeys([*COMMANDS, *extension_names("commands")])
         return sorted(listed, key=lambda name: (*ORDER, name).index(name))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name in COMMANDS:
             return importlib.import_module(COMMANDS[cmd_name]).command
         try:
-            command = extensions.find("commands", cmd_name)
+            command = extension("commands", cmd_name)
             if command is not None:
                 require(f"the command '{cmd_name}'", command, click.Command, "a click.Command")
             return command

@@ -38,13 +38,10 @@ def with_hidden_motion(
 ) -> tuple[Procedure, Record]:
     """A procedure without hidden elements, and the record with their motion, for these values.
 
-    Samples are marked missing until the start is forgotten, of a record and after each gap. A
-    procedure without hidden elements and its record come back as they are.
+    Samples are marked missing until the start is forgotten, of a record and after each gap.
 
     **Raises:** `ModelError` for a spring in series with a map.
     """
-    if not procedure.has_hidden:
-        return procedure, record
     added = _Added(record, {}, {})
     stages = tuple(
         tuple(_without_hidden(equation, procedure, added, values) for equation in stage)

@@ -3,32 +3,36 @@
 import contextlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.suited import asked_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import RoofFunctions, Terms
-from riecjax.errors import IdentifiabilityError, renamed
+from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
-from riecjax.estimation.mode_evidence import ModeEvidence
-from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
-from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
+from riecjax.settings.option import taking
+from riecjax.settings.tree import Check as CheckSettings
 from riecjax.shows import Shown
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import Survey
 from riecjax.summaries.task import ready, signals_read, task
+
+if TYPE_CHECKING:
+    from riecjax.estimation.mode_evidence import ModeEvidence
 
 FEWEST_STRETCHES = 10
 """Stretches of twice the longest window that the records should hold."""
@@ -80,7 +84,9 @@ def raise_if_refused(excitations: Iterable[Excitation]) -> None:
         raise IdentifiabilityError(refusal.message, refusal.code)
 
 
-def raise_if_not_carried(modes: Iterable[ModeEvidence], excitations: Iterable[Excitation]) -> None:
+def raise_if_not_carried(
+    modes: "Iterable[ModeEvidence]", excitations: Iterable[Excitation]
+) -> None:
     """Raise that recordings carry no such mode where that is why nothing tells regressors apart.
 
     **Raises:** `IdentifiabilityError` with the finding's message and code.
@@ -123,36 +129,56 @@ def _refusal(findings: Iterable[Finding]) -> Finding | None:
     return found[COPIED if COPIED in found else fatal[0]] if fatal else None
 
 
-@renamed(own="per_record")
+@taking(CheckSettings)
 def check(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
-    criterion: AbstractCriterion | None = None,
-    *,
-    key: Key[Array, ""] | None = None,
-    known: Mapping[str, float | Array] | None = None,
-    per_record: Sequence[str] = (),
-    noise: GivenNoise = "auto",
-    summary: Summary | None = None,
-    excited: list[Excitation] | None = None,
+    model: Equation | Procedure | HasProcedure, records: Records, settings: CheckSettings
 ) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
     Nothing is estimated but hidden modes, whose shapes the regressors depend on, and nothing that
     is found here stops a fit; see [`Check.answerable`][].
     What a [`Recording`][riecjax.Recording] says of signals that are read comes first.
-    `summary` is what [`summarise`][] made of the same with a survey, and `excited` what
-    [`excitations`][] says of it, if they were asked.
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    recordings = ready(as_procedure(model), records, noise)
+    recordings = ready(as_procedure(model), records, settings.noise)
+    band, plain = getattr(model, "band", None), [recording.record for recording in recordings]
+    criterion = asked_for(settings, as_procedure(model), band, plain)
+    return check_sums(
+        model,
+        recordings,
+        criterion,
+        key=settings.key,
+        known=settings.known,
+        per_record=settings.per_record,
+    )
+
+
+def check_sums(
+    model: Equation | Procedure | HasProcedure,
+    recordings: list[Recording],
+    criterion: AbstractCriterion | None,
+    *,
+    key: Key[Array, ""] | None = None,
+    known: Mapping[str, float | Array] | None = None,
+    per_record: Sequence[str] = (),
+    summary: Summary | None = None,
+    excited: list[Excitation] | None = None,
+) -> Check:
+    """[`check`][] of recordings of whose noise something is known.
+
+    **Arguments:** `summary`, what [`summarise`][] made of the same with a survey, and `excited`,
+    what [`excitations`][] says of it, if they were asked.
+    """
     asked = task(model, recordings, criterion, key)
     procedure, plain, criterion, _ = asked
     read = [read_of(procedure, one, criterion, summary is not None) for one in recordings]
     plan = plan_parameters(procedure, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
-    summary = linearised(procedure, summary, plan.given)
+    if procedure.has_hidden:
+        from riecjax.estimation.mode_windows import linearised
+
+        summary = linearised(procedure, summary, plan.given)
     excited = excitations(summary, plan) if excited is None else excited
     settings = procedure, plan.sharing, summary, plan.given
     # Deviations from the mean are no regressors of hidden elements.

@@ -1,7 +1,7 @@
 """Results of an identification: JSON document and tables on a terminal."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,6 @@ from rich.console import Console
 
 from riecjax.assessment.assessment import Assessment, Refinement
 from riecjax.errors import printable
-from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.records.recording import common_steps
 from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import (
@@ -27,10 +26,15 @@ from riecjax.reporting.estimate import (
     print_estimate,
 )
 from riecjax.reporting.tables import say
-from riecjax.reporting.verdict import as_typed, print_verdict, verdict_entries
+from riecjax.reporting.verdict import WithOptions, as_typed, print_verdict, verdict_entries
+
+if TYPE_CHECKING:
+    from riecjax.estimation.mode_evidence import ModeEvidence
 
 
-def identification_document(result: Assessment, command: Sequence[str] = ()) -> Document:
+def identification_document(
+    result: Assessment, command: Sequence[str] = (), with_options: WithOptions | None = None
+) -> Document:
     """The document that `--json` prints and results.json holds.
 
     **Arguments:** `command`: the arguments of `riecjax` that made it, if any did.
@@ -47,7 +51,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
     return {
         **found,
         "equations": procedure_in_words(result.procedure),
-        "verdict": verdict_entries(result.verdict, command),
+        "verdict": verdict_entries(result.verdict, with_options),
         "modes": mode_entries(result.modes),
         "excitation": excitation_entries(result.checked),
         "noise": noise_entries(result.recordings, result.checked.signals),
@@ -169,7 +173,7 @@ def windows_in_words(document: Document) -> Iterator[str]:
     yield from noise_in_words(document["noise"])
 
 
-def mode_entries(modes: Sequence[ModeEvidence]) -> list[Document]:
+def mode_entries(modes: "Sequence[ModeEvidence]") -> list[Document]:
     """The part of the document about hidden modes, the last one of each stage."""
     return [
         {

@@ -6,18 +6,20 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
 
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
-from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
 from riecjax.standard_output import answer
 from riecjax.whole_files import committing, is_stamped, no_folder, temporary
+
+if TYPE_CHECKING:
+    from riecjax.reporting.charts.chart import Chart
 
 RESULTS, REPORT = "results.json", "report.html"
 STAMPED = (".png", ".parquet")
@@ -31,7 +33,7 @@ def emit(
     as_json: bool,
     out: Path | None,
     show: Callable[[Document, Console], None],
-    charts: Callable[[], Mapping[str, Chart]] = dict,
+    charts: "Callable[[], Mapping[str, Chart]]" = dict,
     page: Callable[[Document], Page] = lambda _: Page("", "", ()),
     warnings: Sequence[Mapping[str, Any]] | None = None,
     others: Mapping[str, Writer] | None = None,
@@ -75,7 +77,7 @@ def emit(
 def write_folder(
     folder: Path,
     document: Document,
-    charts: Mapping[str, Chart],
+    charts: "Mapping[str, Chart]",
     page: Page,
     others: Mapping[str, Writer] | None = None,
 ) -> None:

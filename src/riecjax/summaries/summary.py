@@ -21,7 +21,6 @@ from riecjax.records.noise import Noise
 from riecjax.shows import Shown
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
-from riecjax.summaries.summary_files import from_bytes, read_parts, to_bytes, write_parts
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 ROOMS = (128, 1024)
@@ -333,6 +332,8 @@ class Summary(Shown, eqx.Module):
         **Raises:** `DataError` if the file cannot be written; `ModelError` for a criterion with a
         law that is a function, for sums that are traced or of a batch, or for more than 2 GiB.
         """
+        from riecjax.summaries.summary_files import write_parts
+
         write_parts(path, **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
 
     def to_bytes(self) -> bytes:
@@ -340,6 +341,8 @@ class Summary(Shown, eqx.Module):
 
         **Raises:** `ModelError` as `save`.
         """
+        from riecjax.summaries.summary_files import to_bytes
+
         return to_bytes({f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
 
     @classmethod
@@ -348,6 +351,8 @@ class Summary(Shown, eqx.Module):
 
         **Raises:** `DataError` as [`load`][], which says what must be defined before.
         """
+        from riecjax.summaries.summary_files import from_bytes
+
         return cls(**from_bytes(content))
 
     def require_model(self, procedure: Procedure) -> None:
@@ -382,6 +387,8 @@ def load(path: str | os.PathLike[str]) -> Summary:
     **Raises:** `DataError`, in one line, for a file that is not there, is no Summary, is damaged,
     was written with another schema, or names a class that is not defined.
     """
+    from riecjax.summaries.summary_files import read_parts
+
     return Summary(**read_parts(path))
 
 

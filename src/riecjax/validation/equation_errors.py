@@ -23,7 +23,6 @@ from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_motion import with_hidden_motion
 from riecjax.equations.memories import with_memories
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
@@ -105,7 +104,10 @@ def equation_error(
     """
     procedure = as_procedure(model)
     given = {name: _value(values, name) for name in procedure.parameters}
-    procedure, record = with_hidden_motion(procedure, record, given)
+    if procedure.has_hidden:
+        from riecjax.equations.hidden_motion import with_hidden_motion
+
+        procedure, record = with_hidden_motion(procedure, record, given)
     return tuple(
         _error_of(equation, record, given) for stage in procedure.stages for equation in stage
     )

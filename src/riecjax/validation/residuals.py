@@ -31,7 +31,7 @@ judged on parts of the recordings that it was not fitted to.
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -44,7 +44,6 @@ from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
 from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths, with_memories
-from riecjax.equations.motions import Motion, motions_and_unread
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, told_apart
 from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
@@ -52,6 +51,9 @@ from riecjax.findings import Finding
 from riecjax.records.record import Record, Records, as_records, samples_with_nan
 from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined, with_pads
+
+if TYPE_CHECKING:
+    from riecjax.equations.motions import Motion
 
 LEVEL = 0.05
 """Probability that chance alone passes a bound."""
@@ -615,7 +617,7 @@ class Loop(NamedTuple):
     """
 
     law: str
-    motion: Motion
+    motion: "Motion"
     width: float
     by: str
     gain: float
@@ -656,7 +658,7 @@ class Loop(NamedTuple):
 def loop_of(
     errors: list[EquationError],
     records: list[Record],
-    motions: Sequence[Motion],
+    motions: "Sequence[Motion]",
     unread: Sequence[str],
     count: int,
 ) -> Loop | None:
@@ -685,7 +687,7 @@ def loop_of(
 
 
 def _regressors(
-    motion: Motion, unread: Sequence[str], records: Sequence[Record]
+    motion: "Motion", unread: Sequence[str], records: Sequence[Record]
 ) -> Iterator[tuple[Loop | None, Series]]:
     """What is taken out first, and each that may explain the rest, as signals of each record."""
     v = _each(records, motion.velocity)
@@ -1041,6 +1043,8 @@ def residual_tests(
         free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         loop = None
         if is_notable:  # hysteresis, or a signal of no name that changes a force
+            from riecjax.equations.motions import motions_and_unread
+
             units = {name: unit for record in recordings for name, unit in record.units}
             common = [n for n in first.arrays if all(n in each.arrays for each in recordings)]
             unread = [name for name in common if name not in named]

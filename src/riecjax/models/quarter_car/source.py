@@ -101,55 +101,6 @@ class QuarterCarSource(AbstractSystem):
         return {"F_t": self.tyre_force(state[0])}
 
 
-def contact_share(tyre_extension: Array, source: QuarterCarSource) -> Array:
-    """Share of the samples at which the tyre touches the road."""
-    lift_off = source.lift_off_force / source.tyre_stiffness
-    return jnp.mean(tyre_extension <= lift_off, axis=-1, dtype=tyre_extension.dtype)
-
-
-DAMPER_KNOTS = (0.0, 0.05, 0.15, 0.4, 1.0)
-"""Velocities in m/s between which the damper's slope is interpolated, in either direction."""
-
-
-class SplineDamper(eqx.Module):
-    """Damper force over velocity, as a quadratic spline: its slope is linear between knots.
-
-    Zero at rest; beyond the last knot the slope stays. Force and slope are continuous, so the
-    damper's velocity x7, which divides by the slope, has a continuous derivative.
-
-    **Fields:** `slope_at_rest` in N s/m; `compression` and `rebound` slopes at the further knots
-    of `DAMPER_KNOTS`, for v < 0 and v > 0.
-    """
-
-    slope_at_rest: Float[Array, ""]
-    compression: Float[Array, " knots"]
-    rebound: Float[Array, " knots"]
-
-    def _rises(self, velocity: Array) -> list[Array]:
-        """Increase of the slope over each interval between knots, in the velocity's direction."""
-        side = jnp.where(velocity > 0, 1, 0)
-        slopes = [jnp.where(side, up, down) for down, up in zip(self.compression, self.rebound)]
-        return [b - a for a, b in zip([self.slope_at_rest, *slopes], slopes)]
-
-    def __call__(self, velocity: Array) -> Array:
-        """Force in N at a velocity in m/s."""
-        speed = jnp.abs(velocity)
-        beyond = jnp.zeros_like(speed)
-        for rise, a, b in zip(self._rises(velocity), DAMPER_KNOTS, DAMPER_KNOTS[1:]):
-            share = jnp.clip((speed - a) / (b - a), 0.0, 1.0)
-            beyond = beyond + rise * (0.5 * (b - a) * share**2 + jnp.maximum(speed - b, 0.0))
-        # Not sign(v) F(|v|): that has no derivative at rest, and linearisation needs it there.
-        return self.slope_at_rest * velocity + jnp.sign(velocity) * beyond
-
-    def slope(self, velocity: Array) -> Array:
-        """dF/dv in N s/m."""
-        speed = jnp.abs(velocity)
-        slope = self.slope_at_rest
-        for rise, a, b in zip(self._rises(velocity), DAMPER_KNOTS, DAMPER_KNOTS[1:]):
-            slope = slope + rise * jnp.clip((speed - a) / (b - a), 0.0, 1.0)
-        return slope
-
-
 class DigressiveDamper(eqx.Module):
     """Damper force over velocity, steep at low speed, flatter beyond a knee.
 
@@ -226,17 +177,3 @@ class HardeningMount(eqx.Module):
     def scaled(self, gain: Array | float) -> "HardeningMount":
         """The same curve times a gain, as the paper makes its Table 6 variants."""
         return HardeningMount(self.rate * gain, self.cubic * gain)
-
-
-class LinearDamper(eqx.Module):
-    """F(v) = c v, the damper of the linearised source model; `rate` c in N s/m."""
-
-    rate: Float[Array, ""]
-
-    def __call__(self, velocity: Array) -> Array:
-        """Force in N at a velocity in m/s."""
-        return self.rate * velocity
-
-    def slope(self, velocity: Array) -> Array:
-        """dF/dv in N s/m."""
-        return jnp.broadcast_to(self.rate, jnp.shape(velocity))

@@ -3,6 +3,6 @@
 `__init__.pyi` lists what the author of a reader needs, which is found as `riecjax.extensions` says.
 """
 
-import lazy_loader
+from riecjax.public_names import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = attach(__name__, __file__)

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from riecjax import extensions
 from riecjax.errors import DataError, RiecjaxError, printable, require
+from riecjax.extensions import extension, extension_names
 from riecjax.memory import require_memory
 from riecjax.records.reading.channels import (
     LARGEST_FILE,
@@ -91,20 +91,20 @@ def read_channels(
 
 def endings() -> tuple[str, ...]:
     """Endings of names of files that can be read, the core's own first."""
-    return (*READERS, *(f".{name}" for name in extensions.names("readers") if "." not in name))
+    return (*READERS, *(f".{name}" for name in extension_names("readers") if "." not in name))
 
 
 def _reader(file: Path) -> Callable[..., Channels]:
     """What reads a file by its ending, or a folder by a file in it."""
     name, is_recording = file.suffix.lower(), file.is_file()
     if file.is_dir():
-        inside = [one for one in extensions.names("readers") if (file / one).is_file()]
+        inside = [one for one in extension_names("readers") if (file / one).is_file()]
         name, is_recording = (inside[0], True) if inside else (name, False)
     if name in READERS:
         module, function = READERS[name].split(".")
         reader = getattr(importlib.import_module(f"riecjax.records.reading.{module}"), function)
     else:
-        reader = extensions.find("readers", name.removeprefix("."))
+        reader = extension("readers", name.removeprefix("."))
     if reader is None:
         listed = ", ".join(endings())
         raise DataError(f"cannot read '{file.name or file}': its ending must be one of {listed}.")
