@@ -43,7 +43,6 @@ MANY_IMPORTS = {
     "riecjax.estimation.mode_windows": 13,
     "riecjax.fleets.fleet": 15,
     "riecjax.records.recording": 17,
-    "riecjax.refinement.integral_error": 13,
     "riecjax.refinement.output_error": 15,
     "riecjax.reporting.identification_figures": 16,
     "riecjax.reporting.plots": 16,

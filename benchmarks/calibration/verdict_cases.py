@@ -15,8 +15,7 @@ from jaxtyping import Array, Float
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure, simultaneous
 from riecjax.equations.term import Term
-from riecjax.records.record import Record
-from riecjax.records.signals import Signals
+from riecjax.records.record import Record, Signals
 
 RATE = 200.0
 SAMPLES = 6000

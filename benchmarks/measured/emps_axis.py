@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 import riecjax as rx
 from riecjax.models.emps import Axis
-from riecjax.records.signals import Signals
+from riecjax.records.record import Signals
 
 KP, KV = 160.18, 243.45
 """Gains of the controller in 1/s and V s/m."""

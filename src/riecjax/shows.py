@@ -9,6 +9,8 @@ import os
 from collections.abc import ItemsView, Iterator, KeysView, Mapping
 from typing import Any
 
+from riecjax.extensions import require_packages
+
 
 def _ask(module: str, verb: str, *of: Any, **settings: Any) -> Any:
     """What a function of `riecjax.reporting` says of an object."""
@@ -41,6 +43,7 @@ class Drawn(Shown):
 
         **Raises:** `DataError` if matplotlib is not installed, or for another number of axes.
         """
+        require_packages("figure")
         return _ask("plots", "draw", self, ax)
 
 

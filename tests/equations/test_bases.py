@@ -21,8 +21,7 @@ from riecjax.equations.term import (
     roof,
 )
 from riecjax.errors import ModelError
-from riecjax.records.record import Record
-from riecjax.records.signals import Signals
+from riecjax.records.record import Record, Signals
 
 POINTS = [[-1.0, 2.0], [-0.8, -0.3, 0.3, 0.8], [0.0, 0.1, 1.0, 5.0, 5.5]]
 

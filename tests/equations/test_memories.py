@@ -8,7 +8,7 @@ from tests.machines import PROBLEMS
 
 import riecjax as rx
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, with_memories
-from riecjax.records.signals import Signals
+from riecjax.records.record import Signals
 
 TIMES = np.arange(2001) / 100
 HYSTERETIC = PROBLEMS["hysteresis"]

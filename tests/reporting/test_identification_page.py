@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from riecjax.reporting.identification_page import identification_page
-from riecjax.reporting.page import Table
+from riecjax.reporting.tables import Table
 
 OUTPUTS = Path(__file__).parents[1] / "approved" / "outputs"
 

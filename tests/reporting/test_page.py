@@ -11,7 +11,8 @@ from reporting_charts import X, Y
 
 from riecjax.reporting.charts.chart import Axis, Line, single
 from riecjax.reporting.charts.interactive import interactive
-from riecjax.reporting.page import Page, Section, Table, render
+from riecjax.reporting.page import Page, Section, render
+from riecjax.reporting.tables import Table
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 DOCUMENT = {

@@ -9,7 +9,8 @@ from reporting_charts import EVERYTHING
 
 from report_browser import assert_drawn, drawn_page, launched, overlaps
 from riecjax.reporting.output import write_folder
-from riecjax.reporting.page import Page, Section, Table
+from riecjax.reporting.page import Page, Section
+from riecjax.reporting.tables import Table
 
 WIDTHS = (390, 1280)
 

@@ -33,8 +33,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import AbstractTerm, Expression, Sampled, Term, Terms, both_present
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
-from riecjax.records.record import Record
-from riecjax.records.signals import Signals
+from riecjax.records.record import Record, Signals
 
 FAR = 1e6
 """Widths beyond which a weight is 1."""

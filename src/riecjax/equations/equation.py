@@ -19,8 +19,7 @@ from riecjax.equations.term import (
 )
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.record import Record
-from riecjax.records.signals import Signals
+from riecjax.records.record import Record, Signals
 from riecjax.shows import Shown
 
 PROBE = 64

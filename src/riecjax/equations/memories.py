@@ -24,8 +24,7 @@ from jaxtyping import Array, Float
 
 from riecjax.errors import ModelError
 from riecjax.records.noise import Noise
-from riecjax.records.record import Record, samples_with_nan
-from riecjax.records.signals import Signals
+from riecjax.records.record import Record, Signals, samples_with_nan
 
 TURNS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Widths within which hysteresis turns round, in strokes."""

@@ -38,8 +38,7 @@ from riecjax.equations.term import AbstractTerm, Expression, Term, constant, rea
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.faults.relations import Relation
-from riecjax.records.record import Record
-from riecjax.records.signals import Signals
+from riecjax.records.record import Record, Signals
 from riecjax.shows import Shown
 
 

@@ -29,8 +29,7 @@ from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, ModelError, require, users_code
 from riecjax.leaves import Leaf, as_leaf, is_concrete
-from riecjax.records.record import Record
-from riecjax.records.signals import Signals
+from riecjax.records.record import Record, Signals
 
 Expression = str | Callable[[Signals], Array]
 """A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.

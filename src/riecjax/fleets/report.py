@@ -38,8 +38,8 @@ from riecjax.reporting.document import (
     probability,
     versions,
 )
-from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.tables import View, in_rich, print_table, say
+from riecjax.reporting.page import Page, Section
+from riecjax.reporting.tables import Table, View, in_rich, print_table, say
 from riecjax.shows import Shown
 
 LISTED = 50

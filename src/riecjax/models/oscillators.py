@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
-from riecjax.records.signals import Signals
+from riecjax.records.record import Signals
 from riecjax.simulation.system import AbstractSystem, Quantities
 
 

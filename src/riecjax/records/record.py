@@ -2,7 +2,7 @@
 
 import functools
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
 import equinox as eqx
@@ -12,12 +12,39 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from riecjax.errors import DataError, require
+from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.noise import Noise
-from riecjax.records.signals import Signals
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
+
+
+class Signals(Mapping[str, Array]):
+    """The signals of a record by name; asking for one that is missing says which ones exist.
+
+    `read` collects the names that were asked for: which signals an expression depends on.
+    """
+
+    def __init__(self, arrays: Mapping[str, Array]):
+        self._arrays = dict(arrays)
+        self.read: set[str] = set()
+
+    def __getitem__(self, name: str) -> Array:
+        try:
+            value = self._arrays[name]
+        except KeyError:
+            raise MissingSignalError(name, tuple(self._arrays)) from None
+        self.read.add(name)
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._arrays
 
 
 class Record(Drawn, eqx.Module):

@@ -13,8 +13,8 @@ from .output import emit as emit
 from .output import require_folder as require_folder
 from .page import Page as Page
 from .page import Section as Section
-from .page import Table as Table
 from .result_files import Results as Results
+from .tables import Table as Table
 from .tables import View as View
 from .tables import in_rich as in_rich
 from .tables import print_table as print_table

@@ -12,8 +12,7 @@ from riecjax.estimation.check import Check
 from riecjax.records.noise_judgement import judged
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_rich, print_table, say
+from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 
 def check_document(

@@ -12,9 +12,8 @@ from riecjax.extensions import require_packages
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of, to_dict, to_frame
-from riecjax.reporting.page import Table
 from riecjax.reporting.plots import relative_figure
-from riecjax.reporting.tables import View, in_latex, in_markdown, with_error
+from riecjax.reporting.tables import Table, View, in_latex, in_markdown, with_error
 from riecjax.shows import Drawn
 
 SAME = 1e-6

@@ -22,8 +22,8 @@ from riecjax.reporting.document import (
 )
 from riecjax.reporting.equations import equation_in_words
 from riecjax.reporting.estimate import parameter_entries, parameter_table
-from riecjax.reporting.page import Page, Section, Table
-from riecjax.reporting.tables import in_rich, print_table, say
+from riecjax.reporting.page import Page, Section
+from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 NOTABLE = 0.05
 """Share of what is unexplained that noise must make to be told."""

@@ -9,8 +9,7 @@ from rich.console import Console
 
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_rich, print_table, say
+from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 
 def estimate_entries(model: str, estimate: Estimate) -> Document:

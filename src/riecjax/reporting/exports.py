@@ -14,8 +14,7 @@ from riecjax.records.record import Record, samples_with_nan
 from riecjax.reporting.document import Document, finite
 from riecjax.reporting.estimate import estimate_entries, parameter_entries
 from riecjax.reporting.identification import identification_document
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_latex, in_markdown, with_error
+from riecjax.reporting.tables import Table, in_latex, in_markdown, with_error
 
 COLUMNS = ("value", "std_error", "low95", "high95")
 """Numbers of each parameter in a frame."""

@@ -16,7 +16,8 @@ from riecjax.reporting.identification import (
 )
 from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import require_folder, write_folder
-from riecjax.reporting.page import Page, Section, Table
+from riecjax.reporting.page import Page, Section
+from riecjax.reporting.tables import Table
 from riecjax.reporting.verdict import doubt_in_words
 
 BETWEEN = "{} to {}"

@@ -14,12 +14,12 @@ from rich.console import Console
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
 from riecjax.reporting.document import Document, sealed
-from riecjax.reporting.page import Page, render
 from riecjax.standard_output import answer
 from riecjax.whole_files import committing, is_stamped, no_folder, temporary
 
 if TYPE_CHECKING:
     from riecjax.reporting.charts.chart import Chart
+    from riecjax.reporting.page import Page
 
 RESULTS, REPORT = "results.json", "report.html"
 STAMPED = (".png", ".parquet")
@@ -34,7 +34,7 @@ def emit(
     out: Path | None,
     show: Callable[[Document, Console], None],
     charts: "Callable[[], Mapping[str, Chart]]" = dict,
-    page: Callable[[Document], Page] = lambda _: Page("", "", ()),
+    page: "Callable[[Document], Page] | None" = None,
     warnings: Sequence[Mapping[str, Any]] | None = None,
     others: Mapping[str, Writer] | None = None,
     beside: Sequence[str] = (),
@@ -65,7 +65,7 @@ def emit(
     is_watched = sys.stdout.isatty() and not as_json
     if is_watched:
         say()
-    if out is not None:
+    if out is not None and page is not None:
         write_folder(out, document, charts(), page(document), others)
     if not is_watched:
         say()
@@ -78,7 +78,7 @@ def write_folder(
     folder: Path,
     document: Document,
     charts: "Mapping[str, Chart]",
-    page: Page,
+    page: "Page",
     others: Mapping[str, Writer] | None = None,
 ) -> None:
     """results.json, a PNG of each chart and report.html, each whole or not at all.
@@ -91,6 +91,7 @@ def write_folder(
     """
     require_packages("report")
     from riecjax.reporting.charts.printed import print_chart
+    from riecjax.reporting.page import render
 
     with _folder_beside(folder) as made:
         pictures = {name: made / f"{name}.png" for name in charts}

@@ -8,26 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from riecjax.reporting.document import Document
+from riecjax.reporting.tables import Table
 
 if TYPE_CHECKING:
     from riecjax.reporting.charts.chart import Chart
 
 SCREEN_INCH = 100
 """Pixels to an inch of the printed figure, at most, so that a small figure stays small."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table: first column left, the others to the right where they are `numeric`.
-
-    **Fields:** `header` and `rows`, as many texts in each; `caption`, and a `note` beneath it.
-    """
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    caption: str = ""
-    note: str = ""
-    numeric: bool = True
 
 
 @dataclass(frozen=True)

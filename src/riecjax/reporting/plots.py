@@ -13,7 +13,6 @@ import numpy as np
 from riecjax.assessment.assessment import Assessment
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.mode_evidence import ModeEvidence
-from riecjax.extensions import require_packages
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
@@ -54,7 +53,6 @@ FARTHEST = 100.0
 
 def draw(thing: Any, ax: Any = None) -> Any:
     """Draw an object; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
-    require_packages("figure")
     from riecjax.reporting.charts.printed import drawn
 
     return drawn(chart_of(thing), ax)

@@ -11,8 +11,6 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from riecjax.reporting.page import Table
-
 MOST_ROWS = 16
 """Rows of a table that a brief text shows."""
 LARGE, SMALL = 6, -4
@@ -20,6 +18,20 @@ LARGE, SMALL = 6, -4
 NUMERIC = re.compile(r"([-+\[]*[\d.]|nan|inf|-inf|none|known|\?|$)")
 """How the cells of a column begin that stands to the right."""
 CELL = "padding:0.1em 0.7em;border:none;background:none;white-space:nowrap;text-align:"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: first column left, the others to the right where they are `numeric`.
+
+    **Fields:** `header` and `rows`, as many texts in each; `caption`, and a `note` beneath it.
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    note: str = ""
+    numeric: bool = True
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from rich.console import Console
 
 from riecjax.assessment.verdict import Cause, Step, Verdict, percent
 from riecjax.reporting.document import Document, ends_of, finite, number
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import in_rich, print_table, say
+from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 MOST_STEPS = 3
 """Things to do next that are told."""

@@ -37,8 +37,7 @@ from riecjax.reporting.equations import (
 )
 from riecjax.reporting.estimate import parameter_table
 from riecjax.reporting.exports import document_of
-from riecjax.reporting.page import Table
-from riecjax.reporting.tables import View, in_html, in_text, with_error
+from riecjax.reporting.tables import Table, View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut

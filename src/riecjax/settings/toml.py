@@ -38,8 +38,8 @@ def _example(option: Option) -> str:
         return "false"
     # In TOML, all but numbers stands in quotes.
     sign = "" if option.kind.is_number else '"'
-    if "=" in option.form:
-        name, _, value = option.form.rpartition("|")[2].partition("=")
+    name, equals, value = option.form.rpartition("|")[2].partition("=")
+    if equals and BARE.fullmatch(name.strip("[")):
         return "{ " + f"{name.strip('[')} = {sign}{value.rstrip(']')}{sign}" + " }"
     words = f"{sign}{option.form}{sign}"
     return f"[{words}]" if option.shape == "many" or option.count > 1 else words

@@ -74,7 +74,7 @@ from riecjax.equations.term import AbstractTerm, Expression, RoofFunctions, Term
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_few
-from riecjax.records.signals import Signals
+from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Quantities
 
