@@ -5,58 +5,33 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from riecjax import settings
 from riecjax.cli import Given, settings_command
+from riecjax.fleets.settings import FleetSettings, Groups, Recorded
 from riecjax.runtime import start_jax
 from riecjax.settings import (
     FOLDER,
-    POSITIVE,
     TEXT,
-    Prepare,
-    Read,
-    Settings,
-    flag,
+    Document,
+    Elements,
+    Fit,
+    Known,
+    ModelName,
+    Seed,
+    Uncertainty,
     many,
     setting,
-    whole,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Groups(Settings):
-    """What is estimated together, and by whom."""
-
-    by: str | Sequence[str] = setting("--by file|folder|COLUMN[,COLUMN]", TEXT, "file")
-    """What is estimated together: each file, each folder, or all that agrees in keys of its path
-    (vehicle=3/) or columns of its Parquet files."""
-    span: float | None = setting("--span SECONDS", POSITIVE)
-    """Estimate over time as well, in spans of about this length."""
-    workers: int | None = setting("--workers N", whole(0, 4096), default_in_words="one a core")
-    """Processes that sum; 0 for none but this one."""
-    scheduler: str | None = setting("--scheduler ADDRESS", TEXT)
-    """Use the workers of this scheduler of Dask."""
-    strict: bool = flag("--strict")
-    """End at the first recording that cannot be summed."""
-
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
-        if self.workers is not None and self.scheduler is not None:
-            raise settings.Contradiction(
-                "{workers} are of this machine, {scheduler} has its own: give one.", self.options()
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Patterns(Prepare, Read):
+class Patterns(Recorded):
     """Where recordings are, and how all that matches is read."""
 
     files: Sequence[str] = many("PATTERN...", TEXT, required=True)
-    allow_duplicates: bool = flag("--allow-duplicates")
-    """Take recordings that hold the same samples, which are refused otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Folder(settings.Document):
+class Folder(Document):
     """Where the result goes."""
 
     out: Path | None = setting("--out", FOLDER, required=True)
@@ -66,8 +41,8 @@ class Folder(settings.Document):
 
 @settings_command(
     "fleet",
-    *(settings.ModelName, Groups, Patterns, settings.Elements, settings.Fit, settings.Known),
-    *(settings.Uncertainty, settings.Seed, Folder),
+    *(ModelName, Groups, Patterns, Elements, Fit, Known),
+    *(Uncertainty, Seed, Folder),
     short_help="Identify a model's parameters from groups of recordings.",
 )
 def command(given: Given) -> None:
@@ -78,32 +53,28 @@ def command(given: Given) -> None:
     are one recording. The summaries.parquet of an earlier run is estimated anew, with other known
     values or groups, and no recording is read again.
     """
-    groups, fit, patterns = given.take(Groups), given.take(settings.Fit), given.take(Patterns)
+    asked = given.take(FleetSettings)
     start_jax(keep_compiled=True)
+    from riecjax import BlockBootstrap
     from riecjax.fleets.fleet import fleet
     from riecjax.fleets.kept import ESTIMATES, SUMMARIES
     from riecjax.fleets.report import fleet_document, fleet_figures, fleet_page, print_fleet
     from riecjax.reporting import emit, require_folder
 
     require_folder(given.out)
-    model = given.model()
+    intervals = given.intervals
+    if intervals == "bootstrap":
+        intervals = BlockBootstrap(seed=given.seed)
     began = time.monotonic()
     with _Told() as told:
-        found = fleet(
-            model,
-            patterns.files,
-            **groups.keywords(),
-            **fit.keywords(),
-            known=given.known,
-            intervals=given.intervals,
-            seed=given.seed,
-            at_rest=given.at_rest,
-            out=given.out,
-            allow_duplicates=given.allow_duplicates,
-            progress=told.progress,
-            on_start=told.dashboard,
-            **{name: given.values[name] for name in (*Read.options(), *Prepare.options())},
-        )
+        keywords = {
+            **asked.keywords(),
+            "intervals": intervals,
+            "out": given.out,
+            "progress": told.progress,
+            "on_start": told.dashboard,
+        }
+        found = fleet(given.model(), given.files, **keywords)
     emit(
         fleet_document(found, given.arguments, time.monotonic() - began),
         as_json=given.as_json,
@@ -126,22 +97,25 @@ class _Told:
         what, rate = map(progress.TextColumn, ("{task.description}", "{task.fields[rate]}"))
         how_far = (progress.BarColumn(), progress.MofNCompleteColumn())
         columns = (what, *how_far, rate, progress.TimeRemainingColumn())
-        self._bar = progress.Progress(*columns, console=self._console, transient=True)
+        self._bar = progress.Progress(
+            *columns,
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
         self._task, self._what, self._tenth, self._began = None, "", 0, 0.0
 
     def __enter__(self) -> "_Told":
-        if self._console.is_terminal:
-            self._bar.start()
+        self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._console.is_terminal:
-            self._bar.stop()
+        self._bar.stop()
 
     def dashboard(self, address: str) -> None:
         """Say where Dask shows what it does."""
         if self._console.is_terminal:
-            self._bar.console.print(f"Dask's dashboard: {address}", highlight=False)
+            self._console.print(f"Dask's dashboard: {address}", highlight=False)
 
     def progress(self, what: str, done: int, total: int, samples: int) -> None:
         """Show how far it is."""
@@ -150,9 +124,8 @@ class _Told:
             self._task = self._bar.add_task(what, total=total, rate="")
         passed = max(time.monotonic() - self._began, 1e-3)
         rate = f"{samples / passed / 1e3:,.0f} thousand samples/s" if samples else ""
-        if self._console.is_terminal and self._task is not None:
-            self._bar.update(self._task, completed=done, total=total, rate=rate)
-        elif total and 10 * done // total > self._tenth:
+        self._bar.update(self._task, completed=done, total=total, rate=rate)
+        if not self._console.is_terminal and total and 10 * done // total > self._tenth:
             self._tenth = 10 * done // total
             said = f"riecjax: {what}: {done} of {total}{f', {rate}' if rate else ''}"
             self._console.print(said, markup=False, highlight=False, soft_wrap=True)

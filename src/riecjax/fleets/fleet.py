@@ -2,17 +2,13 @@
 
 import contextlib
 import dataclasses
-import math
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from numbers import Real
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
-from riecjax import DOLS, BlockBootstrap, DataError, Equation, ModelError, Naive, Sandwich, Summary
-from riecjax.criteria import AbstractCriterion
-from riecjax.equations import AtRest, HasProcedure, Procedure
+from riecjax import DataError, Equation, ModelError, Summary
+from riecjax.equations import HasProcedure, Procedure
 from riecjax.errors import require
 from riecjax.estimation import plan_parameters
 from riecjax.extensions import require_packages
@@ -21,40 +17,23 @@ from riecjax.fleets.groups import Entry, estimated, grouped, named
 from riecjax.fleets.kept import ESTIMATES, SumStore, is_result, is_table, read_rows, write_batches
 from riecjax.fleets.order import Order
 from riecjax.fleets.report import Fleet
+from riecjax.fleets.settings import FleetSettings, Progress
 from riecjax.fleets.sources import Piece, Source, find_sources
 from riecjax.fleets.spread import changes, spreads
 from riecjax.fleets.sums import DONE, Row, lost, sum_up
 from riecjax.models import as_model
+from riecjax.settings import taking
+from riecjax.summaries import criterion_for
 from riecjax.whole_files import no_folder
 
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
-AS_THEY_ARE = {"noise": "auto", "outliers": "repair", "align": "auto", "upsample": 1, "every": 1}
-"""Settings by which recordings are read where nothing is said."""
-
-Progress = Callable[[str, int, int, int], None]
-"""Told what is being done, how much of it is, of how much, and how many samples that were."""
 
 
+@taking(FleetSettings)
 def fleet(
     model: Equation | Procedure | HasProcedure,
     patterns: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    criterion: AbstractCriterion | None = None,
-    *,
-    by: str | Sequence[str] = "file",
-    span: float | None = None,
-    known: Mapping[str, float] | None = None,
-    intervals: BlockBootstrap | Naive | Sandwich | None = None,
-    at_rest: AtRest | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    out: str | os.PathLike[str] | None = None,
-    strict: bool = False,
-    allow_duplicates: bool = False,
-    storage: Mapping[str, Any] | None = None,
-    parts: Sequence[str] = (),
-    progress: Progress | None = None,
-    on_start: Callable[[str], None] | None = None,
-    **reading: Any,
+    settings: FleetSettings,
 ) -> Fleet:
     """Identify a model's parameters from each group of recordings, of which there may be many.
 
@@ -64,7 +43,8 @@ def fleet(
     workers, in any order, after any interruption. A script calls it below `if __name__ ==
     "__main__":`, since processes import it.
 
-    **Arguments:** `model`, `criterion`, `known`, `intervals`, `at_rest` as for [`identify`][];
+    **Arguments:** `model` and the settings of what is fitted, known and judged as for
+    [`identify`][], those of reading as for [`read_recordings`][];
 
     - `patterns`: paths, folders, `drives/**/*.csv`, `s3://bucket/drives/*.parquet` of stores that
       fsspec knows; or a `summaries.parquet` of an earlier run, to estimate anew. A folder called
@@ -74,15 +54,10 @@ def fleet(
     - `span`: estimate each recording over time as well, in spans of about so many seconds.
     - `workers`: processes of this machine, one a core by default; 0 for none but this one.
       `scheduler`: address of one of Dask's, whose workers are used instead.
-    - `out`: folder for `summaries.parquet` and `estimates.parquet`; `None` keeps nothing.
+    - `out`, `storage`, `progress`, `on_start`: see
+      [`FleetSettings`][riecjax.fleets.FleetSettings].
     - `strict`: raise what the first recording fails by, instead of going on without it.
     - `allow_duplicates`: count recordings of a group that hold the same samples each.
-    - `storage`: what fsspec is to know of the store.
-    - `parts`: names of the recordings that are read of each file that holds several; all of them,
-      if none is given.
-    - `progress`: called with what is being done, how much of it is, of how much, and samples.
-    - `on_start`: called with the address of Dask's dashboard, if it has one.
-    - `reading`: keywords of [`ReadingSettings`][riecjax.records.ReadingSettings].
 
     **Returns:** a [`Fleet`][riecjax.fleets.Fleet].
 
@@ -91,67 +66,49 @@ def fleet(
     criterion that draws windows, and for sums of another model.
     """
     require_packages("fleet")
-    require("by", by, str | list | tuple, "by='file', 'folder' or names of columns")
-    keys = tuple(part.strip() for part in by.split(",")) if isinstance(by, str) else tuple(by)
+    keys = settings.keys
     if not keys or not all(keys):
         raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
-    for name in keys:
-        require("a name of by", name, str, "by='vehicle,load'")
-    require("known", known or {}, Mapping, "known={'M_s': 302.7}")
-    if span is not None and not (isinstance(span, Real) and 0 < span < math.inf):
-        raise ModelError(f"span is a positive number of seconds; got {span!r}.")
-    if workers is not None and not (isinstance(workers, int) and workers >= 0):
-        raise ModelError(f"workers is a number of processes, 0 for none; got {workers!r}.")
-    require("parts", parts, (tuple, list), f"parts=('{parts}',), names of recordings in a file")
     require("patterns", patterns, str | os.PathLike | list | tuple, PATTERNS)
     listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
     for pattern in listed:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
-    asked = Order(
-        as_model(model),
-        criterion or DOLS(),
-        reading=reading,
-        by=keys,
-        storage=storage or {},
-        at_rest=at_rest,
-        parts=parts,
-        known=known or {},
-        intervals=intervals or BlockBootstrap(),
-        span=span,
-    )
-    tell: Progress = progress or (lambda *_: None)
+    tell: Progress = settings.progress or (lambda *_: None)
+    asked = Order(as_model(model), dataclasses.replace(settings, progress=None, on_start=None))
     with contextlib.ExitStack() as stack:
-        folder = Path(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
+        folder = Path(
+            settings.out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
+        )
 
         def look() -> list[Source]:
-            return find_sources(listed, asked.storage, lambda path: is_result(folder, path))
+            return find_sources(listed, settings.storage, lambda path: is_result(folder, path))
 
         table, sources = Path(listed[0]), []
         if has_table := len(listed) == 1 and is_table(table):
-            order = _order_of(table, asked, criterion)
+            order = _order_of(table, asked)
         else:
             sources = look()
-            order = asked.fitted(sources, criterion)
-            plan_parameters(order.procedure, 1, order.known, ())
+            order = asked.fitted(sources)
+            plan_parameters(order.procedure, 1, settings.known, ())
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise DataError(no_folder(folder, error)) from None
         store = None if has_table else SumStore(folder, order)
-        runs = stack.enter_context(engine(workers, scheduler))
-        if on_start is not None and runs.dashboard:
-            on_start(runs.dashboard)
+        runs = stack.enter_context(engine(settings.workers, settings.scheduler))
+        if settings.on_start is not None and runs.dashboard:
+            settings.on_start(runs.dashboard)
         changed: list[str] = []
         if store is not None:
             pieces = [*order.pieces_of(sources)]
-            _sum(order, pieces, store, runs, strict, tell)
+            _sum(order, pieces, store, runs, tell)
             table = store.finish([piece.identity for piece in pieces])
             later = [piece for piece in order.pieces_of(look()) if piece.identity not in store]
             changed = sorted({piece.source.name for piece in later})
         rows = (row.without_sums for row in read_rows(table))
-        pairs = named(rows, keys, allow_duplicates)
+        pairs = named(rows, keys, settings.allow_duplicates)
         entries, over_time = _estimate(order, pairs, read_rows(table), runs, tell)
-        if out is not None:
+        if settings.out is not None:
             write_batches(folder / ESTIMATES, Entry, [[*entries, *over_time]], {})
     found = Fleet(
         order.model,
@@ -169,30 +126,31 @@ def fleet(
     return found
 
 
-def _order_of(table: Path, asked: Order, criterion: AbstractCriterion | None) -> Order:
+def _order_of(table: Path, asked: Order) -> Order:
     """The order with what the recordings of an earlier run were summed by.
 
     **Raises:** `DataError` for settings by which no sample can be read again; `ModelError` for sums
     of another model, or by another criterion than is asked for.
     """
-    reading = [n for n, value in asked.reading.items() if value and value != AS_THEY_ARE.get(n)]
-    if reading or asked.parts:
+    settings = asked.settings
+    if unheeded := [name for name in settings.reading if settings.says(name)]:
         raise DataError(
             f"{table.name} holds sums, of which no sample is read again: it cannot heed "
-            f"{', '.join([*reading, *['parts'] * bool(asked.parts)])}. Leave that out, or give the "
-            f"recordings."
+            f"{', '.join(unheeded)}. Leave that out, or give the recordings."
         )
     row = next((row for row in read_rows(table) if row.status == DONE), None)
     if row is None:
         raise DataError(f"{table.name}: no recording of it could be summed.")
     summary = Summary.from_bytes(row.sums)
-    order = dataclasses.replace(asked, criterion=summary.criterion, reading={})
+    order = dataclasses.replace(asked, criterion=summary.criterion)
     summary.require_model(order.procedure)
-    if criterion is not None and criterion.describe() != summary.criterion.describe():
-        raise ModelError(
-            f"{table.name} holds sums by {summary.criterion.describe()}; for another criterion sum "
-            f"the recordings anew."
-        )
+    if settings.criterion not in (None, "riec") or settings.says_of_windows:
+        criterion = criterion_for(order.model, (), settings)
+        if criterion.describe() != summary.criterion.describe():
+            raise ModelError(
+                f"{table.name} holds sums by {summary.criterion.describe()}; for another criterion "
+                f"sum the recordings anew."
+            )
     return order
 
 
@@ -201,7 +159,6 @@ def _sum(
     pieces: Sequence[Piece],
     store: SumStore,
     runs: Engine,
-    strict: bool,
     tell: Progress,
 ) -> None:
     """Keep the rows of all pieces, of which those that are kept already are not summed again.
@@ -218,7 +175,9 @@ def _sum(
         for some, rows in runs.each(sum_up, order.packed, missing, lambda p: p.source.size):
             if isinstance(rows, Lost):
                 rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
-            if strict and (reason := next((r.status for r in rows if r.status != DONE), "")):
+            if order.settings.strict and (
+                reason := next((r.status for r in rows if r.status != DONE), "")
+            ):
                 raise DataError(reason)
             store.add(rows)
             done += len(some)
@@ -242,7 +201,7 @@ def _estimate(
     count = len({name for name, row in pairs if row.status == DONE})
     done, entries, over_time = 0, [], []
     tell("estimating", 0, count, 0)
-    groups = grouped(pairs, whole, order.by, order.span is not None)
+    groups = grouped(pairs, whole, order.settings.keys, order.settings.span is not None)
     for some, answers in runs.each(estimated, order.packed, groups, lambda group: group.size):
         if isinstance(answers, Lost):
             answers = [[Entry(group.name, 0.0, 0.0, status=answers.why)] for group in some]

@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from riecjax import BlockBootstrap, Model, Naive, Recording, Sandwich, read_recordings
+from riecjax import DOLS, Model, Recording, read_recordings
 from riecjax.criteria import AbstractCriterion
-from riecjax.equations import AtRest, Procedure, with_rests
+from riecjax.equations import Procedure, with_rests
 from riecjax.errors import DataError, ModelError, reason_of
+from riecjax.fleets.settings import FleetSettings
 from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, rows_at_hand, stretches
 from riecjax.runtime import collect_seldom, start_jax
-from riecjax.summaries import Outline, default_criterion, stretch_starts
+from riecjax.summaries import Outline, criterion_for, stretch_starts
 from riecjax.validation import LONGER, sweep_edges
 
 USERS = "riecjax_user_"
@@ -44,49 +45,34 @@ STRETCH = 2**20
 class Order:
     """How each recording is read, summed and grouped, and each group estimated.
 
-    **Fields:** `model`; `criterion`, fitted to what was recorded; `edges` of bins of window lengths
-    in seconds that drift is looked for over, `None` for none; `reading`, keywords of
-    [`read_recordings`][riecjax.read_recordings]; `by`, `"file"`, `"folder"`, or names of columns or
-    keys; `starts` of a stretch of a long recording, whose windows have `window` samples at most;
-    `storage`, what fsspec is told; `at_rest`; `parts`, names of recordings that are read of a file
-    that holds several, all if empty; `known` values; `intervals`; `span` in seconds, of estimates
-    over time, `None` for none.
+    **Fields:** `model`; `settings`; `criterion`, fitted to what was recorded; `edges` of bins of
+    window lengths in seconds that drift is looked for over, `None` for none; `starts` of a stretch
+    of a long recording, whose windows have `window` samples at most.
     """
 
     model: Model
-    criterion: AbstractCriterion
+    settings: FleetSettings
+    criterion: AbstractCriterion = field(default_factory=DOLS)
     edges: np.ndarray | None = None
-    reading: Mapping[str, Any] = field(default_factory=dict)
-    by: Sequence[str] = ("file",)
     starts: int = 0
     window: int = 0
-    storage: Mapping[str, Any] = field(default_factory=dict)
-    at_rest: AtRest | None = None
-    parts: Sequence[str] = ()
-    known: Mapping[str, float] = field(default_factory=dict)
-    intervals: BlockBootstrap | Naive | Sandwich = field(default_factory=BlockBootstrap)
-    span: float | None = None
 
     def recordings_in(self, file: Path) -> list[Recording]:
         """What a file holds, or those of its parts that are asked for.
 
         **Raises:** `DataError`, also for a part that it lacks.
         """
-        return [
-            recording
-            for part in self.parts or (None,)
-            for recording in read_recordings(file, model=self.model, part=part, **self.reading)
-        ]
+        return read_recordings(file, model=self.model, **self.settings.reading)
 
     @functools.cached_property
     def procedure(self) -> Procedure:
         """The model's equations, built once."""
-        return with_rests(self.model.build_procedure(), self.at_rest)
+        return with_rests(self.model.build_procedure(), self.settings.at_rest)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """What recordings are grouped by beside their paths."""
-        return () if self.by[0] in WHOLE_PATHS else tuple(self.by)
+        return () if self.settings.keys[0] in WHOLE_PATHS else self.settings.keys
 
     def columns_in(self, source: Source) -> tuple[str, ...]:
         """What of it only the columns of a source say."""
@@ -108,10 +94,9 @@ class Order:
             "equations": Outline.of(self.procedure.linear).fingerprint,
             "criterion": self.criterion.describe(),
             "edges": None if self.edges is None else self.edges.tolist(),
-            "reading": {name: _plain(value) for name, value in self.reading.items()},
+            "reading": _plain(self.settings.reading),
             "columns": self.columns,
-            "at_rest": self.at_rest,
-            "parts": [*self.parts],
+            "at_rest": self.settings.at_rest,
         }
         written = json.dumps(settings, sort_keys=True, default=repr)
         return hashlib.sha256(written.encode()).hexdigest()
@@ -133,23 +118,19 @@ class Order:
             for module in users_modules:
                 cloudpickle.unregister_pickle_by_value(module)
 
-    def fitted(self, sources: Sequence[Source], criterion: AbstractCriterion | None) -> "Order":
+    def fitted(self, sources: Sequence[Source]) -> "Order":
         """The same with what the first recording that can be read says of how all are sampled.
-
-        **Arguments:** `criterion`; the model's default for that recording, if it is `None`.
 
         **Raises:** what the first recording fails by, where none of the first can be read;
         `ModelError` for a criterion that draws windows.
         """
-        if criterion is not None and criterion.needs_key:
+        first = self._first(sources)
+        criterion = criterion_for(self.model, first, self.settings, self.settings.noise)
+        if criterion.needs_key:
             raise ModelError(
                 "a fleet sums all windows: give rx.RIEC(rx.AllWindows(alpha, beta)) (on the "
                 "command line: without --windows)."
             )
-        first = self._first(sources)
-        if criterion is None:
-            noise = self.reading.get("noise", "auto")
-            criterion = default_criterion(self.model, first, noise)
         edges, step = None, float(first.record.time_step)
         if criterion.in_closed_form and not self.procedure.has_hidden:
             windows = criterion.windows
@@ -174,11 +155,11 @@ class Order:
             # What is wrong with one recording is told by its row.
             try:
                 if source.is_long or (source.is_parquet and columns):
-                    piece = recordings_of(source, columns, self.storage)[0]
+                    piece = recordings_of(source, columns, self.settings.storage)[0]
                     high = min(piece.high, piece.low + LOOKED_AT)
-                    opening = rows_at_hand(piece, piece.low, high, self.storage)
+                    opening = rows_at_hand(piece, piece.low, high, self.settings.storage)
                 else:
-                    opening = at_hand(source, self.storage)
+                    opening = at_hand(source, self.settings.storage)
                 with opening as file:
                     return self.recordings_in(file)[0]
             except Exception as error:
@@ -196,7 +177,9 @@ class Order:
             if source.is_long:
                 # Whoever sums it says why not.
                 with contextlib.suppress(Exception):
-                    recordings = recordings_of(source, self.columns_in(source), self.storage)
+                    recordings = recordings_of(
+                        source, self.columns_in(source), self.settings.storage
+                    )
             for recording in recordings:
                 if recording.stop:
                     yield from stretches(recording, self.starts, self.window)

@@ -9,13 +9,28 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.errors import DataError
+from riecjax import Model
+from riecjax.criteria import AbstractCriterion
+from riecjax.extensions import require_packages
 from riecjax.fleets.groups import Entry
 from riecjax.fleets.spread import ALARMS, RATE, Change, Spread
 from riecjax.fleets.sums import DONE, Row
-from riecjax.models.model import Model
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting import (
+    SCHEMA,
+    Document,
+    Page,
+    Section,
+    Table,
+    View,
+    finite,
+    in_rich,
+    number,
+    print_table,
+    probability,
+    say,
+    versions,
+)
+from riecjax.reporting.charts import (
     BLUE,
     GREY,
     LARGE,
@@ -30,16 +45,6 @@ from riecjax.reporting.charts.chart import (
     in_rows,
     labelled,
 )
-from riecjax.reporting.document import (
-    SCHEMA,
-    Document,
-    finite,
-    number,
-    probability,
-    versions,
-)
-from riecjax.reporting.page import Page, Section
-from riecjax.reporting.tables import Table, View, in_rich, print_table, say
 from riecjax.shows import Shown
 
 LISTED = 50
@@ -101,12 +106,9 @@ class Fleet(Shown):
 
         **Raises:** `DataError` without pandas.
         """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise DataError(
-                'frames need pandas; install it by pip install "riecjax[frames]".'
-            ) from None
+        require_packages("frame")
+        import pandas as pd
+
         return pd.DataFrame([*self.entries, *self.over_time], columns=list(Entry._fields))
 
     def view(self) -> View:
