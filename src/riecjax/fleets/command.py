@@ -72,7 +72,6 @@ def command(given: Given) -> None:
             "intervals": intervals,
             "out": given.out,
             "progress": told.progress,
-            "on_start": told.dashboard,
         }
         found = fleet(given.model(), given.files, **keywords)
     emit(
@@ -111,11 +110,6 @@ class _Told:
 
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
-
-    def dashboard(self, address: str) -> None:
-        """Say where Dask shows what it does."""
-        if self._console.is_terminal:
-            self._console.print(f"Dask's dashboard: {address}", highlight=False)
 
     def progress(self, what: str, done: int, total: int, samples: int) -> None:
         """Show how far it is."""

@@ -54,7 +54,7 @@ def fleet(
     - `span`: estimate each recording over time as well, in spans of about so many seconds.
     - `workers`: processes of this machine, one a core by default; 0 for none but this one.
       `scheduler`: address of one of Dask's, whose workers are used instead.
-    - `out`, `storage`, `progress`, `on_start`: see
+    - `out`, `storage`, `progress`: see
       [`FleetSettings`][riecjax.fleets.FleetSettings].
     - `strict`: raise what the first recording fails by, instead of going on without it.
     - `allow_duplicates`: count recordings of a group that hold the same samples each.
@@ -74,7 +74,7 @@ def fleet(
     for pattern in listed:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
     tell: Progress = settings.progress or (lambda *_: None)
-    asked = Order(as_model(model), dataclasses.replace(settings, progress=None, on_start=None))
+    asked = Order(as_model(model), dataclasses.replace(settings, progress=None))
     with contextlib.ExitStack() as stack:
         folder = Path(
             settings.out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
@@ -96,8 +96,6 @@ def fleet(
             raise DataError(no_folder(folder, error)) from None
         store = None if has_table else SumStore(folder, order)
         runs = stack.enter_context(engine(settings.workers, settings.scheduler))
-        if settings.on_start is not None and runs.dashboard:
-            settings.on_start(runs.dashboard)
         changed: list[str] = []
         if store is not None:
             pieces = [*order.pieces_of(sources)]

@@ -62,14 +62,12 @@ class FleetSettings(Groups, Uncertainty, Known, Recorded, Fit):
 
     **Fields:** also `out`, folder for `summaries.parquet` and `estimates.parquet`; `None` keeps
     nothing. `storage`, what fsspec is to know of the store. `progress`, called with what is being
-    done, how much of it is, of how much, and samples; `on_start`, called with the address of Dask's
-    dashboard, if it has one.
+    done, how much of it is, of how much, and samples.
     """
 
     out: str | os.PathLike[str] | None = None
     storage: Mapping[str, Any] = field(default_factory=dict)
     progress: Progress | None = None
-    on_start: Callable[[str], None] | None = None
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
