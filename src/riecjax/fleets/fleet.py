@@ -71,7 +71,7 @@ def fleet(
         raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
     require("patterns", patterns, str | os.PathLike | list | tuple, PATTERNS)
     listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
-    for pattern in listed:
+    for pattern in listed or [None]:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
     tell: Progress = settings.progress or (lambda *_: None)
     asked = Order(as_model(model), dataclasses.replace(settings, progress=None))
