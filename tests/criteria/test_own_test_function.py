@@ -12,7 +12,7 @@ import riecjax as rx
 from nightly import nightly
 from riecjax.cli.main import run
 from riecjax.criteria.plain_data import TEST_FUNCTIONS
-from riecjax.criteria.suited import asked_for
+from riecjax.criteria.suited import criterion_for
 from riecjax.settings import Fit
 from riecjax.settings.kinds import TEST_FUNCTIONS as OFFERED
 
@@ -110,9 +110,9 @@ def test_the_command_line_offers_the_test_functions_that_are_there():
     assert {*OFFERED} == {"auto", *TEST_FUNCTIONS}
     procedure = MODEL.build_procedure()
     for name in TEST_FUNCTIONS:
-        criterion = asked_for(Fit(test_function=name), procedure, MODEL.band, ())
+        criterion = criterion_for(Fit(test_function=name), procedure, MODEL.band, ())
         assert criterion.describe()["test_function"] == name
-    finer = asked_for(Fit(test_function="hat", quadrature="6"), procedure, MODEL.band, ())
+    finer = criterion_for(Fit(test_function="hat", quadrature="6"), procedure, MODEL.band, ())
     assert finer == rx.RIEC.of_band((1.0, 10.0), rx.Hat(6))
 
 

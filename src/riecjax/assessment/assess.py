@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import asked_for, suited
+from riecjax.criteria.suited import criterion_for, suited
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
@@ -87,7 +87,7 @@ def assess(
     procedure = with_rests(model.build_procedure(), settings.at_rest)
     recordings = ready(procedure, recordings, settings.noise)
     plain = [each.record for each in recordings]
-    criterion = asked_for(settings, procedure, model.band, plain)
+    criterion = criterion_for(settings, procedure, model.band, plain)
     criterion = criterion or suited(procedure, model.band, plain)
     if settings.horizon is not None and not settings.horizon > 0:
         raise ModelError(f"horizon is a positive number of seconds; got {settings.horizon:g}.")
@@ -278,7 +278,7 @@ def check_answering(
     described = as_model(model)
     procedure, recordings = described.build_procedure(), as_recordings(records)
     plain, key = [each.record for each in recordings], settings.key
-    criterion = asked_for(settings, procedure, described.band, plain)
+    criterion = criterion_for(settings, procedure, described.band, plain)
     criterion = criterion or suited(procedure, described.band, plain)
     require_memory_to_assess(procedure, plain, criterion, checking=True)
     plan = {"known": settings.known, "per_record": settings.per_record}

@@ -39,7 +39,7 @@ MOST = 2
 """Time derivatives that a test function takes off at most."""
 
 
-def asked_for(
+def criterion_for(
     fit: Fit, procedure: Procedure, band: tuple[float, float] | None, records: Sequence[Record]
 ) -> AbstractCriterion | None:
     """The criterion that settings ask for; `None` for the one that is [`suited`][].

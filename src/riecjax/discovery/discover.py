@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import asked_for, suited, with_velocities
+from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates, default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Identified, Rejected, with_mode
 from riecjax.discovery.search import (
@@ -109,7 +109,7 @@ def discover(
     plan_parameters(with_all, 1, settings.known, ())
     whole = ready(with_all, recordings, settings.noise)
     plain = [one.record for one in whole]
-    criterion = asked_for(settings, procedure, found.band, plain)
+    criterion = criterion_for(settings, procedure, found.band, plain)
     own = criterion or suited(procedure, found.band, plain)
     # Without draws of its own, standard errors by blocks are the same.
     usual = settings.intervals in (None, "bootstrap") and settings.seed == 0

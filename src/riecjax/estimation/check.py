@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import asked_for
+from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import RoofFunctions, Terms
@@ -143,7 +143,7 @@ def check(
     """
     recordings = ready(as_procedure(model), records, settings.noise)
     band, plain = getattr(model, "band", None), [recording.record for recording in recordings]
-    criterion = asked_for(settings, as_procedure(model), band, plain)
+    criterion = criterion_for(settings, as_procedure(model), band, plain)
     return check_sums(
         model,
         recordings,

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
-from riecjax.criteria.suited import asked_for
+from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import IdentifiabilityError, ModelError
@@ -84,7 +84,7 @@ def identify(
     combination that cannot be told apart.
     """
     band = getattr(model, "band", None)
-    criterion = asked_for(settings, as_procedure(model), band, as_records(records))
+    criterion = criterion_for(settings, as_procedure(model), band, as_records(records))
     asked = task(model, records, criterion, settings.key, settings.noise, settings.at_rest)
     plan = plan_parameters(asked.procedure, len(asked.records), settings.known, settings.per_record)
     intervals = intervals_of(settings.intervals)

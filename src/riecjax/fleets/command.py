@@ -2,36 +2,25 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from riecjax import settings
 from riecjax.cli import Given, settings_command
-from riecjax.fleets.settings import FleetSettings, Groups, Recorded
+from riecjax.fleets.settings import Fleets
 from riecjax.runtime import start_jax
-from riecjax.settings import (
-    FOLDER,
-    TEXT,
-    Document,
-    Elements,
-    Fit,
-    Known,
-    ModelName,
-    Seed,
-    Uncertainty,
-    many,
-    setting,
-)
+from riecjax.settings import FOLDER, TEXT, many, setting
 
 
 @dataclass(frozen=True, kw_only=True)
-class Patterns(Recorded):
-    """Where recordings are, and how all that matches is read."""
+class Patterns(settings.Settings):
+    """Where recordings are."""
 
     files: Sequence[str] = many("PATTERN...", TEXT, required=True)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Folder(Document):
+class Folder(settings.Document):
     """Where the result goes."""
 
     out: Path | None = setting("--out", FOLDER, required=True)
@@ -41,8 +30,7 @@ class Folder(Document):
 
 @settings_command(
     "fleet",
-    *(ModelName, Groups, Patterns, Elements, Fit, Known),
-    *(Uncertainty, Seed, Folder),
+    *(settings.ModelName, Patterns, Fleets, settings.Elements, Folder),
     short_help="Identify a model's parameters from groups of recordings.",
 )
 def command(given: Given) -> None:
@@ -53,27 +41,19 @@ def command(given: Given) -> None:
     are one recording. The summaries.parquet of an earlier run is estimated anew, with other known
     values or groups, and no recording is read again.
     """
-    asked = given.take(FleetSettings)
+    asked = given.take(Fleets)
     start_jax(keep_compiled=True)
-    from riecjax import BlockBootstrap
     from riecjax.fleets.fleet import fleet
     from riecjax.fleets.kept import ESTIMATES, SUMMARIES
     from riecjax.fleets.report import fleet_document, fleet_figures, fleet_page, print_fleet
     from riecjax.reporting import emit, require_folder
 
     require_folder(given.out)
-    intervals = given.intervals
-    if intervals == "bootstrap":
-        intervals = BlockBootstrap(seed=given.seed)
+    model = given.model()
     began = time.monotonic()
     with _Told() as told:
-        keywords = {
-            **asked.keywords(),
-            "intervals": intervals,
-            "out": given.out,
-            "progress": told.progress,
-        }
-        found = fleet(given.model(), given.files, **keywords)
+        asked = replace(asked, out=given.out, progress=told.progress)
+        found = fleet(model, given.files, **asked.keywords())
     emit(
         fleet_document(found, given.arguments, time.monotonic() - began),
         as_json=given.as_json,
@@ -96,11 +76,9 @@ class _Told:
         what, rate = map(progress.TextColumn, ("{task.description}", "{task.fields[rate]}"))
         how_far = (progress.BarColumn(), progress.MofNCompleteColumn())
         columns = (what, *how_far, rate, progress.TimeRemainingColumn())
+        is_silent = not self._console.is_terminal
         self._bar = progress.Progress(
-            *columns,
-            console=self._console,
-            transient=True,
-            disable=not self._console.is_terminal,
+            *columns, console=self._console, transient=True, disable=is_silent
         )
         self._task, self._what, self._tenth, self._began = None, "", 0, 0.0
 
@@ -118,6 +96,7 @@ class _Told:
             self._task = self._bar.add_task(what, total=total, rate="")
         passed = max(time.monotonic() - self._began, 1e-3)
         rate = f"{samples / passed / 1e3:,.0f} thousand samples/s" if samples else ""
+        assert self._task is not None
         self._bar.update(self._task, completed=done, total=total, rate=rate)
         if not self._console.is_terminal and total and 10 * done // total > self._tenth:
             self._tenth = 10 * done // total

@@ -7,7 +7,8 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from riecjax import DataError, Equation, ModelError, Summary
+from riecjax import BlockBootstrap, DataError, Equation, ModelError, Summary
+from riecjax.criteria import criterion_for
 from riecjax.equations import HasProcedure, Procedure
 from riecjax.errors import require
 from riecjax.estimation import plan_parameters
@@ -17,23 +18,22 @@ from riecjax.fleets.groups import Entry, estimated, grouped, named
 from riecjax.fleets.kept import ESTIMATES, SumStore, is_result, is_table, read_rows, write_batches
 from riecjax.fleets.order import Order
 from riecjax.fleets.report import Fleet
-from riecjax.fleets.settings import FleetSettings, Progress
+from riecjax.fleets.settings import Fleets, Progress
 from riecjax.fleets.sources import Piece, Source, find_sources
 from riecjax.fleets.spread import changes, spreads
 from riecjax.fleets.sums import DONE, Row, lost, sum_up
 from riecjax.models import as_model
-from riecjax.settings import taking
-from riecjax.summaries import criterion_for
+from riecjax.settings import Reading, taking
 from riecjax.whole_files import no_folder
 
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
 
 
-@taking(FleetSettings)
+@taking(Fleets)
 def fleet(
     model: Equation | Procedure | HasProcedure,
     patterns: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    settings: FleetSettings,
+    settings: Fleets,
 ) -> Fleet:
     """Identify a model's parameters from each group of recordings, of which there may be many.
 
@@ -43,21 +43,13 @@ def fleet(
     workers, in any order, after any interruption. A script calls it below `if __name__ ==
     "__main__":`, since processes import it.
 
-    **Arguments:** `model` and the settings of what is fitted, known and judged as for
-    [`identify`][], those of reading as for [`read_recordings`][];
+    **Arguments:**
 
     - `patterns`: paths, folders, `drives/**/*.csv`, `s3://bucket/drives/*.parquet` of stores that
       fsspec knows; or a `summaries.parquet` of an earlier run, to estimate anew. A folder called
       `*.parquet` is a data set, whose files are one recording.
-    - `by`: what a group is: each `"file"`, each `"folder"`, or recordings that agree in these keys
-      of their paths (`vehicle=3/`) or columns of their Parquet files, `"vehicle,load"`.
-    - `span`: estimate each recording over time as well, in spans of about so many seconds.
-    - `workers`: processes of this machine, one a core by default; 0 for none but this one.
-      `scheduler`: address of one of Dask's, whose workers are used instead.
-    - `out`, `storage`, `progress`: see
-      [`FleetSettings`][riecjax.fleets.FleetSettings].
-    - `strict`: raise what the first recording fails by, instead of going on without it.
-    - `allow_duplicates`: count recordings of a group that hold the same samples each.
+    - others: see `riecjax.fleets.Fleets`; `criterion`, `known`, `intervals` and `at_rest` as for
+      [`identify`][], and those of reading as for [`read_recording`][riecjax.read_recording].
 
     **Returns:** a [`Fleet`][riecjax.fleets.Fleet].
 
@@ -66,15 +58,15 @@ def fleet(
     criterion that draws windows, and for sums of another model.
     """
     require_packages("fleet")
-    keys = settings.keys
-    if not keys or not all(keys):
-        raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
     require("patterns", patterns, str | os.PathLike | list | tuple, PATTERNS)
     listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
     for pattern in listed or [None]:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
     tell: Progress = settings.progress or (lambda *_: None)
-    asked = Order(as_model(model), dataclasses.replace(settings, progress=None))
+    if settings.intervals in (None, "bootstrap"):
+        settings = dataclasses.replace(settings, intervals=BlockBootstrap(seed=settings.seed))
+    settings = dataclasses.replace(settings, progress=None, storage=settings.storage or {})
+    asked = Order(as_model(model), settings)
     with contextlib.ExitStack() as stack:
         folder = Path(
             settings.out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
@@ -104,13 +96,13 @@ def fleet(
             later = [piece for piece in order.pieces_of(look()) if piece.identity not in store]
             changed = sorted({piece.source.name for piece in later})
         rows = (row.without_sums for row in read_rows(table))
-        pairs = named(rows, keys, settings.allow_duplicates)
+        pairs = named(rows, settings.keys, settings.allow_duplicates)
         entries, over_time = _estimate(order, pairs, read_rows(table), runs, tell)
         if settings.out is not None:
             write_batches(folder / ESTIMATES, Entry, [[*entries, *over_time]], {})
     found = Fleet(
         order.model,
-        keys,
+        settings.keys,
         order.criterion,
         entries,
         over_time,
@@ -131,7 +123,7 @@ def _order_of(table: Path, asked: Order) -> Order:
     of another model, or by another criterion than is asked for.
     """
     settings = asked.settings
-    if unheeded := [name for name in settings.reading if settings.says(name)]:
+    if unheeded := [name for name in Reading.options() if settings.says(name)]:
         raise DataError(
             f"{table.name} holds sums, of which no sample is read again: it cannot heed "
             f"{', '.join(unheeded)}. Leave that out, or give the recordings."
@@ -142,13 +134,12 @@ def _order_of(table: Path, asked: Order) -> Order:
     summary = Summary.from_bytes(row.sums)
     order = dataclasses.replace(asked, criterion=summary.criterion)
     summary.require_model(order.procedure)
-    if settings.criterion not in (None, "riec") or settings.says_of_windows:
-        criterion = criterion_for(order.model, (), settings)
-        if criterion.describe() != summary.criterion.describe():
-            raise ModelError(
-                f"{table.name} holds sums by {summary.criterion.describe()}; for another criterion "
-                f"sum the recordings anew."
-            )
+    criterion = criterion_for(settings, order.procedure, order.model.band, ())
+    if criterion is not None and criterion.describe() != summary.criterion.describe():
+        raise ModelError(
+            f"{table.name} holds sums by {summary.criterion.describe()}; for another criterion sum "
+            f"the recordings anew."
+        )
     return order
 
 

@@ -7,22 +7,21 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from riecjax import DOLS, Model, Recording, read_recordings
-from riecjax.criteria import AbstractCriterion
+from riecjax.criteria import AbstractCriterion, criterion_for
 from riecjax.equations import Procedure, with_rests
 from riecjax.errors import DataError, ModelError, reason_of
-from riecjax.fleets.settings import FleetSettings
+from riecjax.fleets.settings import Fleets
 from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, rows_at_hand, stretches
 from riecjax.runtime import collect_seldom, start_jax
-from riecjax.summaries import Outline, criterion_for, stretch_starts
+from riecjax.summaries import Outline, default_criterion, stretch_starts
 from riecjax.validation import LONGER, sweep_edges
 
 USERS = "riecjax_user_"
@@ -51,7 +50,7 @@ class Order:
     """
 
     model: Model
-    settings: FleetSettings
+    settings: Fleets
     criterion: AbstractCriterion = field(default_factory=DOLS)
     edges: np.ndarray | None = None
     starts: int = 0
@@ -62,7 +61,7 @@ class Order:
 
         **Raises:** `DataError`, also for a part that it lacks.
         """
-        return read_recordings(file, model=self.model, **self.settings.reading)
+        return read_recordings(file, **{**self.settings.reading.keywords(), "model": self.model})
 
     @functools.cached_property
     def procedure(self) -> Procedure:
@@ -94,7 +93,7 @@ class Order:
             "equations": Outline.of(self.procedure.linear).fingerprint,
             "criterion": self.criterion.describe(),
             "edges": None if self.edges is None else self.edges.tolist(),
-            "reading": _plain(self.settings.reading),
+            "reading": self.settings.reading.plain(),
             "columns": self.columns,
             "at_rest": self.settings.at_rest,
         }
@@ -125,7 +124,8 @@ class Order:
         `ModelError` for a criterion that draws windows.
         """
         first = self._first(sources)
-        criterion = criterion_for(self.model, first, self.settings, self.settings.noise)
+        criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
+        criterion = criterion or default_criterion(self.model, first, self.settings.noise)
         if criterion.needs_key:
             raise ModelError(
                 "a fleet sums all windows: give rx.RIEC(rx.AllWindows(alpha, beta)) (on the "
@@ -185,12 +185,6 @@ class Order:
                     yield from stretches(recording, self.starts, self.window)
                 else:
                     yield recording
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in sorted(value.items())}
-    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 @functools.lru_cache(maxsize=2)

@@ -1,10 +1,11 @@
-"""What a fleet is asked for, said once: keywords of the verb, options of the command."""
+"""Settings of a fleet: what is estimated together, how all recordings are read, and by whom."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
+from riecjax.errors import ModelError
 from riecjax.settings import (
     POSITIVE,
     TEXT,
@@ -13,6 +14,8 @@ from riecjax.settings import (
     Known,
     Prepare,
     Read,
+    Reading,
+    Seed,
     Settings,
     Uncertainty,
     flag,
@@ -41,47 +44,43 @@ class Groups(Settings):
     """End at the first recording that cannot be summed."""
 
     def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+        """**Raises:** [`Contradiction`][riecjax.Contradiction]; `ModelError` for no name."""
+        if not self.keys or not all(isinstance(key, str) and key for key in self.keys):
+            raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
         if self.workers is not None and self.scheduler is not None:
             raise Contradiction(
                 "{workers} are of this machine, {scheduler} has its own: give one.", self.options()
             )
 
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """`"file"`, `"folder"`, or names of columns."""
+        said = self.by.split(",") if isinstance(self.by, str) else self.by
+        return tuple(part.strip() if isinstance(part, str) else part for part in said)
+
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded(Prepare, Read):
-    """How all recordings are read."""
+class Fleets(Groups, Seed, Uncertainty, Known, Fit, Prepare, Read):
+    """Keywords of [`fleet`][riecjax.fleet].
+
+    **Fields:** also `allow_duplicates`: count recordings of a group that hold the same samples
+    each; `out`: folder for `summaries.parquet` and `estimates.parquet`, `None` keeps nothing;
+    `storage`: what fsspec is to know of the store; `progress`: called with what is being done, how
+    much of it is, of how much, and samples.
+    """
 
     allow_duplicates: bool = flag("--allow-duplicates")
     """Take recordings that hold the same samples, which are refused otherwise."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FleetSettings(Groups, Uncertainty, Known, Recorded, Fit):
-    """Keywords of [`fleet`][riecjax.fleet].
-
-    **Fields:** also `out`, folder for `summaries.parquet` and `estimates.parquet`; `None` keeps
-    nothing. `storage`, what fsspec is to know of the store. `progress`, called with what is being
-    done, how much of it is, of how much, and samples.
-    """
-
     out: str | os.PathLike[str] | None = None
-    storage: Mapping[str, Any] = field(default_factory=dict)
+    storage: Mapping[str, Any] | None = None
     progress: Progress | None = None
 
     def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+        """**Raises:** as those that it is made of."""
         Groups.require_sense(self)
         Fit.require_sense(self)
 
     @property
-    def keys(self) -> tuple[str, ...]:
-        """What groups are: `file`, `folder`, or names of columns or keys."""
-        return (
-            tuple(map(str.strip, self.by.split(","))) if isinstance(self.by, str) else (*self.by,)
-        )
-
-    @property
-    def reading(self) -> dict[str, Any]:
-        """Keywords that each recording is read by."""
-        return {name: getattr(self, name) for name in (*Read.options(), *Prepare.options())}
+    def reading(self) -> Reading:
+        """How each recording is read and prepared."""
+        return Reading(**{name: getattr(self, name) for name in Reading.options()})

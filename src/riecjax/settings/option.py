@@ -318,6 +318,12 @@ class Settings:
         """Its fields by name, to hand them on."""
         return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
 
+    def plain(self) -> dict[str, Plain]:
+        """What is other than its default, by the keys of a job file and as one holds it."""
+        options = self.options().items()
+        said = {name: option for name, option in options if self.says(name)}
+        return {option.key: option.plain(getattr(self, name)) for name, option in said.items()}
+
     def says(self, *names: str) -> bool:
         """Whether any of these is other than its default."""
         options = self.options()

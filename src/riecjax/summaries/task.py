@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import WRITE_CRITERION, asked_for, suited, with_velocities
+from riecjax.criteria.suited import WRITE_CRITERION, suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.procedure import (
@@ -29,29 +29,25 @@ from riecjax.records.computed import without_computed
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
-from riecjax.settings.tree import Fit
 
 LARGEST = 1e150
 """Size of a value past which its square is no number."""
 
 
-def criterion_for(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
-    fit: Fit,
-    noise: GivenNoise = "auto",
+def default_criterion(
+    model: Equation | Procedure | HasProcedure, records: Records, noise: GivenNoise = "auto"
 ) -> AbstractCriterion:
-    """What [`identify`][] takes for these records: the criterion that settings ask for, or else the
-    one that suits the model and what was recorded.
+    """What [`identify`][] takes where no criterion is given.
 
-    **Arguments:** as of [`identify`][]; without `records` it is not known which signals are there.
+    Boxcars of the model's band where every velocity was measured, smooth windows else.
 
-    **Raises:** `ModelError` for what is no criterion; `DataError` for a missing signal.
+    **Arguments:** as of [`identify`][].
+
+    **Raises:** `DataError` for a missing signal.
     """
-    procedure, band = as_procedure(model), getattr(model, "band", None)
-    is_empty = isinstance(records, list | tuple) and not records
-    plain = [] if is_empty else [each.record for each in ready(procedure, records, noise)]
-    return asked_for(fit, procedure, band, plain) or suited(procedure, band, plain)
+    procedure = as_procedure(model)
+    recordings = [each.record for each in ready(procedure, records, noise)]
+    return suited(procedure, getattr(model, "band", None), recordings)
 
 
 class Task(NamedTuple):
