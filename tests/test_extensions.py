@@ -120,7 +120,7 @@ def test_the_core_and_its_own_distribution_come_before_foreign_ones(foreign, tmp
     assert reader is not None
     assert command is not None
     assert reader.__module__ == "riecjax.readers.hdf5"
-    assert command.callback.__module__ == "riecjax.fleets.command"
+    assert command.name == "fleet"
 
 
 def test_what_two_foreign_distributions_offer_is_refused_with_both_names(foreign, install):
