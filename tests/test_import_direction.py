@@ -33,7 +33,6 @@ BASE = (
     "compilation",
     "errors",
     "extensions",
-    "finding_codes",
     "findings",
     "leaves",
     "linear_algebra",
