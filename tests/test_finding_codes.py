@@ -20,7 +20,8 @@ from riecjax.assessment.trust import validated
 from riecjax.estimation.excitation import Excitation
 from riecjax.findings import CODES, Finding, code_of, codes_of
 from riecjax.models.model import as_model
-from riecjax.reporting.reproduction import road_findings
+from riecjax.paper.report import road_findings
+from riecjax.paper.study import PaperStudy
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(riecjax.__file__).parent
@@ -139,7 +140,7 @@ def test_a_recording_on_which_no_simulation_is_possible():
 @pytest.mark.raises_finding("simulation_lost", "few_roads")
 def test_roads_that_lost_a_simulation_and_are_few():
     roads = SimpleNamespace(successful=np.array([True, False]), contact=np.ones(2))
-    lost, few = road_findings(roads)  # type: ignore[arg-type]
+    lost, few = road_findings(PaperStudy(roads))  # type: ignore[arg-type]
     assert "1 roads lost" in lost.message
     assert "only 2 roads" in few.message
 
@@ -147,7 +148,7 @@ def test_roads_that_lost_a_simulation_and_are_few():
 @pytest.mark.no_finding("simulation_lost", "few_roads")
 def test_enough_roads_without_a_loss():
     roads = SimpleNamespace(successful=np.ones(8, bool), contact=np.ones(8))
-    assert not list(road_findings(roads))  # type: ignore[arg-type]
+    assert not list(road_findings(PaperStudy(roads)))  # type: ignore[arg-type]
 
 
 def assessed(**settings) -> rx.Assessment:

@@ -32,9 +32,17 @@ from riecjax.models.quarter_car.reconstruction import (
     quarter_car_source,
 )
 from riecjax.models.quarter_car.source import DigressiveDamper
-from riecjax.paper.published import CONTACT_SHARE, CRITERIA, TABLE_3, TABLE_4, TABLE_5, VARIANTS
-from riecjax.paper.reproduction import RoadResult, run_road
-from riecjax.paper.tables import contact, table_3, table_4, table_5
+from riecjax.paper.published import (
+    CONTACT_SHARE,
+    CRITERIA,
+    INPUTS,
+    TABLE_3,
+    TABLE_4,
+    TABLE_5,
+    VARIANTS,
+)
+from riecjax.paper.reproduction import PARAMETERS, RoadResult, run_road
+from riecjax.paper.tables import contact, number_tables
 from riecjax.simulation.method import FixedStep
 from riecjax.studies.monte_carlo import over_keys
 
@@ -95,20 +103,22 @@ def refined_start() -> Reconstruction:
 
 def distances(result: RoadResult) -> tuple[Float[Array, " 14"], Float[Array, " 16"], Array]:
     """Relative distance of the mean over the roads, for Tables 3 and 4, 5, and of contact."""
+    parameters = jnp.mean(result.parameters, axis=0)
+    errors = jnp.mean(jnp.sum(result.errors, axis=-1), axis=0)
+
+    def value(criterion: int, variant: str, name: str) -> Array:
+        return parameters[criterion, VARIANTS.index(variant), PARAMETERS.index(name)]
+
     identified = [
-        jnp.mean(result.parameters[c]["B_id"][name]) / TABLE_3[name][c] - 1
+        value(i, "B_id", name) / TABLE_3[name][c] - 1
         for name in TABLE_3
-        for c in CRITERIA
-    ] + [
-        jnp.mean(result.parameters[c][v]["K_s"]) / TABLE_4[v][c] - 1
-        for v in VARIANTS
-        for c in CRITERIA
-    ]
+        for i, c in enumerate(CRITERIA)
+    ] + [value(i, v, "K_s") / TABLE_4[v][c] - 1 for v in VARIANTS for i, c in enumerate(CRITERIA)]
     validated = [
-        jnp.mean(jnp.sum(result.errors[where][c][v], axis=-1)) / TABLE_5[v][where][c] - 1
-        for v in VARIANTS
-        for where in ("road", "pothole")
-        for c in CRITERIA
+        errors[i, j, k] / TABLE_5[v][where][c] - 1
+        for j, v in enumerate(VARIANTS)
+        for k, where in enumerate(INPUTS)
+        for i, c in enumerate(CRITERIA)
     ]
     return (
         jnp.stack(identified),
@@ -178,7 +188,7 @@ def judge(shapes: Reconstruction, roads: int) -> dict[str, Any]:
         shapes,
     )
     judged: dict[str, Any] = {"contact": contact(result).reproduced}
-    for number, table in (("3", table_3(result)), ("4", table_4(result)), ("5", table_5(result))):
+    for number, table in number_tables(result).items():
         cells = {f"{row} {c}": cell for row, line in table.items() for c, cell in line.items()}
         judged[number] = {
             "largest_distance": max(abs(cell.deviation) for cell in cells.values()),

@@ -160,17 +160,14 @@ def mapped(rename: Mapping[str, str]) -> list[str]:
 def read(file: Path, options: Sequence[str], model: str = "drag-oscillator") -> list[Record]:
     """Records of a file by the options of `riecjax identify`, before velocities are formed."""
     from riecjax.cli.identify import command
-    from riecjax.cli.options import RECORD_OPTIONS, RecordingOptions, names_of
     from riecjax.models.catalogue import find_model
     from riecjax.runtime import start_jax
 
     start_jax()
     with command.make_context("identify", [str(file), "--model", model, *options]) as context:
-        read = {name: context.params[name] for name in names_of(RECORD_OPTIONS)}
-        recordings = RecordingOptions(**read)
         # Differences shorten a record; what the file holds is compared.
         plain = dataclasses.replace(find_model(model), derived={})
-        return [one.record for one in recordings.read(recordings.files, plain)]
+        return [recording.record for recording in context.params["given"].recordings(plain)]
 
 
 def difference(record: Record, truth: Truth, one: Case) -> str:

@@ -1,14 +1,12 @@
 """Errors that a user can act on: each message says what is wrong and what to do about it."""
 
 import contextlib
-import functools
 import os
 import re
 import site
 import sysconfig
 import traceback
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import UnionType
 from typing import ParamSpec, TypeVar
@@ -132,32 +130,6 @@ def require(
         kind = type(value).__name__
         given = f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind}"
     raise error(f"{what} is {given}. Write {write}.")
-
-
-def renamed(
-    **names: str,
-) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
-    """Take keywords by their old names (old="new") too, for one version, with a warning."""
-
-    def decorate(verb: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-        @functools.wraps(verb)
-        def called(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
-            for old, new in names.items():
-                if old in kwargs:
-                    if new in kwargs:
-                        raise TypeError(f"{verb.__name__}() got {new}= and its old name {old}=")
-                    warnings.warn(
-                        f"{old}= of {verb.__name__}() is called {new}= now; the old name goes in "
-                        f"the next version.",
-                        DeprecationWarning,
-                        stacklevel=2,
-                    )
-                    kwargs[new] = kwargs.pop(old)
-            return verb(*args, **kwargs)
-
-        return called
-
-    return decorate
 
 
 @contextlib.contextmanager

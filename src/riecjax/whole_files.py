@@ -18,6 +18,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from riecjax.errors import DataError
+
 LEFT_BEHIND = re.compile(r"\.riecjax-[0-9a-f]{32}(\.\w+)?")
 """Temporary names."""
 OLD = 86400.0
@@ -94,6 +96,20 @@ def no_folder(path: Path, error: OSError) -> str:
     return f"cannot write to '{path}': {error.strerror}."
 
 
+def seen_from(folder: Path | None, path: str) -> str:
+    """A path, which starts from here, as one that starts from a folder, on any system.
+
+    It is absolute where the folder is on another drive, to which no path of Windows leads.
+    """
+    seen = os.path.normpath(path)
+    if folder is not None and not os.path.isabs(path):
+        try:
+            seen = os.path.relpath(path, folder)
+        except ValueError:
+            seen = os.path.abspath(path)
+    return seen.replace(os.sep, "/")
+
+
 def read_plain(file: Path) -> bytes:
     """What a plain file of settings or results holds.
 
@@ -132,6 +148,25 @@ def write_whole(file: Path, content: bytes) -> None:
     with temporary(file.parent) as new:
         new.write_bytes(content)
         new.replace(file)
+
+
+def write_file(file: Path, fill: Callable[[Path], None]) -> None:
+    """Let `fill` write a temporary file beside this one, then rename it: whole or not at all.
+
+    Others may read it as far as the process allows that.
+
+    **Raises:** `DataError` where it cannot be written.
+    """
+    try:
+        require_plain(file)
+        with temporary(file.parent, file.suffix) as new:
+            fill(new)
+            mask = os.umask(0)
+            os.umask(mask)
+            new.chmod(0o666 & ~mask)
+            new.replace(file)
+    except OSError as error:
+        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
 
 
 def stamp(file: Path) -> str:

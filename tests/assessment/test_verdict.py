@@ -7,7 +7,6 @@ from tests.machines import MODE_TRUTH as TRUTH
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from riecjax.assessment.doubt import concerned
 from riecjax.reporting.verdict import verdict_entries
 
 RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
@@ -84,7 +83,7 @@ def test_what_voids_an_answer_is_its_reason_and_the_first_thing_to_do():
     assert {one.level for one in verdict.parameters.values()} == {"do not use"}
     assert verdict.sentence.endswith(": time may be in another unit than seconds.")
     assert len(verdict.causes) > 1
-    steps = verdict_entries(verdict, ("identify", "run.csv"))["next"]
+    steps = verdict_entries(verdict)["next"]
     assert steps[0]["words"].startswith("State the unit of time")
 
 
@@ -96,8 +95,8 @@ def test_parameters_of_each_recording_are_judged_one_by_one():
     found = rx.assess(model, parts, RIEC, refine=None, per_record=("offset",))
     assert set(found.verdict.parameters) == {"m", "c", "k", "offset[1]", "offset[2]"}
     of_offset = rx.Finding("at_bound", "", parameters=("offset",))
-    assert concerned(found, of_offset) == {"offset[1]", "offset[2]"}
-    assert concerned(found, rx.Finding("clipped", "", signals=("F",))) == set(
+    assert found.parameters_of(of_offset) == {"offset[1]", "offset[2]"}
+    assert found.parameters_of(rx.Finding("clipped", "", signals=("F",))) == set(
         found.answer.parameters
     )
-    assert concerned(found, rx.Finding("clipped", "", signals=("G",))) == set()
+    assert found.parameters_of(rx.Finding("clipped", "", signals=("G",))) == set()

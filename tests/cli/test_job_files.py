@@ -11,69 +11,71 @@ from command_line import call, rejected, write_csv
 from test_own_recordings import MODEL, motion
 
 import riecjax as rx
+from riecjax.cli.command import Given
 from riecjax.cli.identify import command as identify
-from riecjax.cli.init import assigned, form
-from riecjax.cli.job import JOB, given, input_files, key_of
 from riecjax.reporting.document import sealed
+from riecjax.settings.option import Option
+from riecjax.settings.toml import assigned, form
 
 PLAIN = ("--test-function", "hat", "--no-sweep", "--refine", "none")
 ODD = ('q "raw" [m]', "Längs-Kraft # 1 \\ N", "C:\\new\\x.py:y", "tab\tand\x7f", "a=b", "01", "1e3")
 
 
-def context(arguments: list[str]) -> click.Context:
+def context(arguments: list[str]) -> Given:
     ctx = click.Context(identify)
     identify.parse_args(ctx, arguments)
-    return ctx
+    return ctx.params["given"]
 
 
-def rerun(toml: str, folder: Path) -> click.Context:
+def form_of(given: Given) -> str:
+    return "\n".join(form(identify.settings, given.shown()))
+
+
+def rerun(toml: str, folder: Path) -> Given:
     file = folder / "job.toml"
     file.write_text(toml, encoding="utf-8")
     return context(["--job", file.name])
 
 
-def example(param: click.Parameter, value: str) -> list[str]:
+def example(option: Option, value: str) -> list[str]:
     """Arguments that give an option some value it takes."""
-    if not isinstance(param, click.Option):
-        return ["a.csv", "-b.csv"][:1]
-    if param.is_flag:
-        return [(param.secondary_opts or param.opts)[0]]
-    words = param.metavar or param.type.name
-    if isinstance(param.type, click.Choice):
-        value = param.type.choices[-1]
-    elif "LOW:HIGH" in words or "LOW:HIGH" in param.type.name:
+    if not option.flag:
+        return ["a.csv"]
+    if option.shape in ("flag", "switch"):
+        return [option.flag.rpartition("/")[2]]
+    if option.kind.choices:
+        value = option.kind.choices[-1]
+    elif "LOW:HIGH" in option.form:
         value = "k=0:2.5"
-    elif "±" in param.type.name:
+    elif "±" in option.form:
         value = "k=2.5±0.5"
-    elif "=" in words:
+    elif option.form.startswith("KIND"):
+        value = "mode:x=2.5"
+    elif "=" in option.form:
         value = "x=2.5"
-    elif "test" in key_of(param):
+    elif "test" in option.key:
         value = "hat"
-    return [param.opts[0], *[value] * param.nargs]
+    return [option.flag, *[value] * option.count]
 
 
-@pytest.mark.parametrize("key", [key_of(param) for param in identify.params])
+@pytest.mark.parametrize("key", [o.key for o in identify.options.values() if o.key != "job"])
 def test_every_option_has_its_line_and_comes_back(tmp_path, monkeypatch, key):
     monkeypatch.chdir(tmp_path)
-    param = next(param for param in identify.params if key_of(param) == key)
-    if key == "job":
-        return
+    option = next(option for option in identify.options.values() if option.key == key)
     arguments = ["r.csv", "--model", "emps"]
-    assert f"\n# {key} = " in "\n".join(form(context(arguments))) or key in given(
-        context(arguments)
-    )
+    plain = context(arguments)
+    assert f"\n# {key} = " in form_of(plain) or key in plain.shown()
     for value in ("1", "0.5"):
         try:
-            first = context([*arguments, *example(param, value)])
+            first = context([*arguments, *example(option, value)])
             break
         except click.UsageError:
             continue
     else:
         pytest.fail(f"no value was found that --{key} takes")
-    text = "\n".join(form(first))
-    assert given(first)[key] == tomllib.loads(text)[key]
-    again = rerun(text, tmp_path)
-    assert again.params == first.params
+    text = form_of(first)
+    assert first.shown()[key] == tomllib.loads(text)[key]
+    assert rerun(text, tmp_path).values == {**first.values, "job": Path("job.toml")}
 
 
 @pytest.mark.portable
@@ -82,12 +84,11 @@ def test_any_name_is_kept(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     first = context(["r.csv", "--model", "emps", "--map", f"q={name}", "--scale", "x 'y\"=-2e-3"])
     for text in (
-        "\n".join(form(first)),
-        "\n".join(line for key, value in given(first).items() for line in assigned(key, value)),
+        form_of(first),
+        "\n".join(line for key, value in first.shown().items() for line in assigned(key, value)),
     ):
         assert tomllib.loads(text)["map"] == {"q": name}
-        again = rerun(text, tmp_path)
-        assert again.params == first.params
+        assert rerun(text, tmp_path).values == {**first.values, "job": Path("job.toml")}
 
 
 @pytest.mark.portable
@@ -99,19 +100,18 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
         'records = ["a.csv", "../b.csv"]\nmodel = "own/rig.py:axis"\nseed = 3\nsweep = true\n'
         'set = {k = 2, c = 1}\nremove-offset = ["x"]\nband = [1, 5]\nnoise = "none"\n'
     )
-    assert context(["--job", "jobs/job.toml"]).params["known"] == {"k": 2.0, "c": 1.0}
+    assert context(["--job", "jobs/job.toml"]).known == {"k": 2.0, "c": 1.0}
     typed = "--job jobs/job.toml --set k=4 --no-sweep --remove-offset y --noise q=0.1"
-    ctx = context([*typed.split()])
-    assert ctx.params["known"] == {"c": 1.0, "k": 4.0}
-    assert ctx.params["noise"] == {"q": 0.1}
-    assert ctx.params["offsets"] == ("y",)
-    assert ctx.params["sweep"] is False
-    assert ctx.params["seed"] == 3
-    assert ctx.params["band"] == (1.0, 5.0)
-    assert ctx.params["files"] == (Path("jobs/a.csv"), Path("b.csv"))
-    assert ctx.params["model_name"].replace("\\", "/") == "jobs/own/rig.py:axis"
-    assert context(["c.csv", "--job", str(job)]).params["files"] == (Path("c.csv"),)
-    assert "files" in ctx.meta[JOB]
+    given = context([*typed.split()])
+    assert given.known == {"c": 1.0, "k": 4.0}
+    assert given.noise == {"q": 0.1}
+    assert given.offsets == ("y",)
+    assert given.sweep is False
+    assert given.seed == 3
+    assert given.band == (1.0, 5.0)
+    assert given.files == (Path("jobs/a.csv"), Path("b.csv"))
+    assert given.model_name.replace("\\", "/") == "jobs/own/rig.py:axis"
+    assert context(["c.csv", "--job", str(job)]).files == (Path("c.csv"),)
 
 
 @pytest.mark.parametrize(
@@ -225,6 +225,6 @@ def test_the_files_of_a_bag_in_a_folder_are_input_files(tmp_path, monkeypatch):
     Path("bag").mkdir()
     for name in ("metadata.yaml", "bag_0.mcap"):
         Path("bag", name).write_text("")
-    files = input_files(context(["bag", "run.csv", "--model", "machine.py:axis"]))
+    files = context(["bag", "run.csv", "--model", "machine.py:axis"]).inputs()
     inside = [str(Path("bag", name)) for name in ("bag_0.mcap", "metadata.yaml")]
     assert sorted(files) == sorted([*inside, "run.csv", "machine.py"])

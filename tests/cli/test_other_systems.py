@@ -14,9 +14,10 @@ import pytest
 from command_line import write_csv
 from test_job_files import context
 
-from riecjax.cli import job
+from riecjax import whole_files
+from riecjax.cli import command
 from riecjax.cli import main as entry
-from riecjax.cli.job import job_of, read_job
+from riecjax.cli.job import read_job
 from riecjax.reporting.verdict import as_typed
 
 ODD = "Weg β"
@@ -44,23 +45,25 @@ def redirected(*arguments: str) -> bytes:
 
 @pytest.mark.portable
 def test_paths_with_drives_in_a_job(monkeypatch):
-    monkeypatch.setattr(job, "os", SimpleNamespace(path=ntpath, sep="\\", fsencode=os.fsencode))
+    windows = SimpleNamespace(path=ntpath, sep="\\")
+    monkeypatch.setattr(whole_files, "os", windows)
+    monkeypatch.setattr(command, "os", windows)
     typed = ["D:\\data\\run 1.csv", "data\\2.csv", "--model", "C:\\rig\\own.py:axis"]
-    ctx = context([*typed, "--validate", "last.csv", "--map", "q=C:\\x"])
-    here = job_of(ctx)
+    given = context([*typed, "--validate", "last.csv", "--map", "q=C:\\x"])
+    here = given.as_job()
     assert here["records"] == ["D:/data/run 1.csv", "data/2.csv"]
     assert here["model"] == "C:/rig/own.py:axis"
     assert here["map"] == {"q": "C:\\x"}
-    assert job_of(ctx, Path("out"))["records"] == ["D:/data/run 1.csv", "../data/2.csv"]
+    assert given.as_job(Path("out"))["records"] == ["D:/data/run 1.csv", "../data/2.csv"]
     # From another drive no relative path leads here.
-    elsewhere = job_of(ctx, Path("Q:\\out"))
+    elsewhere = given.as_job(Path("Q:\\out"))
     assert elsewhere["records"][1] == os.path.abspath("data/2.csv").replace(os.sep, "/")
     assert elsewhere["validate"] == [os.path.abspath("last.csv").replace(os.sep, "/")]
     assert elsewhere["model"] == "C:/rig/own.py:axis"
 
     again = context(["--job", str(saved(elsewhere))])
-    assert again.params["model_name"] == "C:\\rig\\own.py:axis"
-    assert again.params["files"][0] == Path("D:\\data\\run 1.csv")
+    assert again.model_name == "C:\\rig\\own.py:axis"
+    assert again.files[0] == Path("D:\\data\\run 1.csv")
 
 
 def saved(options: dict) -> Path:

@@ -11,8 +11,10 @@ import scipy.integrate
 import riecjax as rx
 from nightly import nightly
 from riecjax.cli.main import run
-from riecjax.cli.options import TEST_FUNCTION_NAMES, CriterionOptions
 from riecjax.criteria.plain_data import TEST_FUNCTIONS
+from riecjax.criteria.suited import criterion_for
+from riecjax.settings import Fit
+from riecjax.settings.kinds import TEST_FUNCTIONS as OFFERED
 
 KEY = jax.random.key(0)
 MODEL = rx.Model("any", "Any model.")
@@ -104,17 +106,13 @@ def test_it_identifies_from_positions(windows):
     assert estimate.criterion.describe()["test_function"] == "cosine"
 
 
-def options(**given: str) -> CriterionOptions:
-    names = ("criterion", "band", "alpha", "beta", "count", "test_function", "quadrature")
-    return CriterionOptions(**{**dict.fromkeys(names), "criterion": "riec", **given})
-
-
 def test_the_command_line_offers_the_test_functions_that_are_there():
-    assert set(TEST_FUNCTION_NAMES) == set(TEST_FUNCTIONS)
-    for name in TEST_FUNCTION_NAMES:
-        criterion = options(test_function=name).build(MODEL)
+    assert {*OFFERED} == {"auto", *TEST_FUNCTIONS}
+    procedure = MODEL.build_procedure()
+    for name in TEST_FUNCTIONS:
+        criterion = criterion_for(Fit(test_function=name), procedure, MODEL.band, ())
         assert criterion.describe()["test_function"] == name
-    finer = options(test_function="hat", quadrature="6").build(MODEL)
+    finer = criterion_for(Fit(test_function="hat", quadrature="6"), procedure, MODEL.band, ())
     assert finer == rx.RIEC.of_band((1.0, 10.0), rx.Hat(6))
 
 

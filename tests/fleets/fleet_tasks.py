@@ -5,20 +5,21 @@ import signal
 from pathlib import Path
 
 
-def square(number: int) -> int:
-    return number**2
+def squares(_: bytes, numbers: list[int]) -> list[int]:
+    return [number**2 for number in numbers]
 
 
-def dies_at_first(place: str, number: int) -> int:
+def dies_at_first(place: bytes, numbers: list[int]) -> list[int]:
     """Ends its process the first time that it is asked for a number."""
-    marker = Path(place) / str(number)
-    if not marker.exists():
-        marker.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
+    for number in numbers:
+        marker = Path(place.decode()) / str(number)
+        if not marker.exists():
+            marker.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+    return numbers
 
 
-def dies(number: int) -> int:
-    if number == 1:
+def dies(_: bytes, numbers: list[int]) -> list[int]:
+    if 1 in numbers:
         os.kill(os.getpid(), signal.SIGKILL)
-    return number
+    return numbers

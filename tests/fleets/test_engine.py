@@ -4,14 +4,15 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 
 import pytest
-from fleet_tasks import dies, dies_at_first, square
+from fleet_tasks import dies, dies_at_first, squares
 from tests.machines import drag_fleet as drives
 
 from riecjax.errors import DataError
 from riecjax.fleets import engine as module
-from riecjax.fleets.engine import Cluster, Here, Lost, engine
+from riecjax.fleets.engine import Cluster, Engine, Here, Lost, engine
 from riecjax.fleets.fleet import fleet
 from riecjax.models.catalogue import find_model
 from riecjax.records.writing import write_record
@@ -32,10 +33,20 @@ MODEL = rx.Equation(
 """
 
 
+def answers(
+    runs: Engine, task: Callable[[bytes, list[int]], list[int]], asked: bytes = b""
+) -> dict:
+    """To three numbers, each answer or why there is none."""
+    found = {}
+    for numbers, answer in runs.each(task, asked, range(3), lambda _: module.LARGEST):
+        found |= zip(numbers, [answer] if isinstance(answer, Lost) else answer)
+    return found
+
+
 def test_without_processes_tasks_are_done_here():
     runs = engine(0, None)
     assert isinstance(runs, Here)
-    assert list(runs.each(square, [(2,), (3,)])) == [((2,), 4), ((3,), 9)]
+    assert answers(runs, squares) == {n: n**2 for n in range(3)}
 
 
 @pytest.mark.slow
@@ -43,11 +54,10 @@ def test_processes_that_end_cost_no_task_and_one_that_ends_all_is_given_up(tmp_p
     monkeypatch.setattr(module, "LOST_WORKERS", 2)
     with Cluster(2) as runs:
         assert runs.workers == 2
-        found = dict(runs.each(dies_at_first, ((str(tmp_path), n) for n in range(3))))
-        assert {task[1]: answer for task, answer in found.items()} == {0: 0, 1: 1, 2: 2}
-        answers = {task[0]: answer for task, answer in runs.each(dies, [(0,), (1,), (2,)])}
-    assert isinstance(answers.pop(1), Lost)
-    assert answers == {0: 0, 2: 2}
+        assert answers(runs, dies_at_first, str(tmp_path).encode()) == {n: n for n in range(3)}
+        found = answers(runs, dies)
+    assert isinstance(found.pop(1), Lost)
+    assert found == {0: 0, 2: 2}
 
 
 def test_a_fleet_is_the_same_to_the_bit_on_processes_as_without(tmp_path):
@@ -81,7 +91,7 @@ def test_a_scheduler_that_is_killed_ends_the_run_in_words():
         with Cluster(scheduler=address) as runs:
             process.send_signal(signal.SIGKILL)
             with pytest.raises(DataError, match=r"is gone\. What was summed is kept"):
-                list(runs.each(square, [(2,)]))
+                answers(runs, squares)
     finally:
         process.kill()
         process.communicate()
@@ -112,4 +122,4 @@ def test_processes_that_are_killed_while_they_start_are_started_again(failures, 
         assert len(tried) == module.STARTS
     else:
         with Cluster(1) as runs:
-            assert list(runs.each(square, [(3,)])) == [((3,), 9)]
+            assert answers(runs, squares)[2] == 4

@@ -3,6 +3,7 @@
 import itertools
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -15,12 +16,12 @@ from tests.machines import drag_fleet as drives
 from riecjax.criteria.criterion import DOLS
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
-from riecjax.fleets import groups, kept, order, sources
-from riecjax.fleets.fleet import Fleet, fleet
+from riecjax.fleets import engine, groups, kept, order, sources
+from riecjax.fleets.fleet import fleet
+from riecjax.fleets.report import Fleet, sentence
 from riecjax.models.catalogue import find_model
 from riecjax.records.recording import read_recording
 from riecjax.records.writing import write_record
-from riecjax.reporting.fleet import sentence
 
 MODEL = find_model("drag-oscillator")
 SAMPLES = 1500
@@ -84,7 +85,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bits(
     folder, by_vehicle, tmp_path, monkeypatch
 ):
     _, out = by_vehicle
-    monkeypatch.setattr(order, "TOGETHER", 2)
+    monkeypatch.setattr(engine, "TOGETHER", 2)
     monkeypatch.setattr(kept, "MOST_WAITING", 1)
     summed = []
 
@@ -261,7 +262,7 @@ def test_what_a_run_writes_is_no_recording_of_the_next(folder, tmp_path):
 
 
 def test_a_group_without_an_answer_is_counted_and_all_of_them_are_an_error(folder, monkeypatch):
-    real, calls = groups.assess_sums, []
+    real, calls = groups.assess_summary, []
 
     def failing(*args, **kwargs):
         calls.append(1)
@@ -269,7 +270,7 @@ def test_a_group_without_an_answer_is_counted_and_all_of_them_are_an_error(folde
             raise ZeroDivisionError("by chance")
         return real(*args, **kwargs)
 
-    monkeypatch.setattr(groups, "assess_sums", failing)
+    monkeypatch.setattr(groups, "assess_summary", failing)
     fails_from = 1
     found = fleet(MODEL, folder, by="vehicle", workers=0)
     assert [e.status for e in found.unanswered] == ["ZeroDivisionError: by chance"] * 2
@@ -279,21 +280,25 @@ def test_a_group_without_an_answer_is_counted_and_all_of_them_are_an_error(folde
         fleet(MODEL, folder, by="vehicle", workers=0)
 
 
-def test_every_changed_byte_of_a_footer_is_noticed_or_harmless(by_vehicle, tmp_path):
+def test_of_a_part_with_a_flipped_bit_all_is_made_anew_or_nothing_has_changed(by_vehicle, tmp_path):
     _, out = by_vehicle
-    content = (out / "summaries.parquet").read_bytes()
-    rows = list(kept.read_rows(out / "summaries.parquet"))
-    length = int.from_bytes(content[-8:-4], "little")
-    file = tmp_path / "damaged.parquet"
-    for place in range(len(content) - 8 - length, len(content), 5):
+    content = (out / kept.SUMMARIES).read_bytes()
+    rows = list(kept.read_rows(out / kept.SUMMARIES))
+    digest = parquet.read_metadata(out / kept.SUMMARIES).metadata[kept.ORDER].decode()
+    footer = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    whole = [row.piece for row in rows if row.status == "ok"]
+    for place in (*range(0, footer, footer // 100), *range(footer, len(content), 7)):
         damaged = bytearray(content)
         damaged[place] ^= 1 << place % 8
-        file.write_bytes(bytes(damaged))
-        try:
-            found = list(kept.read_rows(file))
-        except (DataError, ModelError):
-            continue
-        assert [row.sums for row in found] == [row.sums for row in rows]
+        (tmp_path / kept.PARTS).mkdir(exist_ok=True)
+        (tmp_path / kept.PARTS / "0.parquet").write_bytes(bytes(damaged))
+        store = kept.SumStore(tmp_path, SimpleNamespace(digest=digest, model=MODEL))  # pyright: ignore[reportArgumentType]
+        pieces = [piece for piece in whole if piece in store]
+        assert pieces in ([], whole)
+        if pieces:
+            file = store.finish(pieces)
+            assert list(kept.read_rows(file)) == [row for row in rows if row.status == "ok"]
+            file.unlink()
 
 
 def test_an_interval_of_many_recordings_holds_what_differs_between_them(tmp_path):

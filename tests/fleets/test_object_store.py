@@ -13,7 +13,8 @@ from tests.machines import drag_fleet as drives
 from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.fleets import sums
-from riecjax.fleets.fleet import Fleet, fleet
+from riecjax.fleets.fleet import fleet
+from riecjax.fleets.report import Fleet
 from riecjax.fleets.sums import rows_of
 from riecjax.models.catalogue import find_model
 from riecjax.records.writing import write_record

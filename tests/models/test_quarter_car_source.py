@@ -10,7 +10,6 @@ from riecjax.models.quarter_car.source import (
     BumpStopSpring,
     DigressiveDamper,
     HardeningMount,
-    LinearDamper,
     QuarterCarSource,
 )
 
@@ -27,7 +26,6 @@ def digressive_damper() -> DigressiveDamper:
 
 DAMPERS = {
     "digressive": digressive_damper,
-    "linear": lambda: LinearDamper(jnp.asarray(1500.0)),
     "built in": lambda: built_in().damper,
 }
 SPEEDS = [1e-9, 1e-4, 0.02, 0.05, 0.1, 0.15, 0.3, 0.4, 0.7, 1.0, 2.5]

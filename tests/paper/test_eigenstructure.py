@@ -31,10 +31,7 @@ def by_hand(mount: float = 400e3, mount_damping: float = 4000.0) -> np.ndarray:
 
 
 def test_every_printed_digit_of_table_1_is_reproduced():
-    rows = table_1()
-    assert [row.published for row in rows] == [*TABLE_1]
-    assert [row.reproduced for row in rows] == [*TABLE_1]
-    assert all(row.agrees for row in rows)
+    assert table_1() == [(row, row) for row in TABLE_1]
     assert [complex(row.eigenvalue) for row in TABLE_1] == PRINTED
 
 
@@ -42,7 +39,7 @@ def test_every_printed_digit_of_table_1_is_reproduced():
 def test_the_source_model_is_the_matrix_by_hand_and_engines_have_their_named_frequency(variant):
     mount = TABLE_6[variant]
     assert tuple(mount) == TABLE_6_AS_PRINTED[variant]
-    by_package = linearise(linear_source(mount.stiffness, mount.damping))[0]
+    by_package = linearise(linear_source(mount))[0]
     matrix = by_hand(mount.stiffness, mount.damping)
     np.testing.assert_allclose(by_package, matrix, rtol=1e-13, atol=1e-13)
     found = [mode for mode in modes(jnp.asarray(matrix)) if mode.frequency is not None]

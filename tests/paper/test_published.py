@@ -8,8 +8,8 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import RandomWindows
 from riecjax.models.quarter_car.identification import quarter_car_system
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-from riecjax.paper.reproduction import identification_record, identify_variants, run_road
-from riecjax.paper.tables import contact, table_3, table_4, table_5
+from riecjax.paper.reproduction import PARAMETERS, by_body, identification_record, run_road
+from riecjax.paper.tables import contact, number_tables
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import robson_road
 from riecjax.simulation.simulate import simulate
@@ -32,23 +32,21 @@ def roads():
     )
 
 
-def deviations(table):
-    return np.array([cell.deviation for row in table.values() for cell in row.values()])
+def distances(roads, table):
+    rows = number_tables(roads)[table].values()
+    return np.abs([cell.deviation for row in rows for cell in row.values()])
 
 
-@pytest.mark.parametrize(("table", "count"), [(table_3, 6), (table_4, 8)])
-def test_tables_3_and_4_are_reproduced(roads, table, count):
-    distances = np.abs(deviations(table(roads)))
+@pytest.mark.parametrize(
+    ("table", "count", "largest", "mean"),
+    [("3", 6, 0.025, 0.025), ("4", 8, 0.025, 0.025), ("5", 16, 0.15, 0.05)],
+)
+def test_tables_are_reproduced(roads, table, count, largest, mean):
     assert bool(jnp.all(roads.successful))
-    assert distances.size == count
-    assert distances.max() < 0.025
-
-
-def test_table_5_is_reproduced(roads):
-    distances = np.abs(deviations(table_5(roads)))
-    assert distances.size == 16
-    assert distances.max() < 0.15
-    assert distances.mean() < 0.05
+    far = distances(roads, table)
+    assert far.size == count
+    assert far.max() < largest
+    assert far.mean() < mean
 
 
 def test_the_tyre_is_in_contact_as_published(roads):
@@ -66,7 +64,7 @@ def test_a_road_of_other_amplitude_is_not_the_published_one(roads):
         quarter_car_source(shapes),
         eqx.tree_at(lambda s: s.roughness, shapes, shapes.roughness / 16),
     )
-    assert np.abs(deviations(table_5(calm))).mean() > 0.05
+    assert distances(calm, "5").mean() > 0.05
 
 
 def chain(damper_rate):
@@ -75,7 +73,7 @@ def chain(damper_rate):
     source = quarter_car_source(shapes)
     training = identification_record(source, jax.random.key(0)).record.part(0, 1000)
     criterion = RIEC(RandomWindows(0.05, 0.5, 2000))
-    parameters = identify_variants(training, criterion, jax.random.key(1))["B_id"]
+    parameters = dict(zip(PARAMETERS, by_body(training, criterion, jax.random.key(1))))
     road = Record({"v_r": robson_road(jax.random.key(2), 600, 0.005)}, 0.005)
     truth = simulate(source, road).record
     predicted = simulate(quarter_car_system(parameters), road).record

@@ -1,11 +1,20 @@
 """The command that a verdict proposes, as its reader pastes it."""
 
+import click
 import pytest
 
 from riecjax.assessment.verdict import Cause, Step
-from riecjax.reporting.verdict import _next, _with
+from riecjax.cli.command import Given
+from riecjax.cli.identify import command
+from riecjax.reporting.verdict import _next
 
-COMMAND = ("identify", "a.csv", "--model", "axis")
+COMMAND = ("a.csv", "--model", "axis")
+
+
+def given_to(*words: str) -> Given:
+    ctx = click.Context(command)
+    command.parse_args(ctx, list(words))
+    return ctx.params["given"]
 
 
 @pytest.mark.parametrize(
@@ -17,7 +26,11 @@ COMMAND = ("identify", "a.csv", "--model", "axis")
         (("--unit", "v=m/s"), ("--unit", "v=km/h"), ("--unit", "v=km/h")),
         (("--clock", "x=9"), ("--clock", "v=4.5"), ("--clock", "x=9", "--clock", "v=4.5")),
         (("--band", "1", "9"), ("--alpha", "1", "--beta", "2"), ("--alpha", "1", "--beta", "2")),
-        (("--alpha", ".005", "b.csv"), ("--alpha", "0.012"), ("--alpha", "0.012", "b.csv")),
+        (
+            ("--alpha", ".005", "--beta", "1"),
+            ("--alpha", "0.012"),
+            ("--alpha", "0.012", "--beta", "1"),
+        ),
         (("--alpha=1", "--beta=9"), ("--band", "1", "4"), ("--band", "1", "4")),
         (("--verbose", "--from=1"), ("--from", "2"), ("--verbose", "--from", "2")),
         (("--notch", "50"), ("--notch", "60"), ("--notch", "50", "--notch", "60")),
@@ -26,7 +39,20 @@ COMMAND = ("identify", "a.csv", "--model", "axis")
     ],
 )
 def test_what_is_proposed_takes_the_place_of_what_it_replaces(given, proposed, run):
-    assert _with((*COMMAND, *given), proposed) == [*COMMAND, *run]
+    assert given_to(*COMMAND, *given).with_options(proposed) == ["identify", *COMMAND, *run]
+
+
+def test_what_a_job_says_is_replaced_too(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "job.toml").write_text(
+        'model = "axis"\nrecords = ["a.csv"]\nalpha = 1\n[shift]\nv = 0.01\nx = 1\n'
+    )
+    given = given_to("--job", "job.toml")
+    proposed = given.with_options(("--shift", "v=-0.002"))
+    assert proposed == ["identify", "--job", "job.toml", "--shift", "v=0.008"]
+    again = given_to(*proposed[1:], "--band", "1", "4")
+    assert again.shifts == {"v": 0.008, "x": 1.0}
+    assert (again.alpha, again.band) == (None, (1.0, 4.0))
 
 
 def test_what_two_causes_ask_for_is_proposed_once_where_it_stands_first():
@@ -35,5 +61,5 @@ def test_what_two_causes_ask_for_is_proposed_once_where_it_stands_first():
 
     zero, late = ("--unknown-offset", "u"), ("--shift", "v=1")
     causes = [cause("first", *zero), cause("second", *late), cause("third", *zero)]
-    found = [(step["words"], tuple(step["options"])) for step in _next(causes, COMMAND)]
+    found = [(step["words"], tuple(step["options"])) for step in _next(causes, None)]
     assert found == [("first", zero), ("second", late)]

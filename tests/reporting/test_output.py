@@ -8,11 +8,11 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
 from riecjax.errors import DataError
-from riecjax.paper.variations import write_variations
 from riecjax.reporting.charts import printed
 from riecjax.reporting.charts.chart import Axis, Chart, Line, single
 from riecjax.reporting.document import is_intact, sealed
@@ -90,10 +90,13 @@ def test_a_failure_leaves_the_folder_as_it_was(capsys, tmp_path, monkeypatch, ex
 
 def test_figures_of_an_earlier_run_do_not_stay(tmp_path):
     out = tmp_path / "out"
-    table = lambda file: write_variations(pa.table({"x": [1.0]}), file, stamp(file))  # noqa: E731
-    write_folder(
-        out, DOCUMENT, {"one": CHART, "two": CHART}, page(DOCUMENT), {"variations.parquet": table}
-    )
+
+    def stamped(file: Path) -> None:
+        table = pa.table({"x": [1.0]}).replace_schema_metadata({"riecjax": stamp(file)})
+        pq.write_table(table, file)
+
+    charts, others = {"one": CHART, "two": CHART}, {"variations.parquet": stamped}
+    write_folder(out, DOCUMENT, charts, page(DOCUMENT), others)
     (out / "mine.png").write_bytes((out / "one.png").read_bytes())
     (out / "photo.png").write_bytes(b"\x89PNG")
     (out / "table.parquet").write_bytes((out / "variations.parquet").read_bytes())

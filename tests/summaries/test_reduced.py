@@ -8,10 +8,7 @@ from tests.machines import STANDARD
 from tests.machines import drag_fleet as drives
 
 import riecjax as rx
-from riecjax.summaries.one_pass import stretch_starts
-from riecjax.summaries.summarise import summed
-from riecjax.summaries.summary import in_blocks, pooled, together
-from riecjax.summaries.task import task
+from riecjax.summaries import stretch_starts
 
 MODEL = rx.find_model("drag-oscillator")
 CRITERION = rx.RIEC(rx.AllWindows(0.05, 0.5))
@@ -45,7 +42,7 @@ def test_bytes_hold_all_and_are_the_same_for_the_same(binned):
 
 def test_bins_together_are_the_sums_without_bins(records, binned):
     plain = rx.summarise(MODEL, records, CRITERION)
-    found = together(binned)
+    found = binned.merge_length_bins()
     assert found.bins is None
     for one, other in zip(found.recordings, plain.recordings):
         a, b = one.stages[0][0], other.stages[0][0]
@@ -56,7 +53,7 @@ def test_bins_together_are_the_sums_without_bins(records, binned):
 
 def test_blocks_together_keep_every_window_and_second(binned):
     for one in binned.recordings:
-        few = in_blocks(one, 5)
+        few = one.in_blocks(5)
         assert int(few.blocks) == 5
         a, b = few.stages[0][0], one.stages[0][0]
         assert np.asarray(a.count).shape[1] == 5
@@ -64,13 +61,13 @@ def test_blocks_together_keep_every_window_and_second(binned):
         np.testing.assert_array_equal(a.count.sum(1), np.asarray(b.count).sum(1))
         lasted = float(few.block_seconds) * 5
         assert lasted == pytest.approx(float(one.block_seconds) * int(one.blocks))
-        assert in_blocks(one, 10**6).stages[0][0].count.shape == b.count.shape
+        assert one.in_blocks(10**6).stages[0][0].count.shape == b.count.shape
 
 
 @pytest.mark.parametrize("each", [1, 8, 10**6])
 def test_recordings_as_one_give_what_they_give_side_by_side(binned, each):
-    apart = together(binned)
-    joined = apart.of_recordings([pooled(apart.recordings, each)])
+    apart = binned.merge_length_bins()
+    joined = apart.pool_recordings(each)
     assert len(joined.recordings) == 1
     np.testing.assert_allclose(theta(joined), theta(apart), rtol=1e-9)
     (one,) = joined.recordings
@@ -82,8 +79,9 @@ def test_recordings_as_one_give_what_they_give_side_by_side(binned, each):
 
 
 def test_of_more_recordings_than_there_is_room_neighbours_share_a_block(binned):
-    many = [*together(binned).recordings] * 300
-    (one, few) = pooled(many), pooled(many[:4])
+    few = binned.merge_length_bins()
+    many = few.of_recordings([*few.recordings] * 300)
+    (one,), (few,) = (some.pool_recordings().recordings for some in (many, few))
     assert int(one.blocks) == 1024
     expected = 300 * np.asarray(few.stages[0][0].moments).sum(1)
     np.testing.assert_allclose(np.asarray(one.stages[0][0].moments).sum(1), expected, rtol=1e-10)
@@ -116,8 +114,7 @@ def test_stretches_with_what_their_windows_reach_sum_to_one_pass():
     def sums(low: int, high: int, starts: tuple[int, int] | None = None) -> rx.Summary:
         part = {name: values[low:high] for name, values in signals.items()}
         record = rx.Record.from_samples(part, time_step=STANDARD.step)
-        asked = task(MODEL, record, CRITERION, None, noise)
-        return summed(asked, bins=3, starts=starts)
+        return rx.summarise(MODEL, record, CRITERION, noise=noise, bins=3, starts=starts)
 
     whole, size = sums(0, n), stretch_starts(CRITERION, STANDARD.step, 10)
     assert size == 2**17

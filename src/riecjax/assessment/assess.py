@@ -1,25 +1,24 @@
 """The verbs that ask everything of recordings: estimate, refine, test and validate; or of sums.
 
-[`assess`][] reads samples, `assess_sums` what was summed of them, and `check_answering` says
+[`assess`][] reads samples, [`assess_summary`][] what was summed of them, and `check_answering` says
 beforehand whether there is an answer.
 """
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
-from numbers import Real
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
-from jaxtyping import Array, Key
+from jaxtyping import Array
 
 from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import suited
+from riecjax.criteria.suited import criterion_for, suited
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, with_rests
-from riecjax.errors import DataError, IdentifiabilityError, ModelError, require
+from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
+from riecjax.errors import DataError, IdentifiabilityError, ModelError
 from riecjax.estimation.check import (
     Check,
-    check,
+    check_sums,
     naming_copies,
     raise_if_not_carried,
     raise_if_refused,
@@ -33,43 +32,26 @@ from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
-from riecjax.models.model import Model, as_model
-from riecjax.records.noise_judgement import GivenNoise
+from riecjax.models.model import as_model
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
+from riecjax.settings.option import taking
+from riecjax.settings.tree import Assess
+from riecjax.settings.tree import Check as CheckSettings
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.task import WRITE_CRITERION, ready
-from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap, Sandwich
+from riecjax.summaries.task import ready
+from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich, intervals_of
 from riecjax.validation.sweep import sweep_edges, window_sweep
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
     from riecjax.estimation.mode_evidence import ModeEvidence
-    from riecjax.refinement.objective import AbstractObjective
-    from riecjax.refinement.optimum import Bounds, Prior
 
 
+@taking(Assess)
 def assess(
-    model: Equation | Procedure | HasProcedure,
-    recordings: Records,
-    criterion: AbstractCriterion | None = None,
-    *,
-    key: Key[Array, ""] | None = None,
-    known: Mapping[str, float | Array] | None = None,
-    per_record: Sequence[str] = (),
-    intervals: AbstractIntervals | None = None,
-    noise: GivenNoise = "auto",
-    at_rest: AtRest | None = None,
-    refine: "AbstractObjective | Literal['auto'] | None" = "auto",
-    bounds: "Mapping[str, Bounds] | None" = None,
-    priors: "Mapping[str, Prior] | None" = None,
-    horizon: float | None = None,
-    hold_out: float | None = None,
-    validate_on: Records = (),
-    sweep: bool = True,
-    on_estimate: Callable[[Estimate], None] | None = None,
-    progress: Callable[[float], None] | None = None,
+    model: Equation | Procedure | HasProcedure, recordings: Records, settings: Assess
 ) -> "Assessment":
     """Identify a model's parameters from recordings, and find out how far to trust them.
 
@@ -82,10 +64,12 @@ def assess(
     - `recordings`: from [`read_recording`][], or bare records.
     - `refine`: `"auto"` refines by output error and keeps that as the answer only if what it leaves
       is white noise; what a refinement makes small, such as `rx.OutputError()`, makes its values
-      the answer (an `rx.IntegralError()` takes the estimate's criterion); `None` for none.
+      the answer (an `rx.IntegralError()` takes the estimate's criterion), `"output-error"` and
+      `"integral"` likewise; `"none"` or `None` for none. `channels` and `loss` are of
+      `"output-error"`.
     - `bounds`, `priors` of the refinement, as of [`refine`][]; priors, of one that is asked for.
     - `horizon`: seconds after which simulations start anew from what was recorded, in validation
-      and in the refinement of `"auto"`; by default where the motion is unstable.
+      and in the refinement; by default where the motion is unstable.
     - `hold_out`: keep this share at the end of each recording for validation by simulation.
     - `validate_on`: further recordings to simulate the identified model on.
     - `sweep`: whether to estimate against window length, which shows an inexact model, not of
@@ -100,59 +84,37 @@ def assess(
     simulated raises nothing: it is a finding.
     """
     model = as_model(model)
-    procedure = with_rests(model.build_procedure(), at_rest)
-    recordings = ready(procedure, recordings, noise)
-    if criterion is None:
-        criterion = suited(procedure, model.band, [each.record for each in recordings])
-    require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.2, a share")
-    require("horizon", 1.0 if horizon is None else horizon, Real, "horizon=2.0, in seconds")
-    asked_for = refine is not None and not (isinstance(refine, str) and refine == "auto")
-    if asked_for and not hasattr(type(refine), "specify"):
-        require("refine", refine, (), "refine=rx.OutputError(), 'auto' or None")
-    if horizon is not None and not horizon > 0:
-        raise ModelError(f"horizon is a positive number of seconds; got {horizon:g}.")
-    if bounds and refine is None:
-        raise ModelError("bounds belong to a refinement: give refine=rx.OutputError() with them.")
-    if priors and not asked_for:
-        raise ModelError(
-            "priors belong to a refinement that is asked for, since the linear estimate, which may "
-            "be the answer otherwise, knows of none: give refine=rx.OutputError() with them."
-        )
-    if per_record and validate_on:
-        raise ModelError(
-            "per_record gives a parameter no value on the recordings of validate_on: use one of "
-            "the two."
-        )
+    procedure = with_rests(model.build_procedure(), settings.at_rest)
+    recordings = ready(procedure, recordings, settings.noise)
+    plain = [each.record for each in recordings]
+    criterion = criterion_for(settings, procedure, model.band, plain)
+    criterion = criterion or suited(procedure, model.band, plain)
+    if settings.horizon is not None and not settings.horizon > 0:
+        raise ModelError(f"horizon is a positive number of seconds; got {settings.horizon:g}.")
 
     def concerned(some: Sequence[Recording]) -> list[Recording]:
         """The recordings with what is said of signals that the criterion reads."""
         return [each.concerning(read_of(procedure, each, criterion)) for each in some]
 
     fitted, held = concerned(recordings), []
-    if hold_out is not None:
-        fitted, held = map(list, zip(*(recording.split(hold_out) for recording in fitted)))
-    further = concerned(ready(procedure, validate_on)) if validate_on else []
-    settings = {"known": known, "per_record": per_record}
-    intervals = BlockBootstrap() if intervals is None else intervals
-    asked = Asked(model, procedure, criterion, fitted, held, further, key, settings, intervals)
+    if settings.hold_out is not None:
+        fitted, held = map(list, zip(*(each.split(settings.hold_out) for each in fitted)))
+    further = settings.validate_on
+    further = concerned(ready(procedure, further)) if len(further) else []  # type: ignore[arg-type]
+    plan = {"known": settings.known, "per_record": settings.per_record}
+    intervals = intervals_of(settings.intervals)
+    parts = model, procedure, criterion, fitted, held, further, settings.key, plan, intervals
     with naming_copies(procedure, fitted, criterion):
-        refining_by = (refine, (bounds, priors), horizon, progress)
-        return _answer(asked, refining_by, sweep, on_estimate)
+        return _answer(Asked(*parts), settings)
 
 
-def _answer(
-    asked: Asked,
-    refining_by: tuple[Any, ...],
-    sweep: bool,
-    on_estimate: Callable[[Estimate], None] | None,
-) -> "Assessment":
+def _answer(asked: Asked, settings: Assess) -> "Assessment":
     procedure, records, criterion = asked.procedure, asked.records, asked.criterion
     require_memory_to_assess(procedure, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
     plan = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
-    sweep = sweep and not procedure.has_hidden
+    sweep = settings.sweep and not procedure.has_hidden
     bins = None
     if sweep and criterion.in_closed_form:
         with contextlib.suppress(DataError):  # too short a record, which the check says
@@ -165,18 +127,18 @@ def _answer(
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
     doubted = refusal_by(excited)
-    if doubted is None or doubted.code != "unidentifiable" or refining_by[0] != "auto":
+    if doubted is None or doubted.code != "unidentifiable" or settings.refine != "auto":
         raise_if_refused(excited)
-    if on_estimate is not None and doubted is None:
-        on_estimate(estimate)
+    if settings.on_estimate is not None and doubted is None:
+        settings.on_estimate(estimate)
 
     # Not earlier: to import all that simulates takes seconds.
     from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
 
-    checked = check(
+    checked = check_sums(
         procedure,
-        records,
+        ready(procedure, records),
         criterion,
         key=asked.key,
         **asked.settings,
@@ -185,10 +147,10 @@ def _answer(
     )
     checked = trust.with_doubts(asked, estimate, checked)
     refused = doubted is not None
-    refinement, validations, failed = refining.answered(asked, estimate, refused, *refining_by)
+    refinement, validations, failed = refining.answered(asked, estimate, refused, settings)
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
-        failed = [*failed, *refining.outside_bounds(estimate, refining_by[1][0] or {})]
+        failed = [*failed, *refining.outside_bounds(estimate, settings.bounds)]
     residuals, choice, untested = trust.what_is_left(procedure, records, estimate, asked.again)
 
     def estimated_otherwise(procedure: Procedure) -> Estimate:
@@ -221,11 +183,11 @@ def _answer(
     )
 
 
-def assess_sums(
-    model: Model,
-    procedure: Procedure,
+def assess_summary(
+    model: Equation | Procedure | HasProcedure,
     summary: Summary,
     *,
+    procedure: Procedure | None = None,
     lengths: Summary | None = None,
     findings: Sequence[Finding] = (),
     known: Mapping[str, float | Array] | None = None,
@@ -234,15 +196,22 @@ def assess_sums(
     """As [`assess`][riecjax.assess], without what needs samples: tests of residuals, refinement
     and simulation (not under jit).
 
-    **Arguments:** `procedure` that the model builds; `summary` of recordings; `lengths`, sums of
-    the same by window lengths, for drift; `findings` of the recordings, each with the parameters
-    that it concerns, or for all.
+    **Arguments:** `model`, `known` and `intervals` as for [`assess`][riecjax.assess];
+
+    - `summary` of recordings by [`summarise`][riecjax.summarise].
+    - `procedure`: what the model builds, where that is there already: equations that are built once
+      compile once.
+    - `lengths`: sums of the same recordings in bins of window lengths, for drift.
+    - `findings` of the recordings, each with the parameters that it concerns, or for all; see
+      [`recording_findings`][riecjax.estimation.recording_findings].
 
     **Raises:** as [`estimate`][riecjax.estimate], and `IdentifiabilityError` for what
     [`check`][riecjax.check] refuses.
     """
     from riecjax.assessment.assessment import Assessment
 
+    model = as_model(model)
+    procedure = model.build_procedure() if procedure is None else procedure
     found = on_host(estimate_of(procedure, summary, known=known, intervals=intervals))
     plan = plan_parameters(procedure, len(summary.recordings), known, ())
     evidence, ordinary = _about_hidden(procedure, found, summary, plan.given)
@@ -279,13 +248,14 @@ def _about_hidden(
 
 
 class Answering(NamedTuple):
-    """What was `checked`, and what answers.
+    """What was `checked`, for which `criterion`, and what answers.
 
     **Fields:** `by_refinement`: standard error of each parameter as a share of its value, where
     windows cannot tell parameters from noise, and output error from these recordings can.
     """
 
     checked: Check
+    criterion: AbstractCriterion
     by_refinement: dict[str, float] | None
 
     @property
@@ -295,13 +265,7 @@ class Answering(NamedTuple):
 
 
 def check_answering(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
-    criterion: AbstractCriterion,
-    *,
-    key: Key[Array, ""] | None = None,
-    known: Mapping[str, float | Array] | None = None,
-    per_record: Sequence[str] = (),
+    model: Equation | Procedure | HasProcedure, records: Records, settings: CheckSettings
 ) -> Answering:
     """[`check`][], and where noise rules out an answer by windows, whether refinement has one.
 
@@ -313,25 +277,27 @@ def check_answering(
     """
     described = as_model(model)
     procedure, recordings = described.build_procedure(), as_recordings(records)
-    require_memory_to_assess(
-        procedure, [each.record for each in recordings], criterion, checking=True
-    )
-    settings = {"known": known, "per_record": per_record}
+    plain, key = [each.record for each in recordings], settings.key
+    criterion = criterion_for(settings, procedure, described.band, plain)
+    criterion = criterion or suited(procedure, described.band, plain)
+    require_memory_to_assess(procedure, plain, criterion, checking=True)
+    plan = {"known": settings.known, "per_record": settings.per_record}
     summary = summarise(procedure, recordings, criterion, key=key, survey=True)
-    checked = check(procedure, recordings, criterion, key=key, summary=summary, **settings)
+    looked = ready(procedure, recordings)
+    checked = check_sums(procedure, looked, criterion, key=key, summary=summary, **plan)
     if checked.refusal is None or checked.refusal.code != "unidentifiable":
-        return Answering(checked, None)
+        return Answering(checked, criterion, None)
     # Not earlier: to import all that simulates takes seconds.
     from riecjax.assessment.refining import answered
 
-    parts = (described, procedure, criterion, recordings, [], [], key, settings, Sandwich())
+    parts = (described, procedure, criterion, recordings, [], [], key, plan, Sandwich())
     try:
-        start = on_host(estimate_of(procedure, summary, **settings, intervals=Sandwich()))
+        start = on_host(estimate_of(procedure, summary, **plan, intervals=Sandwich()))
     except IdentifiabilityError:
-        return Answering(checked, None)
-    refinement, _, _ = answered(Asked(*parts), start, True, "auto", (None, None), None, None)
+        return Answering(checked, criterion, None)
+    refinement, _, _ = answered(Asked(*parts), start, True, Assess())
     if refinement is None or refinement.refined is None or not refinement.chosen:
-        return Answering(checked, None)
+        return Answering(checked, criterion, None)
     refined = refinement.refined
     errors = zip(refined.parameters, refined.standard_errors)
-    return Answering(checked, {n: float(e) / size_of(refined[n]) for n, e in errors})
+    return Answering(checked, criterion, {n: float(e) / size_of(refined[n]) for n, e in errors})

@@ -22,13 +22,12 @@ the position's derivative puts what reads either of them in doubt by a fifth.
 **Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from riecjax.assessment.asked import size_of
-from riecjax.findings import Finding
 from riecjax.validation.residuals import NOTABLE_SHARED
 
 if TYPE_CHECKING:
@@ -123,34 +122,11 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
     return found
 
 
-def concerned(assessment: "Assessment", finding: Finding) -> set[str]:
-    """Parameters that a finding concerns: those it names, or of equations that read its signals."""
-    names = assessment.answer.parameters
-
-    def among(some: Collection[str]) -> set[str]:
-        # Of a parameter with a value in each recording, offset[1] is offset's, and named by it.
-        return {name for name in names if name in some or name.partition("[")[0] in some}
-
-    if finding.parameters:
-        return among(finding.parameters)
-    # Of sums alone it is not known which equation reads which signal.
-    if not finding.signals or not assessment.recordings:
-        return set(names)
-    smoothness, record = assessment.estimate.criterion.smoothness, assessment.recordings[0].record
-    equations = [equation for stage in assessment.procedure.stages for equation in stage]
-    reading = [
-        equation
-        for equation in equations
-        if equation.signals_read(record, smoothness) & set(finding.signals)
-    ]
-    return among({name for equation in reading for name in equation.parameters})
-
-
 def _amiss(assessment: "Assessment") -> dict[str, float]:
     """By what is amiss with the recordings: of each kind of fault all of it, of kinds the worst."""
     found: dict[str, dict[str, float]] = {}
     for finding in assessment.findings():
-        for name in concerned(assessment, finding):
+        for name in assessment.parameters_of(finding):
             share = finding.doubts.get(name, finding.doubt)
             if share > 0:
                 own = found.setdefault(name, {})

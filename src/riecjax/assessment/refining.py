@@ -8,7 +8,7 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -26,10 +26,12 @@ from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
+from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
-from riecjax.refinement.optimum import Bounds, Prior, is_pair
+from riecjax.refinement.optimum import Bounds, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refine_with_misfit
+from riecjax.settings.tree import Assess, Refine
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
@@ -62,37 +64,22 @@ EXPECTED = (RiecjaxError, TypeError, ValueError, IndexError)
 JAX cannot differentiate."""
 
 
-class Beforehand(NamedTuple):
-    """What is known of parameters before a refinement, by name."""
-
-    bounds: Mapping[str, Bounds] | None = None
-    priors: Mapping[str, Prior] | None = None
-
-
 Progress = Callable[[float], None] | None
 Answered = tuple[Refinement | None, list[ValidationRun], list[Finding]]
 """A refinement, simulations with the answer along what it was not fitted to, and what failed."""
 
 
-def answered(
-    asked: Asked,
-    estimate: Estimate,
-    refused: bool,
-    by: "AbstractObjective | Literal['auto'] | None",
-    beforehand: tuple[Mapping[str, Bounds] | None, Mapping[str, Prior] | None],
-    horizon: float | None,
-    progress: Progress,
-) -> Answered:
+def answered(asked: Asked, estimate: Estimate, refused: bool, settings: Assess) -> Answered:
     """The refinement and the validation of an estimate, which may be no more than a start (it was
     `refused`).
 
-    **Arguments:** `beforehand`, bounds and priors; `progress`, called after each step of a
-    refinement that was asked for. One by itself takes few seconds, and a program that calls Python
-    back cannot be kept for the next time.
+    **Arguments:** `settings`, of whose `progress` a refinement by itself tells nothing: it takes
+    few seconds, and a program that calls Python back cannot be kept for the next time.
 
     **Raises:** as `refine`, for a refinement that was asked for.
     """
-    known = Beforehand(*beforehand)
+    by = objective_of(settings)
+    horizon = settings.horizon
     recordings = unseen(asked)
     windows = horizons(asked, estimate, recordings, horizon if by is None or by == "auto" else None)
     before, failed = validated(asked.model, estimate.values, recordings, windows)
@@ -100,16 +87,18 @@ def answered(
         return None, before, failed
     if isinstance(by, str):
         flaw = "" if refused else _left_out(estimate)
-        found = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, known, horizon)
+        found = (
+            Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, settings, horizon)
+        )
     else:
         from riecjax.refinement.integral_error import IntegralError
 
         # Over the estimate's windows if no others are asked for; its values are the answer.
         if isinstance(by, IntegralError) and by.criterion is None:
             by = IntegralError(estimate.criterion)
-        refined, misfit = _search(asked, estimate, by, known, MOST_STEPS, progress)
+        refined, misfit = _search(asked, estimate, by, settings, MOST_STEPS, settings.progress)
         found = Refinement(refined, whiteness=_left(misfit, refined, asked.records))
-        failed = [*failed, *against_priors(estimate, known.priors or {})]
+        failed = [*failed, *against_priors(estimate, settings.priors)]
     if found.refined is None:
         return found, before, failed
     after, failed_after = validated(asked.model, found.refined.values, recordings, windows)
@@ -135,6 +124,19 @@ def answered(
     return (found, after, failed_after) if found.chosen else (found, before, failed)
 
 
+def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None:
+    """What a refinement makes small; `None` for no refinement."""
+    if settings.refine in (None, "none"):
+        return None
+    if settings.refine == "integral":
+        return IntegralError()
+    if settings.refine == "output-error":
+        horizon = settings.horizon
+        shooting = WholeRecord() if horizon is None else Tiles(seconds=horizon)
+        return OutputError(shooting, channels=settings.channels or None, loss=settings.loss)
+    return settings.refine  # type: ignore[return-value]
+
+
 def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[BeforeAfter]:
     # By recording, not by name: files in different folders may share one.
     earlier = {id(run.recording): run.held for run in before}
@@ -155,20 +157,20 @@ def _search(
     asked: Asked,
     estimate: AbstractEstimate,
     by: AbstractObjective,
-    known: Beforehand,
+    settings: Refine,
     max_steps: int,
     progress: Progress = None,
 ) -> tuple[Refined, AbstractMisfit]:
     refined, misfit = refine_with_misfit(
         asked.model,
         asked.records,
-        within(estimate, known.bounds or {}),
+        within(estimate, settings.bounds),
         by,
         per_record=asked.settings["per_record"],
         key=asked.key,
         intervals=asked.intervals,
-        bounds=known.bounds,
-        priors=known.priors,
+        bounds=settings.bounds or None,
+        priors=settings.priors or None,
         max_steps=max_steps,
         progress=progress,
     )
@@ -178,7 +180,7 @@ def _search(
 def _by_itself(
     asked: Asked,
     estimate: Estimate,
-    known: Beforehand,
+    settings: Refine,
     horizon: float | None,
 ) -> Refinement:
     """By output error where that is possible, quick and warranted."""
@@ -191,12 +193,12 @@ def _by_itself(
                 declined=f"a search would take {work:.2g} steps x states x tangents, more than "
                 f"{MOST_WORK:.0g}; {ASK}"
             )
-        found = _warranted(asked, estimate, by, known)
+        found = _warranted(asked, estimate, by, settings)
         if horizon is None and found.refined is not None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
             better = _objective(asked, found.refined, None)
             if better.shooting != by.shooting:
-                again = _warranted(asked, found.refined, better, known)
+                again = _warranted(asked, found.refined, better, settings)
                 found = again if again.refined is not None else found
         return found
     except EXPECTED as error:
@@ -226,9 +228,9 @@ def _warranted(
     asked: Asked,
     estimate: AbstractEstimate,
     by: OutputError,
-    known: Beforehand,
+    settings: Refine,
 ) -> Refinement:
-    refined, misfit = _search(asked, estimate, by, known, STEPS_BY_ITSELF)
+    refined, misfit = _search(asked, estimate, by, settings, STEPS_BY_ITSELF)
     left = _left(misfit, refined, asked.records)
     if flaw := _flaw(refined):
         return Refinement(declined=flaw)
@@ -237,7 +239,7 @@ def _warranted(
     straight = {} if left.vanishing else straight_inputs(asked, estimate)
     lines = dataclasses.replace(by, intersample=straight)
     if straight and course_shows(asked, refined, misfit, lines):
-        again, misfit = _search(asked, estimate, lines, known, STEPS_BY_ITSELF)
+        again, misfit = _search(asked, estimate, lines, settings, STEPS_BY_ITSELF)
         left_again = _left(misfit, again, asked.records)
         surely = surely_likelier(again, refined, asked.records)
         if left_again and not _flaw(again) and surely:
@@ -359,7 +361,7 @@ INSIDE = 0.1
 """Share of the way between bounds, or of the way to the only one, by which a start stands off."""
 
 
-def against_priors(estimate: Estimate, priors: Mapping[str, Prior]) -> list[Finding]:
+def against_priors(estimate: Estimate, priors: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """Priors from which what the data tell without them lies further than chance explains."""
     errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors)))
     found = []

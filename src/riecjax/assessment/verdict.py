@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from riecjax.assessment.asked import size_of
-from riecjax.assessment.doubt import TRUSTED, Doubt, concerned, doubts
+from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
 from riecjax.equations.hidden_elements import is_hidden_name
 from riecjax.equations.term import Term, constant
@@ -64,7 +64,7 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
         own = [f for code in codes_of(kind) for f in said if f.code == code]
         if not own:
             continue
-        of = {name for f in own for name in concerned(assessment, f)}
+        of = {name for f in own for name in assessment.parameters_of(f)}
         names = tuple(name for name in found if name in of)
         share = max((found[n].by_kind(kind) / size[n] for n in names), default=0.0)
         phrase, step = _phrase(assessment, own[0]), next(_steps(assessment, own), None)

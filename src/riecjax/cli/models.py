@@ -1,27 +1,34 @@
 """`riecjax models`: the built-in models."""
 
 import json
+from dataclasses import dataclass
 
-import click
 from rich.console import Console
 from rich.table import Table
 
-from riecjax.cli.options import json_option
+from riecjax.cli.command import Given, settings_command
 from riecjax.models.catalogue import MODELS, find_model
 from riecjax.models.model import Model, Quantity
+from riecjax.settings import CODE, Document, Settings, setting
 from riecjax.standard_output import answer
 
 
-@click.command("models", short_help="List the built-in models, or show one.")
-@click.argument("name", required=False)
-@json_option
-def command(name: str | None, as_json: bool) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Models(Settings):
+    """What is listed."""
+
+    name: str | None = setting("[NAME]", CODE)
+
+
+@settings_command("models", Models, Document, short_help="List the built-in models, or show one.")
+def command(given: Given) -> None:
     """List the built-in models, their parameters with units, and the signals they need.
 
     With a NAME, or path/to/file.py[:object], show that model and its equations.
     """
+    name = given.name
     shown = list(MODELS.values()) if name is None else [find_model(name)]
-    if as_json:
+    if given.as_json:
         from riecjax.reporting.document import SCHEMA
 
         models = {

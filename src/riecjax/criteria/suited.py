@@ -5,21 +5,25 @@ none, or one that was made of the position, noise and all, a smooth test functio
 derivatives off the position instead, and the velocity appears in no window.
 """
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 
 import numpy as np
 
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.test_functions import Bump, GradedBump
-from riecjax.criteria.windows import DEFAULT_BAND, AllWindows
+from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
+from riecjax.criteria.plain_data import TEST_FUNCTIONS
+from riecjax.criteria.test_functions import AbstractTestFunction, Bump, GradedBump
+from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term
-from riecjax.errors import MissingSignalError
+from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record
+from riecjax.settings.option import Contradiction
+from riecjax.settings.tree import Fit
 
 LENGTHS = 8
 """Of bumps, evenly spaced: their rows change slowly with the length."""
@@ -33,6 +37,61 @@ RATIO = 2**0.5
 """Of neighbouring lengths of bumps where modes are hidden."""
 MOST = 2
 """Time derivatives that a test function takes off at most."""
+
+
+def criterion_for(
+    fit: Fit, procedure: Procedure, band: tuple[float, float] | None, records: Sequence[Record]
+) -> AbstractCriterion | None:
+    """The criterion that settings ask for; `None` for the one that is [`suited`][].
+
+    **Arguments:** `band` in hertz of the model, which `fit.band` replaces.
+
+    **Raises:** `ModelError` for what is no criterion; `Contradiction` for a quadrature where the
+    test function has none.
+    """
+    if isinstance(fit.criterion, AbstractCriterion):
+        return fit.criterion
+    if fit.criterion not in (None, "riec", "dols"):
+        require("the criterion", fit.criterion, AbstractCriterion, WRITE_CRITERION)
+    if fit.criterion == "dols":
+        return DOLS()
+    if not fit.says_of_windows:
+        return None
+    band = fit.band or band or DEFAULT_BAND
+    # Bumps have no quadrature: to ask for one is to ask for boxcars.
+    if fit.test_function in (None, "auto") and fit.quadrature is None:
+        criterion = suited(procedure, band, records)
+    else:
+        criterion = RIEC.of_band(band, _test_function(fit))
+    alpha = criterion.windows.alpha if fit.alpha is None else fit.alpha
+    beta = criterion.windows.beta if fit.beta is None else fit.beta
+    if isinstance(fit.windows, int):
+        windows = RandomWindows(alpha, beta, fit.windows)
+        return RIEC(windows, criterion.test_function, criterion.why)
+    return criterion.between(alpha, beta)
+
+
+WRITE_CRITERION = (
+    "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, or "
+    "rx.DOLS()"
+)
+
+
+def _test_function(fit: Fit) -> AbstractTestFunction:
+    named = {name: kind() for name, kind in TEST_FUNCTIONS.items()}
+    if isinstance(fit.test_function, AbstractTestFunction):
+        weight = fit.test_function
+    else:
+        name = "boxcar" if fit.test_function in (None, "auto") else fit.test_function
+        if name not in named:
+            require("test_function", name, (), f"rx.Hat(), or one of {', '.join(named)}")
+        weight = named[name]
+    if fit.quadrature is None:
+        return weight
+    if not hasattr(weight, "quadrature"):
+        having = [f"the {name}" for name, one in named.items() if hasattr(one, "quadrature")]
+        raise Contradiction(f"{{quadrature}} belongs to {' and '.join(having)}.", fit.options())
+    return dataclasses.replace(weight, quadrature=int(fit.quadrature))
 
 
 def suited(

@@ -4,18 +4,15 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import suited, with_velocities
+from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates, default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Identified, Rejected, with_mode
 from riecjax.discovery.search import (
-    AGAIN,
-    LEAST,
-    SHARE,
     Again,
     Offer,
     Search,
@@ -39,12 +36,13 @@ from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.models.model import Model, as_model
-from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
+from riecjax.settings.option import taking
+from riecjax.settings.tree import Discover as DiscoverSettings
 from riecjax.summaries.task import ready
-from riecjax.uncertainty.intervals import AbstractIntervals
+from riecjax.uncertainty.intervals import AbstractIntervals, intervals_of
 from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
 
 FEWEST = 6
@@ -56,21 +54,9 @@ IN_DISORDER = ("late_signal", "low_passed", "two_clocks", "lost_rows", "not_its_
 """What is amiss among the sensors of one motion."""
 
 
+@taking(DiscoverSettings)
 def discover(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
-    candidates: object = None,
-    criterion: AbstractCriterion | None = None,
-    *,
-    hold_out: float | None = None,
-    known: Mapping[str, float] | None = None,
-    intervals: AbstractIntervals | None = None,
-    noise: GivenNoise = "auto",
-    at_rest: AtRest | None = None,
-    least: float = SHARE,
-    smallest: float = LEAST,
-    resamples: int = AGAIN,
-    seed: int = 0,
+    model: Equation | Procedure | HasProcedure, records: Records, settings: DiscoverSettings
 ) -> Discovery:
     """Find the terms that a model lacks, by what they predict of blocks of time left out.
 
@@ -98,8 +84,10 @@ def discover(
     that are none; `DataError` for recordings too short to leave blocks of time out.
     """
     found = as_model(model)
-    procedure = with_rests(found.build_procedure(), at_rest)
-    _require_sense(procedure, hold_out, known or {}, (least, smallest))
+    procedure = with_rests(found.build_procedure(), settings.at_rest)
+    _require_sense(
+        procedure, settings.hold_out, settings.known, (settings.least, settings.smallest)
+    )
     # Velocities that candidates read and no sensor measured are formed, if they can be.
     reading, recordings = reading_velocities(procedure), []
     for one in as_recordings(records):
@@ -107,7 +95,7 @@ def discover(
             record, steps = with_velocities(reading, one.record)
             one = replace(one, record=record, steps=(*one.steps, *steps))
         recordings.append(one)
-    if candidates is None:
+    if settings.candidates is None:
         units = {signal.name: signal.unit for signal in found.signals}
         sampled = [one.record for one in recordings]
         for record in sampled:
@@ -116,18 +104,25 @@ def discover(
         usual = default_candidates(procedure.equations, names, sampled, units)
         offered = without_twins(without_taken(usual, procedure.parameters), procedure)
     else:
-        offered = as_candidates(candidates)
+        offered = as_candidates(settings.candidates)
     with_all = extended(procedure, members(offered))
-    plan_parameters(with_all, 1, known, ())
-    whole = ready(with_all, recordings, noise)
-    own = criterion or suited(procedure, found.band, [one.record for one in whole])
+    plan_parameters(with_all, 1, settings.known, ())
+    whole = ready(with_all, recordings, settings.noise)
+    plain = [one.record for one in whole]
+    criterion = criterion_for(settings, procedure, found.band, plain)
+    own = criterion or suited(procedure, found.band, plain)
+    # Without draws of its own, standard errors by blocks are the same.
+    usual = settings.intervals in (None, "bootstrap") and settings.seed == 0
+    intervals = None if usual else intervals_of(settings.intervals, settings.seed)
     for one in whole:  # before they are given states that nobody recorded
         read_of(procedure, one, own)
-    searched_again = seed, 0 if hold_out is not None else resamples
-    held = {**{name: float(value) for name, value in procedure.known.items()}, **(known or {})}
-    settings = own, held, intervals, at_rest, hold_out
-    asked = _Asked(found, procedure, offered, *settings, (least, smallest), searched_again)
-    if candidates is not None:  # these, and nothing else
+    searched_again = settings.seed, 0 if settings.hold_out is not None else settings.resamples
+    held = {**{name: float(value) for name, value in procedure.known.items()}, **settings.known}
+    sought = own, held, intervals, settings.at_rest, settings.hold_out
+    asked = _Asked(
+        found, procedure, offered, *sought, (settings.least, settings.smallest), searched_again
+    )
+    if settings.candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
     if not answer.leaves_more or any(one.code in IN_DISORDER for one in answer.amiss):
@@ -262,7 +257,7 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
 def _require_sense(
     procedure: Procedure,
     hold_out: float | None,
-    known: Mapping[str, float],
+    known: Mapping[str, Any],
     shares: Sequence[float],
 ) -> None:
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.3, a share")

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import RoofFunctions, Terms
-from riecjax.errors import IdentifiabilityError, renamed
+from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.parameters import plan_parameters
@@ -20,9 +21,10 @@ from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
-from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
+from riecjax.settings.option import taking
+from riecjax.settings.tree import Check as CheckSettings
 from riecjax.shows import Shown
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
@@ -127,30 +129,47 @@ def _refusal(findings: Iterable[Finding]) -> Finding | None:
     return found[COPIED if COPIED in found else fatal[0]] if fatal else None
 
 
-@renamed(own="per_record")
+@taking(CheckSettings)
 def check(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
-    criterion: AbstractCriterion | None = None,
-    *,
-    key: Key[Array, ""] | None = None,
-    known: Mapping[str, float | Array] | None = None,
-    per_record: Sequence[str] = (),
-    noise: GivenNoise = "auto",
-    summary: Summary | None = None,
-    excited: list[Excitation] | None = None,
+    model: Equation | Procedure | HasProcedure, records: Records, settings: CheckSettings
 ) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
     Nothing is estimated but hidden modes, whose shapes the regressors depend on, and nothing that
     is found here stops a fit; see [`Check.answerable`][].
     What a [`Recording`][riecjax.Recording] says of signals that are read comes first.
-    `summary` is what [`summarise`][] made of the same with a survey, and `excited` what
-    [`excitations`][] says of it, if they were asked.
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    recordings = ready(as_procedure(model), records, noise)
+    recordings = ready(as_procedure(model), records, settings.noise)
+    band, plain = getattr(model, "band", None), [recording.record for recording in recordings]
+    criterion = criterion_for(settings, as_procedure(model), band, plain)
+    return check_sums(
+        model,
+        recordings,
+        criterion,
+        key=settings.key,
+        known=settings.known,
+        per_record=settings.per_record,
+    )
+
+
+def check_sums(
+    model: Equation | Procedure | HasProcedure,
+    recordings: list[Recording],
+    criterion: AbstractCriterion | None,
+    *,
+    key: Key[Array, ""] | None = None,
+    known: Mapping[str, float | Array] | None = None,
+    per_record: Sequence[str] = (),
+    summary: Summary | None = None,
+    excited: list[Excitation] | None = None,
+) -> Check:
+    """[`check`][] of recordings of whose noise something is known.
+
+    **Arguments:** `summary`, what [`summarise`][] made of the same with a survey, and `excited`,
+    what [`excitations`][] says of it, if they were asked.
+    """
     asked = task(model, recordings, criterion, key)
     procedure, plain, criterion, _ = asked
     read = [read_of(procedure, one, criterion, summary is not None) for one in recordings]
@@ -203,6 +222,34 @@ def of_sensors(procedure: Procedure, recording: Recording, read: Collection[str]
         if finding.code not in OF_HELD or not held & {*finding.signals}
     ]
     return [*of_signals, *of_pairs]
+
+
+def recording_findings(
+    procedure: Procedure, recording: Recording, criterion: AbstractCriterion
+) -> list[Finding]:
+    """What is amiss with one recording and its sensors, as far as a criterion reads it.
+
+    Each finding names the parameters that it concerns, those of equations that read its signals;
+    one that names none concerns all.
+
+    **Raises:** `DataError` for a missing signal or a record shorter than a window.
+    """
+    read, record = read_of(procedure, recording, criterion, summed=True), recording.record
+    equations = [(e, e.signals_read(record, criterion.smoothness)) for e in procedure.equations]
+
+    def concerned(finding: Finding) -> tuple[str, ...]:
+        reading = [equation for equation, names in equations if {*finding.signals} & names]
+        return tuple(dict.fromkeys(name for equation in reading for name in equation.parameters))
+
+    return [
+        finding
+        if finding.parameters or not finding.signals
+        else finding._replace(parameters=concerned(finding))
+        for finding in (
+            *recording.concerning(read).findings,
+            *of_sensors(procedure, recording, read),
+        )
+    ]
 
 
 def _sensors(

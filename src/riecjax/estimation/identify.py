@@ -2,17 +2,18 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.compilation import kept_jit
-from riecjax.criteria.criterion import AbstractCriterion, Rows
+from riecjax.criteria.criterion import Rows
+from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, as_procedure
-from riecjax.errors import IdentifiabilityError, ModelError, renamed, require
+from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
@@ -27,9 +28,10 @@ from riecjax.estimation.stages import (
 )
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
-from riecjax.records.noise_judgement import GivenNoise
-from riecjax.records.record import Records
+from riecjax.records.record import Records, as_records
 from riecjax.records.recording import as_recordings, explaining_errors
+from riecjax.settings.option import taking
+from riecjax.settings.tree import Identify
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
@@ -37,25 +39,15 @@ from riecjax.summaries.task import signals_read, task
 from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
-    BlockBootstrap,
-    Naive,
     Uncertainty,
     estimate_uncertainty,
+    intervals_of,
 )
 
 
-@renamed(own="per_record")
+@taking(Identify)
 def identify(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
-    criterion: AbstractCriterion | None = None,
-    *,
-    key: Key[Array, ""] | None = None,
-    known: Mapping[str, float | Array] | None = None,
-    per_record: Sequence[str] = (),
-    intervals: AbstractIntervals | None = None,
-    noise: GivenNoise = "auto",
-    at_rest: AtRest | None = None,
+    model: Equation | Procedure | HasProcedure, records: Records, settings: Identify
 ) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
@@ -69,13 +61,14 @@ def identify(
     - `records`: one record or several, of any lengths; their normal equations add up.
     - `criterion`: `RIEC(AllWindows(alpha, beta))`, `RIEC(RandomWindows(alpha, beta, count))` or
       `DOLS()`. By default all windows of half the periods of the model's band (1 to 10 Hz for a
-      model that names none).
+      model that names none), or as `band`, `alpha`, `beta`, `windows`, `test_function` and
+      `quadrature` say; see [`Fit`][riecjax.settings.Fit].
     - `key`: for random windows, `jax.random.key(seed)`. All equations share its windows.
     - `known`: parameters held at these values instead of being estimated.
     - `per_record`: parameters with a separate value in each record, such as a sensor's offset;
       in the result `offset` becomes `offset[1]`, `offset[2]`, ...
-    - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default; [`Sandwich`][] is
-      cheaper where thousands of fits are vmapped.
+    - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default, or `"sandwich"`,
+      `"naive"`; [`Sandwich`][] is cheaper where thousands of fits are vmapped.
     - `noise` of the signals, whose mark on the windows' sums is taken off: judged from the samples
       unless it is given, see [`GivenNoise`][riecjax.records.GivenNoise]; `"none"` leaves the sums
       as they are.
@@ -90,9 +83,11 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    asked = task(model, records, criterion, key, noise, at_rest)
-    plan = plan_parameters(asked.procedure, len(asked.records), known, per_record)
-    _require_intervals(intervals)
+    band = getattr(model, "band", None)
+    criterion = criterion_for(settings, as_procedure(model), band, as_records(records))
+    asked = task(model, records, criterion, settings.key, settings.noise, settings.at_rest)
+    plan = plan_parameters(asked.procedure, len(asked.records), settings.known, settings.per_record)
+    intervals = intervals_of(settings.intervals)
     with explaining_errors(as_recordings(records)):
         found = _estimated(asked.procedure, summed(asked), plan, intervals)
 
@@ -114,14 +109,13 @@ def identify(
     return dataclasses.replace(found, doubts=doubts) if doubts else found
 
 
-@renamed(own="per_record")
 def estimate(
     model: Equation | Procedure | HasProcedure,
     summaries: Summary | Sequence[Summary],
     *,
     known: Mapping[str, float | Array] | None = None,
     per_record: Sequence[str] = (),
-    intervals: AbstractIntervals | None = None,
+    intervals: Literal["bootstrap", "sandwich", "naive"] | AbstractIntervals | None = None,
 ) -> Estimate:
     """Estimate the parameters of a model from what recordings say to it; no sample is read.
 
@@ -145,19 +139,14 @@ def estimate(
     procedure, summary = as_procedure(model), as_summary(summaries)
     summary.require_model(procedure)
     plan = plan_parameters(procedure, len(summary.recordings), known, per_record)
-    _require_intervals(intervals)
-    return _estimated(procedure, summary, plan, intervals)
-
-
-def _require_intervals(intervals: AbstractIntervals | None) -> None:
-    require("intervals", intervals or Naive(), AbstractIntervals, "intervals=rx.BlockBootstrap()")
+    return _estimated(procedure, summary, plan, intervals_of(intervals))
 
 
 def _estimated(
     procedure: Procedure,
     summary: Summary,
     plan: ParameterPlan,
-    intervals: AbstractIntervals | None,
+    intervals: AbstractIntervals,
 ) -> Estimate:
     sharing, given, _ = plan
     equations, sources = summary.equations(), summary.noise_by_source()
@@ -171,7 +160,7 @@ def _estimated(
         equations, sources = modes.equations, modes.sources
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
-    drawn = (intervals or BlockBootstrap()).drawn(short.number.shape[0])
+    drawn = intervals.drawn(short.number.shape[0])
     settings = given, sharing, drawn
     sums = _Sums(equations, sources, summary.noise_freedom, short, window)
     fit = _solve(sums, *settings, None)

@@ -1,5 +1,6 @@
-from .fleet import Fleet as Fleet
 from .groups import Entry as Entry
+from .report import Fleet as Fleet
+from .settings import Fleets as Fleets
 from .spread import Change as Change
 from .spread import Differing as Differing
 from .spread import Spread as Spread

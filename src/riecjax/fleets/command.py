@@ -1,82 +1,39 @@
 """`riecjax fleet`: parameters of groups of recordings, of which there may be many thousand."""
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import click
-
-from riecjax.cli import options
+from riecjax import settings
+from riecjax.cli import Given, settings_command
+from riecjax.fleets.settings import Fleets
 from riecjax.runtime import start_jax
-
-if TYPE_CHECKING:
-    from riecjax.equations.procedure import AtRest
-
-pattern_options = options.collecting(
-    (
-        click.argument("files", metavar="PATTERN...", nargs=-1, required=True),
-        *options.RECORD_OPTIONS[1:],
-    ),
-    options.RecordingOptions,
-    "recordings",
-)
-"""The PATTERN... argument, and the options of how all that matches is read."""
+from riecjax.settings import FOLDER, TEXT, many, setting
 
 
-@click.command("fleet", short_help="Identify a model's parameters from groups of recordings.")
-@options.model_option
-@click.option(
-    "--by",
-    default="file",
-    show_default=True,
-    metavar="file|folder|COLUMN[,COLUMN]",
-    help="What is estimated together: each file, each folder, or all that agrees in keys of its "
-    "path (vehicle=3/) or columns of its Parquet files.",
+@dataclass(frozen=True, kw_only=True)
+class Patterns(settings.Settings):
+    """Where recordings are."""
+
+    files: Sequence[str] = many("PATTERN...", TEXT, required=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Folder(settings.Document):
+    """Where the result goes."""
+
+    out: Path | None = setting("--out", FOLDER, required=True)
+    """Folder for estimates.parquet, summaries.parquet and the report. A run that ended goes on from
+    what it holds."""
+
+
+@settings_command(
+    "fleet",
+    *(settings.ModelName, Patterns, Fleets, settings.Elements, Folder),
+    short_help="Identify a model's parameters from groups of recordings.",
 )
-@click.option(
-    "--span",
-    type=options.POSITIVE,
-    metavar="SECONDS",
-    help="Estimate over time as well, in spans of about this length.",
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(min=0, max=4096),
-    metavar="N",
-    help="Processes that sum; 0 for none but this one. [default: one a core]",
-)
-@click.option("--scheduler", metavar="ADDRESS", help="Use the workers of this scheduler of Dask.")
-@click.option("--strict", is_flag=True, help="End at the first recording that cannot be summed.")
-@pattern_options
-@options.hidden_options
-@options.criterion_options
-@options.set_option
-@options.at_rest_option
-@options.seed_option
-@options.json_option
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    required=True,
-    help="Folder for estimates.parquet, summaries.parquet and the report. A run that ended goes "
-    "on from what it holds.",
-)
-def command(
-    recordings: options.RecordingOptions,
-    model_name: str,
-    by: str,
-    span: float | None,
-    workers: int | None,
-    scheduler: str | None,
-    strict: bool,
-    hidden: options.HiddenOptions,
-    criteria: options.CriterionOptions,
-    known: dict[str, float],
-    at_rest: "AtRest | None",
-    seed: int,
-    as_json: bool,
-    out: Path,
-) -> None:
+def command(given: Given) -> None:
     """Identify a model's parameters from each group of recordings, of which there may be many.
 
     A pattern is a file, a folder, or as in 'drives/**/*.csv'; also the URL of a store that fsspec
@@ -84,43 +41,23 @@ def command(
     are one recording. The summaries.parquet of an earlier run is estimated anew, with other known
     values or groups, and no recording is read again.
     """
-    if workers is not None and scheduler is not None:
-        raise click.UsageError("--workers are of this machine, --scheduler has its own: give one.")
-    criteria.require_sense()
+    asked = given.take(Fleets)
     start_jax(keep_compiled=True)
     from riecjax.fleets.fleet import fleet
     from riecjax.fleets.kept import ESTIMATES, SUMMARIES
-    from riecjax.reporting.fleet import fleet_document, fleet_figures, fleet_page, print_fleet
-    from riecjax.reporting.output import emit, require_folder
-    from riecjax.uncertainty.intervals import BlockBootstrap
+    from riecjax.fleets.report import fleet_document, fleet_figures, fleet_page, print_fleet
+    from riecjax.reporting import emit, require_folder
 
-    require_folder(out)
-    model = hidden.added_to(model_name)
+    require_folder(given.out)
+    model = given.model()
     began = time.monotonic()
     with _Told() as told:
-        found = fleet(
-            model,
-            recordings.files,
-            criteria.build(model) if criteria.is_given else None,
-            by=by,
-            span=span,
-            known=known,
-            intervals=BlockBootstrap(seed=seed),
-            at_rest=at_rest,
-            workers=workers,
-            scheduler=scheduler,
-            out=out,
-            strict=strict,
-            allow_duplicates=recordings.allow_duplicates,
-            parts=recordings.parts,
-            progress=told.progress,
-            on_start=told.dashboard,
-            **recordings.settings,
-        )
+        asked = replace(asked, out=given.out, progress=told.progress, on_start=told.dashboard)
+        found = fleet(model, given.files, **asked.keywords())
     emit(
-        fleet_document(found, click.get_current_context().obj or (), time.monotonic() - began),
-        as_json=as_json,
-        out=out,
+        fleet_document(found, given.arguments, time.monotonic() - began),
+        as_json=given.as_json,
+        out=given.out,
         show=print_fleet,
         charts=lambda: fleet_figures(found),
         page=fleet_page,

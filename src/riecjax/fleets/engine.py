@@ -7,13 +7,14 @@
 # time, so that neither the scheduler's memory nor the answers that wait grow with their number.
 
 import contextlib
+import importlib.util
 import itertools
 import logging
 import os
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from riecjax.errors import DataError
 
@@ -24,39 +25,62 @@ SETTINGS = {
     # One thread for each of BLAS, and of XLA. Dask also has C's allocator give back each 64 kB at
     # once, which makes arrays of a recording 12 % slower to work on: here that is done after long
     # ones alone.
-    "distributed.nanny.pre-spawn-environ": dict.fromkeys(
-        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NPROC", "PJRT_NPROC"), 1
-    ),
+    # Python's resource tracker frees what a killed process held, and would warn that it had to.
+    "distributed.nanny.pre-spawn-environ": {
+        **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), 1),
+        **dict.fromkeys(("NPROC", "PJRT_NPROC"), 1),
+        "PYTHONWARNINGS": "ignore::UserWarning:multiprocessing.resource_tracker",
+    },
     # It looks at the stack of what runs a hundred times a second, for a page that is not shown.
     "distributed.worker.profile.enabled": False,
 }
 AHEAD = 4
 """Tasks for each worker that are handed over."""
+TOGETHER, LARGEST = 16, 2**22
+"""Items of a task at most, and bytes of them: enough to take longer than to hand it over."""
 STARTS = 3
 """Times that starting this machine's processes is tried."""
 WAITS = 30.0
-"""Seconds to wait for a scheduler that does not answer."""
+"""Seconds to wait for a scheduler that does not answer, and for processes to come back."""
 
-Task = tuple[Any, ...]
+Item = TypeVar("Item")
+Task = Callable[[bytes, list[Item]], Any]
+"""Of what is asked of all items alike, and of some of them."""
 
 
 class Lost(NamedTuple):
-    """In place of an answer, of a task that ended `LOST_WORKERS` workers: why."""
+    """In place of the answer of an item that ended `LOST_WORKERS` workers: why."""
 
     why: str
+
+
+def batches(items: Iterable[Item], size: Callable[[Item], int], most: int) -> Iterator[list[Item]]:
+    """Items that follow one another, at most so many together.
+
+    **Arguments:** `size` of an item in bytes.
+    """
+    batch: list[Item] = []
+    held = 0
+    for item in items:
+        if batch and (len(batch) >= most or held + size(item) > LARGEST):
+            yield batch
+            batch, held = [], 0
+        batch.append(item)
+        held += size(item)
+    if batch:
+        yield batch
 
 
 class Here(contextlib.AbstractContextManager):
     """This process, one task after the other."""
 
-    workers, dashboard = 1, ""
+    dashboard = ""
 
     def each(
-        self, function: Callable[..., Any], tasks: Iterable[Task]
-    ) -> Iterator[tuple[Task, Any]]:
-        """Each task with its answer."""
-        for task in tasks:
-            yield task, function(*task)
+        self, task: Task[Item], asked: bytes, items: Iterable[Item], size: Callable[[Item], int]
+    ) -> Iterator[tuple[list[Item], Any]]:
+        """Some items at a time with the answer to them; see [`Cluster.each`][]."""
+        return ((batch, task(asked, batch)) for batch in batches(items, size, TOGETHER))
 
     def __exit__(self, *_: object) -> None:
         """Nothing to end."""
@@ -72,62 +96,83 @@ class Cluster(contextlib.AbstractContextManager):
         """
         import distributed
 
-        self._scheduler, self._here = scheduler, None
+        self._scheduler, self._processes = scheduler, None
         with contextlib.ExitStack() as opened:
             opened.enter_context(_settings())
             try:
                 if scheduler is None:
-                    self._here = _started(opened, workers or cores())
-                address = scheduler or self._here
-                client = distributed.Client(
-                    address, timeout=WAITS, set_as_default=False, heartbeat_interval="2s"
+                    self._processes = _started(opened, workers or cores())
+                self._client = opened.enter_context(
+                    distributed.Client(
+                        scheduler or self._processes,
+                        timeout=WAITS,
+                        set_as_default=False,
+                        heartbeat_interval="2s",
+                    )
                 )
             except (OSError, ValueError, TimeoutError, RuntimeError) as error:
-                raise DataError(_no_answer(scheduler, error)) from None
-            self._client = opened.enter_context(client)
+                why = " ".join(str(error).split()).removesuffix(".")
+                raise DataError(
+                    f"no scheduler of Dask answers at {scheduler}: {why}."
+                    if scheduler
+                    else f"Dask's processes do not start: {why}. A script calls rx.fleet below "
+                    f"'if __name__ == \"__main__\":', since they import it."
+                ) from None
             self._open = opened.pop_all()
-        self.workers = max(len(client.scheduler_info()["workers"]), 1)
-        self.dashboard = client.dashboard_link if _has_bokeh() else ""
+        self.workers = max(len(self._client.scheduler_info()["workers"]), 1)
+        self.dashboard = self._client.dashboard_link if _has_bokeh() else ""
 
     def each(
-        self, function: Callable[..., Any], tasks: Iterable[Task]
-    ) -> Iterator[tuple[Task, Any]]:
-        """Each task with its answer, or with [`Lost`][], as they come.
+        self, task: Task[Item], asked: bytes, items: Iterable[Item], size: Callable[[Item], int]
+    ) -> Iterator[tuple[list[Item], Any]]:
+        """Some items at a time with the answer to them, or one with [`Lost`][], as they come.
+
+        **Arguments:** `asked` of all items alike; `size` of an item in bytes.
 
         **Raises:** `DataError` where the scheduler is gone.
         """
         # Of a worker that ends Dask suspects all tasks that it was to do, and may give up those
-        # beside the one that ended it: what is given up is tried again, alone.
-        given_up: list[Task] = []
-        for task, answer in self._each(function, iter(tasks), AHEAD * self.workers):
+        # beside the one that ended it: what is given up is tried again, item by item and alone.
+        given_up: list[Item] = []
+        for batch, answer in self._each(
+            task, asked, batches(items, size, TOGETHER), AHEAD * self.workers
+        ):
             if isinstance(answer, Lost):
-                given_up.append(task)
+                given_up += batch
             else:
-                yield task, answer
-        yield from self._each(function, iter(given_up), 1)
+                yield batch, answer
+        yield from self._each(task, asked, ([item] for item in given_up), 1)
 
     def _each(
-        self, function: Callable[..., Any], tasks: Iterator[Task], ahead: int
-    ) -> Iterator[tuple[Task, Any]]:
-        """The same, of so many tasks at a time."""
+        self, task: Task[Item], asked: bytes, waiting: Iterator[list[Item]], ahead: int
+    ) -> Iterator[tuple[list[Item], Any]]:
+        """The same of these batches, of so many at a time."""
         from concurrent.futures import CancelledError
 
         import distributed
         from distributed.comm.core import CommClosedError
 
-        running: dict[Any, Task] = {}
-        waiting = distributed.as_completed(loop=self._client.loop)
+        running: dict[Any, list[Item]] = {}
+        done = distributed.as_completed(loop=self._client.loop)
 
         def hand_over(count: int) -> None:
-            for task in itertools.islice(tasks, count):
-                future = self._client.submit(function, *task, pure=False)
-                running[future] = task
-                waiting.add(future)
+            for batch in itertools.islice(waiting, count):
+                future = self._client.submit(task, asked, batch, pure=False)
+                running[future] = batch
+                done.add(future)
 
         hand_over(ahead)
         while running:
-            future = self._next(waiting)
-            task = running.pop(future)
+            alive = time.monotonic()
+            while not done.has_ready():
+                with done.thread_condition:
+                    done.thread_condition.wait(0.1)
+                if self._processes is None or self._processes.scheduler.workers:
+                    alive = time.monotonic()
+                elif time.monotonic() - alive > WAITS:
+                    raise self._gone()
+            future = next(done)
+            batch = running.pop(future)
             hand_over(1)
             if future.status == "cancelled":  # as all are whose scheduler has ended
                 raise self._gone()
@@ -138,22 +183,7 @@ class Cluster(contextlib.AbstractContextManager):
                 answer = Lost(f"{LOST_WORKERS + 1} workers ended while on it")
             except (CancelledError, CommClosedError):
                 raise self._gone() from None
-            yield task, answer
-
-    def _next(self, waiting: Any) -> Any:
-        """The next task that is done.
-
-        **Raises:** `DataError` where this machine's processes have ended, and none comes back.
-        """
-        alive = time.monotonic()
-        while not waiting.has_ready():
-            with waiting.thread_condition:
-                waiting.thread_condition.wait(0.1)
-            if self._here is None or self._here.scheduler.workers:
-                alive = time.monotonic()
-            elif time.monotonic() - alive > WAITS:
-                raise self._gone()
-        return next(waiting)
+            yield batch, answer
 
     def _gone(self) -> DataError:
         what = (
@@ -169,43 +199,21 @@ class Cluster(contextlib.AbstractContextManager):
         self._open.__exit__(*given)
 
 
-def _started(opened: contextlib.ExitStack, workers: int) -> Any:
-    """Processes of this machine, which end with the stack."""
-    import distributed
-
-    settings = {
-        "n_workers": workers,
-        "threads_per_worker": 1,
-        "processes": True,
-        "dashboard_address": "127.0.0.1:0" if _has_bokeh() else None,
-        "host": "127.0.0.1",
-        "local_directory": opened.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")),
-        "silence_logs": logging.CRITICAL,
-    }
-    # A process that is killed while it starts takes the others with it.
-    for left in reversed(range(STARTS)):
-        try:
-            with _without_warnings_of_lost_memory():
-                return opened.enter_context(distributed.LocalCluster(**settings))
-        except RuntimeError:
-            if not left:
-                raise
-    return None
-
-
 Engine = Here | Cluster
 
 
 def engine(workers: int | None, scheduler: str | None) -> Engine:
     """Where tasks run: `workers` processes, none of them for this one; or a scheduler's workers."""
-    if scheduler is None and workers == 0:
-        return Here()
-    return Cluster(workers, scheduler)
+    return Here() if scheduler is None and workers == 0 else Cluster(workers, scheduler)
 
 
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _has_bokeh() -> bool:
+    return importlib.util.find_spec("bokeh") is not None
 
 
 @contextlib.contextmanager
@@ -223,32 +231,24 @@ def _settings() -> Iterator[None]:
         log.setLevel(before)
 
 
-def _no_answer(scheduler: str | None, error: Exception) -> str:
-    said = " ".join(str(error).split()).removesuffix(".")
-    if scheduler:
-        return f"no scheduler of Dask answers at {scheduler}: {said}."
-    return (
-        f"Dask's processes do not start: {said}. A script calls rx.fleet below "
-        f"'if __name__ == \"__main__\":', since they import it."
-    )
+def _started(opened: contextlib.ExitStack, workers: int) -> Any:
+    """Processes of this machine, which end with the stack."""
+    import distributed
 
-
-@contextlib.contextmanager
-def _without_warnings_of_lost_memory() -> Iterator[None]:
-    # Python's resource tracker frees what a killed process held, and warns that it had to. It is
-    # started by the first process that is, with what the environment says of warnings.
-    before = os.environ.get("PYTHONWARNINGS")
-    ignored = "ignore::UserWarning:multiprocessing.resource_tracker"
-    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (before, ignored)))
-    try:
-        yield
-    finally:
-        del os.environ["PYTHONWARNINGS"]
-        if before is not None:
-            os.environ["PYTHONWARNINGS"] = before
-
-
-def _has_bokeh() -> bool:
-    import importlib.util
-
-    return importlib.util.find_spec("bokeh") is not None
+    settings = {
+        "n_workers": workers,
+        "threads_per_worker": 1,
+        "processes": True,
+        "dashboard_address": "127.0.0.1:0" if _has_bokeh() else None,
+        "host": "127.0.0.1",
+        "local_directory": opened.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")),
+        "silence_logs": logging.CRITICAL,
+    }
+    # A process that is killed while it starts takes the others with it.
+    for tries_left in reversed(range(STARTS)):
+        try:
+            return opened.enter_context(distributed.LocalCluster(**settings))
+        except RuntimeError:
+            if not tries_left:
+                raise
+    return None

@@ -1,307 +1,43 @@
 """The verb: sum recordings by the thousand, merge what belongs together, estimate each group."""
 
 import contextlib
-import importlib.util
-import itertools
-import math
+import dataclasses
 import os
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from numbers import Real
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
-from riecjax.errors import DataError, ModelError, RiecjaxError, require
-from riecjax.estimation.parameters import plan_parameters
+from riecjax import DOLS, BlockBootstrap, DataError, Equation, ModelError, Summary
+from riecjax.criteria import AbstractCriterion, criterion_for
+from riecjax.equations import HasProcedure, Procedure
+from riecjax.errors import require
+from riecjax.estimation import plan_parameters
+from riecjax.extensions import require_packages
 from riecjax.fleets.engine import Engine, Lost, engine
-from riecjax.fleets.groups import (
-    Entry,
-    Group,
-    Part,
-    Settings,
-    estimated,
-    failed,
-    group,
-    group_of,
-    part_of,
-)
-from riecjax.fleets.kept import (
-    ESTIMATES,
-    LIGHT,
-    Kept,
-    is_result,
-    is_table,
-    make_folder,
-    read_rows,
-    write_entries,
-)
-from riecjax.fleets.order import Order, order_for, planned, tasks_of
+from riecjax.fleets.groups import Entry, estimated, grouped, named
+from riecjax.fleets.kept import ESTIMATES, SumStore, is_result, is_table, read_rows, write_batches
+from riecjax.fleets.order import Order
+from riecjax.fleets.report import Fleet
+from riecjax.fleets.settings import Fleets
 from riecjax.fleets.sources import Piece, Source, find_sources
-from riecjax.fleets.spread import RATE, Change, Spread, changes, spreads
+from riecjax.fleets.spread import changes, spreads
 from riecjax.fleets.sums import DONE, Row, lost, sum_up
-from riecjax.models.model import Model, as_model
-from riecjax.shows import Shown
-from riecjax.summaries.summary import Summary
-from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
+from riecjax.models import as_model
+from riecjax.settings import Reading
+from riecjax.settings.option import taking
+from riecjax.whole_files import no_folder
 
-ROUNDS = 3
-"""Times that sources are looked through, for those that changed while others were summed."""
-GROUPS, MESSAGE = 8, 2**22
-"""Groups to a task, and bytes of their sums, at most."""
+PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
 
 Progress = Callable[[str, int, int, int], None]
 """Told what is being done, how much of it is, of how much, and how many samples that were."""
 
 
-def summed(
-    order: Order,
-    sources: list[Source],
-    look: Callable[[], list[Source]],
-    kept: Kept,
-    runs: Engine,
-    strict: bool,
-    tell: Progress,
-) -> tuple[list[str], list[str]]:
-    """Keep the rows of all pieces, of which those that are kept already are not summed again.
-
-    **Arguments:** `sources`; `look` finds them once more afterwards, and what has changed since is
-    summed anew.
-
-    **Returns:** the pieces, in the order of their sources' names; and the names of sources that
-    have changed once more since they were summed last.
-
-    **Raises:** `DataError` where rows cannot be kept, or the scheduler is gone; with `strict` for
-    the first recording that fails.
-    """
-    packed, pieces = order.packed(), []
-    for _ in range(ROUNDS):
-        pieces = list(planned(order, sources))
-        missing = [piece for piece in pieces if piece.identity not in kept]
-        if not missing:
-            return [piece.identity for piece in pieces], []
-        done, samples = len(pieces) - len(missing), 0
-        tell("summing", done, len(pieces), samples)
-        with kept.to_the_last():
-            for rows in _rows(packed, missing, runs):
-                if strict and (reason := next((r.status for r in rows if r.status != DONE), "")):
-                    raise DataError(reason)
-                kept.add(rows)
-                done += len({row.piece for row in rows})
-                samples += sum(row.samples for row in rows)
-                tell("summing", done, len(pieces), samples)
-        sources = look()
-    changed = {one.source.name for one in planned(order, sources) if one.identity not in kept}
-    return [piece.identity for piece in pieces], sorted(changed)
-
-
-def _rows(packed: bytes, pieces: Sequence[Piece], runs: Engine) -> Iterator[list[Row]]:
-    """Rows of pieces as they come; those of a task that ends its workers one by one."""
-    again: list[Piece] = []
-    for (_, some), answer in runs.each(sum_up, ((packed, some) for some in tasks_of(pieces))):
-        if not isinstance(answer, Lost):
-            yield answer
-        elif len(some) > 1:
-            again += some
-        else:
-            yield [lost(some[0], f"{some[0].source.name}: {answer.why}.")]
-    for (_, some), answer in runs.each(sum_up, ((packed, [piece]) for piece in again)):
-        told = isinstance(answer, Lost)
-        yield [lost(some[0], f"{some[0].source.name}: {answer.why}.")] if told else answer
-
-
-def estimates(
-    order: Order,
-    settings: Settings,
-    rows: Sequence[Row],
-    whole: Iterable[Row],
-    runs: Engine,
-    tell: Progress,
-) -> tuple[list[Entry], list[Entry]]:
-    """Entries of all groups, and of all spans of time; of rows that have no sums, why.
-
-    **Arguments:** `rows`, without their sums; `whole`, the same with them, in the same order.
-    """
-    packed = order.packed()
-    groups = _groups(rows, whole, order.by, settings.span is not None)
-    count = len({_name(row, order.by) for row in rows if row.status == DONE})
-    done, entries, over_time = 0, [], []
-    tell("estimating", 0, count, 0)
-    tasks = ((packed, settings, some) for some in _batches(groups))
-    for (_, _, some), answer in runs.each(estimated, tasks):
-        if isinstance(answer, Lost):
-            answer = [failed((one.name, 0.0, 0.0), answer.why) for one in some]
-        if some[0].in_spans:
-            over_time += answer
-        else:
-            entries += answer
-            done += len(some)
-            tell("estimating", done, count, 0)
-    entries += [
-        failed((_name(row, order.by), row.start, row.start + row.seconds), row.status)
-        for row in rows
-        if row.status != DONE
-    ]
-    return sorted(entries, key=_place), sorted(over_time, key=_place)
-
-
-def _place(entry: Entry) -> tuple[str, float, float, str]:
-    return entry.group, entry.start, entry.end, entry.status
-
-
-def _batches(groups: Iterator[Group]) -> Iterator[list[Group]]:
-    """A few groups at a time, of one kind, as many as one message holds."""
-    for _, of_kind in itertools.groupby(groups, lambda one: one.in_spans):
-        some: list[Group] = []
-        for one in of_kind:
-            size = sum(len(each.sums) + len(each.lengths) for each in (*some, one))
-            if some and (len(some) >= GROUPS or size > MESSAGE):
-                yield some
-                some = []
-            some.append(one)
-        yield some
-
-
-def _name(row: Row, by: Sequence[str]) -> str:
-    """The group of a recording; its own name where that is not known."""
-    try:
-        return group_of(row, by)
-    except RiecjaxError:
-        return row.name
-
-
-def _groups(
-    rows: Sequence[Row], whole: Iterable[Row], by: Sequence[str], in_spans: bool
-) -> Iterator[Group]:
-    """Each group, as soon as all its recordings are there; and of each recording its course."""
-    members = Counter(_name(row, by) for row in rows if row.status == DONE)
-    held: dict[str, list[Part]] = {}
-    for row, full in zip(rows, whole, strict=True):
-        if row.status != DONE:
-            continue
-        name = _name(row, by)
-        parts = held.setdefault(name, [])
-        parts.append(part_of(full, members[name]))
-        if in_spans:
-            own = name if members[name] == 1 or by[0] == "file" else f"{name}: {row.whole_name}"
-            light = full._replace(sums=b"", lengths=b"")
-            yield Group(own, (light,), full.sums, in_spans=True)
-        if len(parts) == members[name]:
-            yield group(name, held.pop(name))
-
-
-def judged(rows: Sequence[Row], by: Sequence[str], allow_duplicates: bool) -> list[Row]:
-    """The same rows, where what belongs to no group or is a copy of another says so.
-
-    **Raises:** `DataError` where no recording at all could be summed.
-    """
-    seen: dict[tuple[str, str], Row] = {}
-    found = []
-    for row in rows:
-        status = row.status
-        if status == DONE:
-            try:
-                name = group_of(row, by)
-            except RiecjaxError as error:
-                found.append(row._replace(status=f"{row.name}: {error}"))
-                continue
-            first = seen.setdefault((name, row.digest), row)
-            if not allow_duplicates and (first.name, first.part) != (row.name, row.part):
-                status = f"{row.name}: it holds the same samples as {first.name}."
-        found.append(row._replace(status=status))
-    if not found:
-        raise DataError("what was found holds no rows.")
-    if all(row.status != DONE for row in found):
-        first = found[0].status
-        raise DataError(f"none of {len(found)} recordings can be used; the first: {first}")
-    return found
-
-
-PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
-AS_THEY_ARE = {"noise": "auto", "outliers": "repair", "align": "auto", "upsample": 1, "every": 1}
-"""Settings by which recordings are read where nothing is said."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Fleet(Shown):
-    """Parameters of groups of recordings; made by [`fleet`][].
-
-    **Fields:**
-
-    - `model`; `by`, what groups are; `criterion` that made the sums.
-    - `entries`: one for each parameter of each group, and one for each recording that failed.
-    - `over_time`: the same for each span of time of each recording, if asked for.
-    - `spreads` of each parameter over groups, and `changes` over time.
-    - `recordings`: one row for each, or for each stretch of a long one, without its sums.
-    - `changed`: sources that went on changing while they were summed, and count as they were then.
-    - `rate` of false discoveries among groups that are called different.
-    """
-
-    model: Model
-    by: tuple[str, ...]
-    criterion: AbstractCriterion
-    entries: Sequence[Entry]
-    over_time: Sequence[Entry]
-    spreads: Sequence[Spread]
-    changes: Sequence[Change]
-    recordings: Sequence[Row]
-    changed: Sequence[str] = ()
-    rate: float = RATE
-
-    @property
-    def failures(self) -> list[Row]:
-        """Recordings that are in no group, whose `status` says why."""
-        return [row for row in self.recordings if row.status != DONE]
-
-    @property
-    def unanswered(self) -> list[Entry]:
-        """Groups that could not be estimated, whose `status` says why."""
-        lost = {row.status for row in self.failures}
-        return [e for e in self.entries if e.status != DONE and e.status not in lost]
-
-    @property
-    def samples(self) -> int:
-        """Of all recordings that were summed."""
-        return sum(row.samples for row in self.recordings)
-
-    def to_frame(self) -> Any:
-        """All entries, those over time last, as a frame of pandas.
-
-        **Raises:** `DataError` without pandas.
-        """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise DataError(
-                'frames need pandas; install it by pip install "riecjax[frames]".'
-            ) from None
-        return pd.DataFrame([*self.entries, *self.over_time], columns=list(Entry._fields))
-
-
+@taking(Fleets)
 def fleet(
     model: Equation | Procedure | HasProcedure,
     patterns: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    criterion: AbstractCriterion | None = None,
-    *,
-    by: str | Sequence[str] = "file",
-    span: float | None = None,
-    known: Mapping[str, float] | None = None,
-    intervals: AbstractIntervals | None = None,
-    at_rest: AtRest | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    out: str | os.PathLike[str] | None = None,
-    strict: bool = False,
-    allow_duplicates: bool = False,
-    storage: Mapping[str, Any] | None = None,
-    parts: Sequence[str] = (),
-    progress: Progress | None = None,
-    on_start: Callable[[str], None] | None = None,
-    **reading: Any,
+    settings: Fleets,
 ) -> Fleet:
     """Identify a model's parameters from each group of recordings, of which there may be many.
 
@@ -311,25 +47,13 @@ def fleet(
     workers, in any order, after any interruption. A script calls it below `if __name__ ==
     "__main__":`, since processes import it.
 
-    **Arguments:** `model`, `criterion`, `known`, `intervals`, `at_rest` as for [`identify`][];
+    **Arguments:**
 
     - `patterns`: paths, folders, `drives/**/*.csv`, `s3://bucket/drives/*.parquet` of stores that
       fsspec knows; or a `summaries.parquet` of an earlier run, to estimate anew. A folder called
       `*.parquet` is a data set, whose files are one recording.
-    - `by`: what a group is: each `"file"`, each `"folder"`, or recordings that agree in these keys
-      of their paths (`vehicle=3/`) or columns of their Parquet files, `"vehicle,load"`.
-    - `span`: estimate each recording over time as well, in spans of about so many seconds.
-    - `workers`: processes of this machine, one a core by default; 0 for none but this one.
-      `scheduler`: address of one of Dask's, whose workers are used instead.
-    - `out`: folder for `summaries.parquet` and `estimates.parquet`; `None` keeps nothing.
-    - `strict`: raise what the first recording fails by, instead of going on without it.
-    - `allow_duplicates`: count recordings of a group that hold the same samples each.
-    - `storage`: what fsspec is to know of the store.
-    - `parts`: names of the recordings that are read of each file that holds several; all of them,
-      if none is given.
-    - `progress`: called with what is being done, how much of it is, of how much, and samples.
-    - `on_start`: called with the address of Dask's dashboard, if it has one.
-    - `reading`: keywords of [`ReadingSettings`][riecjax.records.ReadingSettings].
+    - others: see `riecjax.fleets.Fleets`; `criterion`, `known`, `intervals` and `at_rest` as for
+      [`identify`][], and those of reading as for [`read_recording`][riecjax.read_recording].
 
     **Returns:** a [`Fleet`][riecjax.fleets.Fleet].
 
@@ -337,86 +61,93 @@ def fleet(
     scheduler is gone, or with `strict` for the first recording that fails; `ModelError` for a
     criterion that draws windows, and for sums of another model.
     """
-    names = ("cloudpickle", "distributed", "fsspec", "ruptures", "statsmodels")
-    if missing := [name for name in names if importlib.util.find_spec(name) is None]:
-        raise DataError(
-            f'fleets need {", ".join(missing)}; install them by pip install "riecjax[fleet]".'
-        )
-    require("by", by, str | list | tuple, "by='file', 'folder' or names of columns")
-    keys = tuple(part.strip() for part in by.split(",")) if isinstance(by, str) else tuple(by)
-    _require_sense(keys, span, workers, known)
-    require("parts", parts, (tuple, list), f"parts=('{parts}',), names of recordings in a file")
+    require_packages("fleet")
     require("patterns", patterns, str | os.PathLike | list | tuple, PATTERNS)
     listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
     for pattern in listed:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
-    model, settings = as_model(model), Settings(known or {}, intervals or BlockBootstrap(), span)
-    tell: Progress = progress or (lambda *_: None)
+    model, seed = as_model(model), settings.seed
+    criterion = criterion_for(settings, model.build_procedure(), model.band, ())
+    usual = settings.intervals in (None, "bootstrap")
+    asked = Order(
+        model,
+        criterion or DOLS(),
+        reading=settings.reading,
+        by=settings.keys,
+        storage=settings.storage or {},
+        at_rest=settings.at_rest,
+        known=settings.known,
+        intervals=BlockBootstrap(seed=seed) if usual else settings.intervals,
+        span=settings.span,
+    )
+    tell: Progress = settings.progress or (lambda *_: None)
     with contextlib.ExitStack() as stack:
-        folder = Path(out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")))
+        folder = Path(
+            settings.out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
+        )
 
         def look() -> list[Source]:
-            return find_sources(listed, storage or {}, lambda path: is_result(folder, path))
+            return find_sources(listed, asked.storage, lambda path: is_result(folder, path))
 
-        def started() -> Engine:
-            runs = stack.enter_context(engine(workers, scheduler))
-            if on_start is not None and runs.dashboard:
-                on_start(runs.dashboard)
-            return runs
-
-        if len(listed) == 1 and is_table(listed[0]):
-            table = Path(listed[0])
-            asked_for = [n for n, value in reading.items() if value and value != AS_THEY_ARE.get(n)]
-            if parts or asked_for:
-                raise DataError(
-                    f"{table.name} holds sums, of which no sample is read again: it cannot heed "
-                    f"{', '.join([*asked_for, *['parts'] * bool(parts)])}. Leave that out, or give "
-                    f"the recordings."
-                )
-            order = _order_of(model, table, criterion, keys, at_rest)
-            changed: list[str] = []
-            rows = judged([*read_rows(table, LIGHT)], keys, allow_duplicates)
-            found = estimates(order, settings, rows, read_rows(table), started(), tell)
-            make_folder(folder)
+        table, sources = Path(listed[0]), []
+        if has_table := len(listed) == 1 and is_table(table):
+            order = _order_of(table, asked, criterion)
         else:
             sources = look()
-            order = order_for(
-                model, sources, criterion, keys, storage or {}, at_rest, reading, parts
-            )
-            plan_parameters(order.procedure, 1, settings.known, ())
-            make_folder(folder)
-            kept = Kept(folder, order.digest, {b"riecjax.model": model.name.encode()})
-            runs = started()
-            pieces, changed = summed(order, sources, look, kept, runs, strict, tell)
-            rows = judged([*kept.light(pieces)], keys, allow_duplicates)
-            found = estimates(order, settings, rows, kept.whole(pieces), runs, tell)
-            kept.finish(pieces)
-        entries, over_time = found
-        if out is not None:
-            write_entries(folder / ESTIMATES, [*entries, *over_time])
-    shown = spreads(entries), changes(over_time)
-    made = Fleet(model, keys, order.criterion, entries, over_time, *shown, rows, changed)
+            order = asked.fitted(sources, criterion)
+            plan_parameters(order.procedure, 1, order.known, ())
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(no_folder(folder, error)) from None
+        store = None if has_table else SumStore(folder, order)
+        runs = stack.enter_context(engine(settings.workers, settings.scheduler))
+        if settings.on_start is not None and runs.dashboard:
+            settings.on_start(runs.dashboard)
+        changed: list[str] = []
+        if store is not None:
+            pieces = [*order.pieces_of(sources)]
+            _sum(order, pieces, store, runs, settings.strict, tell)
+            table = store.finish([piece.identity for piece in pieces])
+            later = [piece for piece in order.pieces_of(look()) if piece.identity not in store]
+            changed = sorted({piece.source.name for piece in later})
+        rows = (row.without_sums for row in read_rows(table))
+        pairs = named(rows, settings.keys, settings.allow_duplicates)
+        entries, over_time = _estimate(order, pairs, read_rows(table), runs, tell)
+        if settings.out is not None:
+            write_batches(folder / ESTIMATES, Entry, [[*entries, *over_time]], {})
+    found = Fleet(
+        order.model,
+        settings.keys,
+        order.criterion,
+        entries,
+        over_time,
+        spreads(entries),
+        changes(over_time),
+        [row for _, row in pairs],
+        changed,
+    )
     if all(entry.status != DONE for entry in entries):
-        raise DataError(f"no group can be estimated; the first: {made.unanswered[0].status}")
-    return made
+        raise DataError(f"no group can be estimated; the first: {found.unanswered[0].status}")
+    return found
 
 
-def _order_of(
-    model: Model,
-    table: Path,
-    criterion: AbstractCriterion | None,
-    by: tuple[str, ...],
-    at_rest: AtRest | None,
-) -> Order:
-    """How the recordings of an earlier run were summed.
+def _order_of(table: Path, asked: Order, criterion: AbstractCriterion | None) -> Order:
+    """The order with what the recordings of an earlier run were summed by.
 
-    **Raises:** `ModelError` for sums of another model, or by another criterion than is asked for.
+    **Raises:** `DataError` for settings by which no sample can be read again; `ModelError` for sums
+    of another model, or by another criterion than is asked for.
     """
-    summed = next((row for row in read_rows(table) if row.status == DONE), None)
-    if summed is None:
+    if said := [name for name in asked.reading.options() if asked.reading.says(name)]:
+        raise DataError(
+            f"{table.name} holds sums, of which no sample is read again: it cannot heed "
+            f"{', '.join(said)}. Leave that out, or give the recordings."
+        )
+    row = next((row for row in read_rows(table) if row.status == DONE), None)
+    if row is None:
         raise DataError(f"{table.name}: no recording of it could be summed.")
-    summary = Summary.from_bytes(summed.sums)
-    order = Order(model, summary.criterion, None, by=by, at_rest=at_rest)
+    summary = Summary.from_bytes(row.sums)
+    order = dataclasses.replace(asked, criterion=summary.criterion, reading=Reading())
     summary.require_model(order.procedure)
     if criterion is not None and criterion.describe() != summary.criterion.describe():
         raise ModelError(
@@ -426,15 +157,67 @@ def _order_of(
     return order
 
 
-def _require_sense(
-    by: Sequence[str], span: float | None, workers: int | None, known: Mapping[str, float] | None
+def _sum(
+    order: Order,
+    pieces: Sequence[Piece],
+    store: SumStore,
+    runs: Engine,
+    strict: bool,
+    tell: Progress,
 ) -> None:
-    if not by or not all(by):
-        raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
-    require("known", known or {}, Mapping, "known={'M_s': 302.7}")
-    for name in by:
-        require("a name of by", name, str, "by='vehicle,load'")
-    if span is not None and not (isinstance(span, Real) and 0 < span < math.inf):
-        raise ModelError(f"span is a positive number of seconds; got {span!r}.")
-    if workers is not None and not (isinstance(workers, int) and workers >= 0):
-        raise ModelError(f"workers is a number of processes, 0 for none; got {workers!r}.")
+    """Keep the rows of all pieces, of which those that are kept already are not summed again.
+
+    **Raises:** `DataError` where rows cannot be kept, or the scheduler is gone; with `strict` for
+    the first recording that fails.
+    """
+    missing = [piece for piece in pieces if piece.identity not in store]
+    if not missing:
+        return
+    done, samples = len(pieces) - len(missing), 0
+    tell("summing", done, len(pieces), samples)
+    try:
+        for some, rows in runs.each(sum_up, order.packed, missing, lambda p: p.source.size):
+            if isinstance(rows, Lost):
+                rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
+            if strict and (reason := next((r.status for r in rows if r.status != DONE), "")):
+                raise DataError(reason)
+            store.add(rows)
+            done += len(some)
+            samples += sum(row.samples for row in rows)
+            tell("summing", done, len(pieces), samples)
+    finally:  # also where it ends early, as by Ctrl-C
+        store.write()
+
+
+def _estimate(
+    order: Order,
+    pairs: Sequence[tuple[str, Row]],
+    whole: Iterable[Row],
+    runs: Engine,
+    tell: Progress,
+) -> tuple[list[Entry], list[Entry]]:
+    """Entries of all groups, and of all spans of time; of rows that have no sums, why.
+
+    **Arguments:** `pairs` of each row and its group; `whole`, the same rows with their sums.
+    """
+    count = len({name for name, row in pairs if row.status == DONE})
+    done, entries, over_time = 0, [], []
+    tell("estimating", 0, count, 0)
+    groups = grouped(pairs, whole, order.by, order.span is not None)
+    for some, answers in runs.each(estimated, order.packed, groups, lambda group: group.size):
+        if isinstance(answers, Lost):
+            answers = [[Entry(group.name, 0.0, 0.0, status=answers.why)] for group in some]
+        for group, answer in zip(some, answers):
+            (over_time if group.in_spans else entries).extend(answer)
+            done += not group.in_spans
+        tell("estimating", done, count, 0)
+    entries += [
+        Entry(name, row.start, row.start + row.seconds, status=row.status)
+        for name, row in pairs
+        if row.status != DONE
+    ]
+
+    def place(entry: Entry) -> tuple[str, float, float, str]:
+        return entry.group, entry.start, entry.end, entry.status
+
+    return sorted(entries, key=place), sorted(over_time, key=place)

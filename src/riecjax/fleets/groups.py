@@ -1,24 +1,17 @@
 """From the rows of recordings to estimates: one group, or one span of time, after the other."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
-from jaxtyping import Float
 
-from riecjax.assessment.assess import assess_sums
-from riecjax.assessment.assessment import Assessment
-from riecjax.assessment.doubt import concerned
+from riecjax import Finding, Summary
+from riecjax.assessment import assess_summary
 from riecjax.errors import DataError, reason_of
-from riecjax.findings import Finding
 from riecjax.fleets.order import Order, unpacked
 from riecjax.fleets.sums import DONE, Row
-from riecjax.summaries.summary import Summary, in_blocks, pooled
-from riecjax.summaries.sums import RecordingSums
-from riecjax.uncertainty.intervals import AbstractIntervals, BlockBootstrap
 
 FEW = 8
 """Recordings of a group up to which each keeps its blocks of time; more are summed as one."""
@@ -41,219 +34,192 @@ class Entry(NamedTuple):
     group: str
     start: float
     end: float
-    parameter: str | None
-    value: float | None
-    unit: str | None
-    std_error: float | None
-    low95: float | None
-    high95: float | None
-    verdict: str | None
-    findings: str
-    status: str
-
-
-def has_error(entry: Entry) -> bool:
-    """Whether an entry has a value with an interval of some width, to be held against others."""
-    ends = entry.low95, entry.value, entry.high95
-    known = entry.status == DONE and all(end is not None and np.isfinite(end) for end in ends)
-    return known and errors_of([entry])[0] > 0
-
-
-def errors_of(entries: Sequence[Entry]) -> Float[np.ndarray, " n"]:
-    """Standard errors of normal laws whose intervals are as wide as these entries': with few blocks
-    of time an interval is wider than its standard error tells."""
-    widths = np.array([(entry.high95 or 0.0) - (entry.low95 or 0.0) for entry in entries], float)
-    return widths / (2 * scipy.stats.norm.isf(0.025))
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How groups are estimated from sums.
-
-    **Fields:** `known` values; `intervals`; `span` in seconds, of estimates over time, `None` for
-    none.
-    """
-
-    known: Mapping[str, float] = field(default_factory=dict)
-    intervals: AbstractIntervals = field(default_factory=BlockBootstrap)
-    span: float | None = None
-
-
-def group_of(row: Row, by: Sequence[str]) -> str:
-    """What a recording belongs to.
-
-    **Raises:** `DataError` where its path and columns do not say.
-    """
-    if by[0] == "file":
-        return row.whole_name
-    if by[0] == "folder":
-        return row.name.rpartition("/")[0] or "."
-    keys = json.loads(row.keys)
-    if missing := [name for name in by if name not in keys]:
-        raise DataError(
-            f"neither the path nor a column says the recording's {missing[0]}; what there is: "
-            f"{', '.join(keys) or 'nothing'}."
-        )
-    return ", ".join(f"{name}={keys[name]}" for name in by)
-
-
-class Part(NamedTuple):
-    """What a group is estimated from, of one recording: the sums of its row, or smaller ones."""
-
-    row: Row
-    sums: Summary
-    lengths: Summary | None
-
-
-def part_of(row: Row, members: int) -> Part:
-    """The sums of a row, for a group of so many recordings."""
-    sums = Summary.from_bytes(row.sums)
-    lengths = Summary.from_bytes(row.lengths) if row.lengths else None
-    if members > FEW:
-        # What differs from recording to recording is alike within each: of so many, a recording is
-        # the block of time that is independent of others.
-        sums = sums.of_recordings(in_blocks(one, 1) for one in sums.recordings)
-        if lengths is not None:
-            lengths = lengths.of_recordings(in_blocks(one, 1) for one in lengths.recordings)
-    return Part(row._replace(sums=b"", lengths=b""), sums, lengths)
+    parameter: str | None = None
+    value: float | None = None
+    unit: str | None = None
+    std_error: float | None = None
+    low95: float | None = None
+    high95: float | None = None
+    verdict: str | None = None
+    findings: str = ""
+    status: str = DONE
 
 
 class Group(NamedTuple):
     """What is estimated together: a group, or one recording span by span.
 
-    **Fields:** `name`; `rows` of its recordings without their sums; `sums` and `lengths`, bytes of
-    a Summary of all of them; `in_spans`, whether each span of time is estimated by itself.
+    **Fields:** `name`; `rows` of its recordings without their sums; `summaries`, as bytes, of all
+    of them: their sums, and those by window lengths if there are some; `in_spans`, whether each
+    span of time is estimated by itself.
     """
 
     name: str
     rows: tuple[Row, ...]
-    sums: bytes
-    lengths: bytes = b""
+    summaries: tuple[bytes, ...]
     in_spans: bool = False
 
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return sum(map(len, self.summaries))
 
-def group(name: str, parts: Sequence[Part]) -> Group:
-    """A group of these parts, the same whatever order they come in."""
-    ordered = sorted(parts, key=lambda part: (part.row.digest, part.row.name, part.row.start))
-    sums = _joined([part.sums for part in ordered])
-    lengths = [part.lengths for part in ordered if part.lengths is not None]
-    return Group(
-        name,
-        tuple(part.row for part in ordered),
-        sums.to_bytes(),
-        _joined(lengths).to_bytes() if lengths else b"",
-    )
+
+def named(rows: Iterable[Row], by: Sequence[str], allow_duplicates: bool) -> list[tuple[str, Row]]:
+    """Each row with its group; what belongs to none, or is a copy of another, says so.
+
+    **Raises:** `DataError` where no recording at all could be summed.
+    """
+    firsts: dict[tuple[str, str], Row] = {}
+    pairs = []
+    for row in rows:
+        keys, name, status = json.loads(row.keys), row.name, row.status
+        if by[0] == "file":
+            name = row.whole_name
+        elif by[0] == "folder":
+            name = row.name.rpartition("/")[0] or "."
+        elif missing := [key for key in by if key not in keys]:
+            if status == DONE:
+                status = (
+                    f"{row.name}: neither the path nor a column says the recording's {missing[0]}; "
+                    f"what there is: {', '.join(keys) or 'nothing'}."
+                )
+        else:
+            name = ", ".join(f"{key}={keys[key]}" for key in by)
+        if status == DONE:
+            first = firsts.setdefault((name, row.digest), row)
+            if not allow_duplicates and (first.name, first.part) != (row.name, row.part):
+                status = f"{row.name}: it holds the same samples as {first.name}."
+        pairs.append((name, row._replace(status=status)))
+    if not pairs:
+        raise DataError("what was found holds no rows.")
+    if all(row.status != DONE for _, row in pairs):
+        first = pairs[0][1].status
+        raise DataError(f"none of {len(pairs)} recordings can be used; the first: {first}")
+    return pairs
+
+
+def grouped(
+    pairs: Sequence[tuple[str, Row]], whole: Iterable[Row], by: Sequence[str], in_spans: bool
+) -> Iterator[Group]:
+    """Each group, as soon as all its recordings are there; and of each recording its course.
+
+    **Arguments:** `pairs` of names and rows; `whole`, the same rows with their sums.
+    """
+    members = Counter(name for name, row in pairs if row.status == DONE)
+    waiting: dict[str, list[tuple[Row, list[Summary]]]] = {}
+    for (name, row), full in zip(pairs, whole, strict=True):
+        if row.status != DONE:
+            continue
+        summaries = [Summary.from_bytes(each) for each in (full.sums, full.lengths) if each]
+        if members[name] > FEW:
+            # What differs from recording to recording is alike within each: of so many, a
+            # recording is the block of time that is independent of others.
+            summaries = [each.coarsen_blocks(1) for each in summaries]
+        parts = waiting.setdefault(name, [])
+        parts.append((row, summaries))
+        if in_spans:
+            is_alone = members[name] == 1 or by[0] == "file"
+            course = name if is_alone else f"{name}: {row.whole_name}"
+            yield Group(course, (row,), (full.sums,), in_spans=True)
+        if len(parts) == members[name]:
+            # The same group whatever order its recordings come in.
+            parts = waiting.pop(name)
+            parts.sort(key=lambda part: (part[0].digest, part[0].name, part[0].start))
+            rows, kinds = zip(*parts)
+            yield Group(name, rows, tuple(_joined(every).to_bytes() for every in zip(*kinds)))
 
 
 def _joined(every: Sequence[Summary]) -> Summary:
-    recordings = [one for summary in every for one in summary.recordings]
-    if len(recordings) > FEW:
-        recordings = [pooled(recordings, BLOCKS)]
-    return every[0].of_recordings(recordings)
+    recordings = [recording for summary in every for recording in summary.recordings]
+    joined = every[0].of_recordings(recordings)
+    return joined.pool_recordings(BLOCKS) if len(recordings) > FEW else joined
 
 
-def estimated(order: bytes, settings: Settings, groups: Sequence[Group]) -> list[Entry]:
-    """The entries of some groups; of one without an answer one that says why."""
+def estimated(order: bytes, groups: Sequence[Group]) -> list[list[Entry]]:
+    """The entries of each of some groups; of one without an answer one that says why."""
     asked = unpacked(order)
-    return [entry for one in groups for entry in _entries(asked, settings, one)]
+    return [[*_entries(asked, group)] for group in groups]
 
 
-def _entries(order: Order, settings: Settings, one: Group) -> Iterator[Entry]:
-    sums, findings = Summary.from_bytes(one.sums), _findings(one.rows)
-    if not one.in_spans:
-        lengths = Summary.from_bytes(one.lengths) if one.lengths else None
-        place = one.name, 0.0, sum(row.seconds for row in one.rows)
-        yield from _of_sums(order, settings, place, sums, lengths, findings)
+def _entries(order: Order, group: Group) -> Iterator[Entry]:
+    sums, *lengths = map(Summary.from_bytes, group.summaries)
+    findings = _findings(group.rows)
+    if not group.in_spans:
+        end = sum(row.seconds for row in group.rows)
+        yield from _answers(order, (group.name, 0.0, end), sums, lengths, findings)
         return
-    assert settings.span is not None
-    begin = one.rows[0].start
-    for start, end, some in _spans(sums.recordings[0], settings.span):
-        place = one.name, begin + start, begin + end
-        yield from _of_sums(order, settings, place, sums.of_recordings([some]), None, findings)
+    # Stretches of about so many seconds, of two blocks at the least.
+    assert order.span is not None
+    (recording,), (row,) = sums.recordings, group.rows
+    seconds, count = float(recording.block_seconds), int(recording.blocks)
+    each = max(round(order.span / seconds), 2)
+    first = 0
+    while first < count:
+        last = count if count - first <= 1.5 * each else first + each
+        some = sums.of_recordings([recording.of_blocks(np.arange(first, last))])
+        end = min(last * seconds, float(recording.samples * recording.time_step))
+        place = group.name, row.start + first * seconds, row.start + end
+        yield from _answers(order, place, some, [], findings)
+        first = last
 
 
-def _of_sums(
+def _answers(
     order: Order,
-    settings: Settings,
     place: tuple[str, float, float],
     sums: Summary,
-    lengths: Summary | None,
+    lengths: Sequence[Summary],
     findings: Sequence[Finding],
 ) -> Iterator[Entry]:
     try:
-        found = assess_sums(
+        assessment = assess_summary(
             order.model,
-            order.procedure,
             sums,
-            lengths=lengths,
+            procedure=order.procedure,
+            lengths=lengths[0] if lengths else None,
             findings=findings,
-            known=settings.known,
-            intervals=settings.intervals,
+            known=order.known,
+            intervals=order.intervals,
         )
-        yield from _told(place, found)
+        estimate, levels = assessment.estimate, assessment.verdict.parameters
+        ends, units = estimate.interval_by_name(), dict(estimate.units)
+        concerned = [(f.code, assessment.parameters_of(f)) for f in assessment.findings()]
+        for name, error in zip(estimate.parameters, np.asarray(estimate.standard_errors)):
+            codes = dict.fromkeys(code for code, names in concerned if name in names)
+            yield Entry(
+                *place,
+                parameter=name,
+                value=float(estimate[name]),
+                unit=units.get(name, ""),
+                std_error=float(error),
+                low95=float(ends[name][0]),
+                high95=float(ends[name][1]),
+                verdict=levels[name].level,
+                findings=",".join(codes),
+            )
     # Not the end of all other groups, whatever it is.
     except Exception as error:
-        yield failed(place, reason_of(error))
-
-
-def failed(place: tuple[str, float, float], why: str) -> Entry:
-    """An entry without a value."""
-    return Entry(*place, *(None,) * 7, findings="", status=why)  # pyright: ignore[reportCallIssue]
-
-
-def _told(place: tuple[str, float, float], found: Assessment) -> Iterator[Entry]:
-    estimate, levels = found.estimate, found.verdict.parameters
-    ends, units = estimate.interval_by_name(), dict(estimate.units)
-    findings = [(finding.code, concerned(found, finding)) for finding in found.findings()]
-    for name, error in zip(estimate.parameters, np.asarray(estimate.standard_errors)):
-        codes = dict.fromkeys(code for code, names in findings if name in names)
-        low, high = ends[name]
-        yield Entry(
-            *place,
-            name,
-            float(estimate[name]),
-            units.get(name, ""),
-            float(error),
-            float(low),
-            float(high),
-            levels[name].level,
-            ",".join(codes),
-            DONE,
-        )
+        yield Entry(*place, status=reason_of(error))
 
 
 def _findings(rows: Sequence[Row]) -> list[Finding]:
     """Findings of recordings as a group's: how many have each, and by how much it puts a value in
     doubt, which is their share of all that was recorded."""
-    every: dict[tuple[str, tuple[str, ...]], list[tuple[Row, Finding]]] = {}
+    alike: dict[tuple[str, tuple[str, ...]], list[tuple[Row, Finding]]] = {}
     for row in rows:
-        for told in json.loads(row.findings):
-            sequences = {k: tuple(told[k]) for k in ("signals", "parameters", "remedy")}
-            finding = Finding(**{**told, **sequences})
-            every.setdefault((finding.code, finding.signals), []).append((row, finding))
-    total = sum(row.samples for row in rows)
-    found = []
-    for some in every.values():
+        for fields in json.loads(row.findings):
+            sequences = {name: tuple(fields[name]) for name in ("signals", "parameters", "remedy")}
+            finding = Finding(**{**fields, **sequences})
+            alike.setdefault((finding.code, finding.signals), []).append((row, finding))
+    if len(rows) == 1:
+        return [some[0][1] for some in alike.values()]
+    total = max(sum(row.samples for row in rows), 1)
+    findings = []
+    for some in alike.values():
         first = some[0][1]
-        if len(rows) == 1:
-            found.append(first)
-            continue
-        share = sum(row.samples * finding.doubt for row, finding in some) / max(total, 1)
-        named = ", ".join(dict.fromkeys(row.name for row, _ in some[:NAMED]))
-        message = f"{len(some)} of {len(rows)} recordings, {named}: {first.message}"
+        doubt = sum(row.samples * finding.doubt for row, finding in some) / total
+        names = ", ".join(dict.fromkeys(row.name for row, _ in some[:NAMED]))
+        message = f"{len(some)} of {len(rows)} recordings, {names}: {first.message}"
         # What is proposed for one may harm another.
-        found.append(first._replace(message=message, doubt=share, doubts={}, remedy=(), step=""))
-    return found
-
-
-def _spans(recording: RecordingSums, span: float) -> Iterator[tuple[float, float, RecordingSums]]:
-    """Sums of stretches of about so many seconds, of two blocks at the least, with their ends."""
-    seconds, count = float(recording.block_seconds), int(recording.blocks)
-    each = max(round(span / seconds), 2)
-    whole = recording.samples * recording.time_step
-    for first in range(0, max(count - each // 2, 1), each):
-        last = count if count - first <= 1.5 * each else first + each
-        some = recording.of_blocks(np.arange(first, last))
-        yield first * seconds, min(last * seconds, float(whole)), some
-        if last == count:
-            return
+        told = {"message": message, "doubt": doubt, "doubts": {}, "remedy": (), "step": ""}
+        findings.append(first._replace(**told))
+    return findings

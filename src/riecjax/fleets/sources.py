@@ -9,16 +9,17 @@ import bisect
 import contextlib
 import hashlib
 import itertools
+import json
 import os
 import posixpath
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
 
-from riecjax.errors import DataError, RiecjaxError, require
+from riecjax.errors import DataError, RiecjaxError
 from riecjax.records.reading import endings
 
 DATA_SET = ".parquet"
@@ -27,6 +28,12 @@ STATES = ("ETag", "etag", "mtime", "LastModified", "last_modified", "updated", "
 """What stores call what changes with a file."""
 OTHERS = ("_", ".")
 """Beginnings of names of files beside the data, as `_SUCCESS` and `.crc`."""
+LONG = 2**26
+"""Bytes of a Parquet file past which it is read in stretches: a million rows of eight columns."""
+
+Keys = tuple[tuple[str, str], ...]
+Infos = dict[str, Mapping[str, Any]]
+"""What the store says of files, by their URLs."""
 
 
 class Source(NamedTuple):
@@ -39,7 +46,7 @@ class Source(NamedTuple):
 
     name: str
     urls: tuple[str, ...]
-    keys: tuple[tuple[str, str], ...]
+    keys: Keys
     state: str
     size: int
 
@@ -48,28 +55,32 @@ class Source(NamedTuple):
         """Whether its rows can be read in parts."""
         return all(url.lower().endswith(DATA_SET) for url in self.urls)
 
+    @property
+    def is_long(self) -> bool:
+        """Whether it is read by rows: it is large, or its files are one recording together."""
+        return self.is_parquet and (self.size > LONG or len(self.urls) > 1)
+
 
 def find_sources(
     patterns: Sequence[str | os.PathLike[str]],
     storage: Mapping[str, Any] | None = None,
-    without: Callable[[str], bool] = lambda _: False,
+    is_other: Callable[[str], bool] = lambda _: False,
 ) -> list[Source]:
     """All that match a path, a folder (with all that it holds) or a pattern, sorted by name.
 
     **Arguments:** `patterns`: also URLs of a file system that fsspec knows, `s3://bucket/drives/*`;
-    `storage`: what fsspec needs to know of it; `without`, which paths are no recordings.
+    `storage`: what fsspec needs to know of it; `is_other`, which paths are no recordings.
 
     **Raises:** `DataError` for a pattern that nothing matches, and a store that does not answer.
     """
-    require("the patterns", patterns, (list, tuple), "['drives/*.csv']")
-    files: dict[str, Mapping[str, Any]] = {}
+    files: Infos = {}
     roots = []
-    for pattern in patterns:
-        root, found = _files(os.fspath(pattern), storage or {})
-        found = {url: info for url, info in found.items() if not without(url)}
-        if not found:
-            raise DataError(f"nothing that can be read matches '{os.fspath(pattern)}'.")
-        files |= found
+    for pattern in map(os.fspath, patterns):
+        root, matching = _files(pattern, storage or {})
+        matching = {url: info for url, info in matching.items() if not is_other(url)}
+        if not matching:
+            raise DataError(f"nothing that can be read matches '{pattern}'.")
+        files |= matching
         roots.append(root)
     sets: dict[str, list[str]] = {}
     for url in sorted(files):
@@ -79,20 +90,20 @@ def find_sources(
     # Not of what is found: a name must not change with the files beside.
     common = posixpath.commonprefix(roots)
     root = common[: common.rfind("/") + 1]
-    return sorted(
-        Source(
-            url.removeprefix(root) or posixpath.basename(url),
-            tuple(urls),
-            tuple(_keys(url)),
-            _state([files[one] for one in urls]),
-            sum(int(files[one].get("size") or 0) for one in urls),
-        )
-        for url, urls in sets.items()
-    )
+
+    def source(url: str, urls: Sequence[str]) -> Source:
+        infos = [files[each] for each in urls]
+        states = [[str(info.get(key)) for key in ("size", *STATES)] for info in infos]
+        state = hashlib.sha256(repr(states).encode()).hexdigest()[:32]
+        name = url.removeprefix(root) or posixpath.basename(url)
+        size = sum(int(info.get("size") or 0) for info in infos)
+        return Source(name, tuple(urls), tuple(_keys(url)), state, size)
+
+    return sorted(source(url, urls) for url, urls in sets.items())
 
 
-def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, dict[str, Mapping[str, Any]]]:
-    """The folder that a pattern looks into, and URL to what the store says, of all that match."""
+def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, Infos]:
+    """The folder that a pattern looks into, and what the store says of all files that match."""
     import fsspec
 
     with _in_words(f"'{pattern}' cannot be looked at"):
@@ -101,22 +112,22 @@ def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, dict[str, Map
         matched = fs.glob(path, detail=True) if fsspec.core.has_magic(path) else {}
         if not matched and fs.exists(path):  # also where a name holds such a sign
             matched = {path: fs.info(path)}
-        found: dict[str, Mapping[str, Any]] = {}
-        for each, info in matched.items():
-            inner = fs.find(each, detail=True) if info["type"] == "directory" else {}
-            for inside, about in inner.items():
-                *folders, name = inside[len(each) :].strip("/").split("/")
-                known = posixpath.splitext(name)[1].lower() in endings()
-                if known and not any(part.startswith(OTHERS) for part in (*folders, name)):
-                    found[inside] = about
-            found |= {each: info} if info["type"] == "file" else {}
+        files: Infos = {}
+        for place, info in matched.items():
+            inner = fs.find(place, detail=True) if info["type"] == "directory" else {}
+            for inside, its_info in inner.items():
+                parts = inside[len(place) :].strip("/").split("/")
+                is_known = posixpath.splitext(parts[-1])[1].lower() in endings()
+                if is_known and not any(part.startswith(OTHERS) for part in parts):
+                    files[inside] = its_info
+            files |= {place: info} if info["type"] == "file" else {}
         # Of a pattern, as far as it is a path.
         root = path if path in matched else re.split(r"[*?\[]", path, maxsplit=1)[0]
         if matched.get(root, {}).get("type") != "directory" or _recording_of(f"{root}/") == root:
             root = posixpath.dirname(root)
-    local = "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,))
-    url = (lambda each: each) if local else fs.unstrip_protocol
-    return url(root) + "/", {url(each): info for each, info in found.items()}
+    is_local = "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,))
+    url = (lambda place: place) if is_local else fs.unstrip_protocol
+    return url(root) + "/", {url(place): info for place, info in files.items()}
 
 
 @contextlib.contextmanager
@@ -130,8 +141,8 @@ def _in_words(what: str) -> Iterator[None]:
     except (RiecjaxError, MemoryError):
         raise
     except Exception as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise DataError(f"{what}: {said[:300].rstrip('.')}.") from None
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise DataError(f"{what}: {why[:300].rstrip('.')}.") from None
 
 
 def _recording_of(url: str) -> str:
@@ -142,28 +153,10 @@ def _recording_of(url: str) -> str:
 
 
 def _keys(url: str) -> Iterator[tuple[str, str]]:
-    folders = (url if url.lower().endswith(DATA_SET) else posixpath.dirname(url)).split("/")
-    for part in folders:
-        key, equals, value = part.partition("=")
-        if key and equals and value:
+    for part in (url if url.lower().endswith(DATA_SET) else posixpath.dirname(url)).split("/"):
+        key, _, value = part.partition("=")
+        if key and value:
             yield unquote(key), unquote(value)
-
-
-def _state(infos: Iterable[Mapping[str, Any]]) -> str:
-    said = [[str(info.get(key)) for key in ("size", *STATES)] for info in infos]
-    return hashlib.sha256(repr(said).encode()).hexdigest()[:32]
-
-
-@contextlib.contextmanager
-def opened(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
-    """A file of a source, to be read in pieces.
-
-    **Raises:** `DataError` where it cannot be.
-    """
-    import fsspec
-
-    with _in_words(f"'{url}' cannot be read"), fsspec.open(url, "rb", **storage) as stream:
-        yield stream
 
 
 @contextlib.contextmanager
@@ -191,16 +184,10 @@ def at_hand(source: Source, storage: Mapping[str, Any]) -> Iterator[Path]:
 # window counts once, also one that lies across the boundary of two files of a data set.
 
 
-STRETCH = 2**20
-"""Starts of a stretch, about."""
-LONG = 2**26
-"""Bytes of a Parquet file past which it is read in stretches: a million rows of eight columns."""
 BESIDE = 2**10
 """Samples on both sides of a stretch that preparation looks at."""
 BATCH = 2**16
 """Rows that are unpacked at a time."""
-
-Keys = tuple[tuple[str, str], ...]
 
 
 class Piece(NamedTuple):
@@ -229,8 +216,13 @@ class Piece(NamedTuple):
     @property
     def part(self) -> str:
         """Which recording of its source it is of, by what its columns say and where it begins."""
-        said = [f"{key}={value}" for key, value in self.keys]
-        return ", ".join([*said, f"from row {self.low} on"] if self.low else said)
+        labels = [f"{key}={value}" for key, value in self.keys]
+        return ", ".join([*labels, f"from row {self.low} on"] if self.low else labels)
+
+    @property
+    def labels(self) -> str:
+        """JSON of what its path and columns say."""
+        return json.dumps(dict((*self.source.keys, *self.keys)))
 
     def reach(self, window: int) -> tuple[int, int]:
         """First row to read, and one beyond the last, for windows of so many samples."""
@@ -244,11 +236,6 @@ class Piece(NamedTuple):
         source = self.source._replace(urls=self.source.urls[first : last + 1])
         before = self.ends[first - 1] if first else self.before
         return self._replace(source=source, before=before, ends=self.ends[first : last + 1])
-
-
-def is_long(source: Source) -> bool:
-    """Whether a source is read by rows: it is large, or its files are one recording together."""
-    return source.is_parquet and (source.size > LONG or len(source.urls) > 1)
 
 
 def stretches(piece: Piece, starts: int, window: int) -> Iterator[Piece]:
@@ -270,27 +257,23 @@ def recordings_of(
 
     **Raises:** `DataError` where a column is in none of its files; `OSError`.
     """
-    found: list[Piece] = []
+    pieces: list[Piece] = []
     ends: list[int] = []
-    before = 0
+    stop = 0
     for url in source.urls:
-        with opened(url, storage) as stream:
-            file = _parquet(stream)
+        with _parquet(url, storage) as file:
             if missing := {*columns} - {*file.schema_arrow.names}:
                 raise DataError(f"there is no column '{min(missing)}' to group by.")
-            for keys, count in _runs(file, columns):
-                if found and found[-1].keys == keys:
-                    found[-1] = found[-1]._replace(stop=before + count, high=before + count)
+            for keys, count in _runs(file, columns) if file.metadata.num_rows else ():
+                first, stop = stop, stop + count
+                if pieces and pieces[-1].keys == keys:
+                    pieces[-1] = pieces[-1]._replace(stop=stop, high=stop)
                 else:
-                    found.append(
-                        Piece(source, before, before + count, before, before + count, keys)
-                    )
-                before += count
-            ends.append(before)
-    if not (some := [piece for piece in found if piece.stop > piece.first]):
+                    pieces.append(Piece(source, first, stop, first, stop, keys))
+            ends.append(stop)
+    if not pieces:
         raise DataError("it holds no rows.")
-    every = tuple(ends)
-    return [piece._replace(ends=every) for piece in some]
+    return [piece._replace(ends=tuple(ends)) for piece in pieces]
 
 
 def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:
@@ -310,43 +293,43 @@ def rows_at_hand(piece: Piece, low: int, high: int, storage: Mapping[str, Any]) 
 
     **Raises:** `OSError` where it cannot be read or written.
     """
-    from pyarrow import Table, concat_tables, parquet
+    from pyarrow import concat_tables, parquet
 
-    parts: list[Any] = []
-    before = piece.before
+    tables: list[Any] = []
+    begin = piece.before
     for url in piece.source.urls:
-        with opened(url, storage) as stream:
-            file = _parquet(stream)
-            rows = file.metadata.num_rows
-            if max(low, before) < min(high, before + rows):
-                parts += _some_rows(file, max(low - before, 0), min(high - before, rows))
-            before += rows
-        if before >= high:
+        with _parquet(url, storage) as file:
+            # Only groups of rows are read that hold some.
+            wanted, start = [], begin
+            for number in range(file.metadata.num_row_groups):
+                end = begin + file.metadata.row_group(number).num_rows
+                if begin < high and end > low:
+                    start = start if wanted else begin
+                    wanted.append(number)
+                begin = end
+            if wanted:
+                first = max(low - start, 0)
+                tables.append(file.read_row_groups(wanted).slice(first, high - start - first))
+        if begin >= high:
             break
-    table = concat_tables(Table.from_batches([part]) for part in parts)
     with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
         here = (Path(folder) / Path(piece.source.name).name).with_suffix(".parquet")
-        parquet.write_table(table, here, compression="none", use_dictionary=False)
+        parquet.write_table(concat_tables(tables), here, compression="none", use_dictionary=False)
         yield here
 
 
-def _parquet(stream: Any) -> Any:
+@contextlib.contextmanager
+def _parquet(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
+    """A Parquet file of a source, to be read in pieces.
+
+    **Raises:** `DataError` where it cannot be.
+    """
+    import fsspec
     from pyarrow import ArrowException, parquet
 
-    try:
-        return parquet.ParquetFile(stream, page_checksum_verification=True)
-    except ArrowException as error:
-        raise DataError(f"not a readable Parquet file: {str(error).splitlines()[0]}") from None
-
-
-def _some_rows(file: Any, low: int, high: int) -> Iterator[Any]:
-    """Rows of one file, of which only the groups of rows are read that hold some."""
-    counts = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
-    ends = list(itertools.accumulate(counts))
-    wanted = [i for i, end in enumerate(ends) if end > low and end - counts[i] < high]
-    before = ends[wanted[0]] - counts[wanted[0]]
-    for batch in file.iter_batches(BATCH, row_groups=wanted):
-        first, stop = max(low - before, 0), min(high - before, batch.num_rows)
-        if first < stop:
-            yield batch.slice(first, stop - first)
-        before += batch.num_rows
+    with _in_words(f"'{url}' cannot be read"), fsspec.open(url, "rb", **storage) as stream:
+        try:
+            file = parquet.ParquetFile(stream, page_checksum_verification=True)
+        except ArrowException as error:
+            raise DataError(f"not a readable Parquet file: {str(error).splitlines()[0]}") from None
+        yield file

@@ -9,7 +9,8 @@ import scipy.optimize
 import scipy.stats
 from jaxtyping import Float
 
-from riecjax.fleets.groups import Entry, errors_of, has_error
+from riecjax.fleets.groups import Entry
+from riecjax.fleets.sums import DONE
 
 # Two questions, and two answers. How far do groups differ at all: an estimate is the groups' mean,
 # plus a deviation of the group with variance tau^2, plus the error of its own; tau^2 by Paule and
@@ -25,6 +26,20 @@ FEWEST = 4
 step."""
 RATE = 0.05
 """False discoveries, as a share of all groups that are called different."""
+
+
+def has_error(entry: Entry) -> bool:
+    """Whether an entry has a value with an interval of some width, to be held against others."""
+    ends = entry.low95, entry.value, entry.high95
+    known = entry.status == DONE and all(end is not None and np.isfinite(end) for end in ends)
+    return known and errors_of([entry])[0] > 0
+
+
+def errors_of(entries: Sequence[Entry]) -> Float[np.ndarray, " n"]:
+    """Standard errors of normal laws whose intervals are as wide as these entries': with few blocks
+    of time an interval is wider than its standard error tells."""
+    widths = np.array([(entry.high95 or 0.0) - (entry.low95 or 0.0) for entry in entries], float)
+    return widths / (2 * scipy.stats.norm.isf(0.025))
 
 
 class Differing(NamedTuple):

@@ -2,14 +2,20 @@
 
 import contextlib
 import importlib.util
+import inspect
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
+from riecjax.criteria.test_functions import AbstractTestFunction
 from riecjax.errors import ModelError, require, users_code
 from riecjax.models.model import Model, Quantity, as_model
 from riecjax.whole_files import no_file
+
+if TYPE_CHECKING:
+    from riecjax.criteria.test_functions import AbstractTestFunction
 
 _QUARTER_CAR_SIGNALS = (
     Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
@@ -286,6 +292,31 @@ def object_of_file(reference: str) -> object:
     if not hasattr(module, attribute):
         raise ModelError(f"{path} has no object '{attribute}'.")
     return getattr(module, attribute)
+
+
+def test_function_of_file(reference: str) -> "AbstractTestFunction":
+    """A test function of the user's own, whose class or object `path/to/file.py:object` names.
+
+    **Raises:** `ModelError` for what is none, and what lacks a part of one, which shows here and
+    not in the middle of a fit.
+    """
+    import numpy as np
+
+    from riecjax.criteria.test_functions import AbstractTestFunction
+
+    named = object_of_file(reference)
+    kind = named if isinstance(named, type) else type(named)
+    if not issubclass(kind, AbstractTestFunction) or inspect.isabstract(kind):
+        raise ModelError(
+            f"{reference} is no test function: derive the class from "
+            f"riecjax.criteria.AbstractSmoothTestFunction."
+        )
+    with users_code(reference):
+        weight: Any = named() if isinstance(named, type) else named
+        weight.describe()
+        weight.gain(np.array([1.0]), np.array([0.5]))
+        _ = weight.smoothness, weight.row_seconds
+    return weight
 
 
 def _load(path: Path) -> ModuleType:

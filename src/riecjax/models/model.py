@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from riecjax.errors import ModelError, require, users_code
+from riecjax.settings.tree import Elements
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from riecjax.equations.term import AbstractTerm
     from riecjax.records.record import Record
     from riecjax.refinement.objective import AbstractParametric
+    from riecjax.settings.tree import Elements
     from riecjax.simulation.equation_system import Attachment
     from riecjax.simulation.system import AbstractSystem
 
@@ -200,6 +202,32 @@ class Model(Shown):
         names = [stiffness_name(i) for i in range(len(self.springs), len(carrying.springs))]
         added = (Quantity(name, units[name], "spring in series") for name in names)
         return replace(carrying, parameters=(*self.parameters, *added))
+
+    def with_elements(self, elements: Elements) -> Model:
+        """The same model with what it leaves out, and with what its sensors get wrong.
+
+        **Raises:** `ModelError` as the methods that add each, and for an unknown kind.
+        """
+        from riecjax.equations.hidden_elements import HiddenMode, SeriesSpring
+
+        added: dict[str, list[Any]] = {"mode": [*elements.modes], "spring": [*elements.springs]}
+        added |= {"offset": [*elements.offsets_of], "gain": [*elements.gains_of]}
+        others = []
+        for kind, signal, hertz in elements.added:
+            if kind not in added:
+                from riecjax.extensions import element
+
+                others.append((element(kind), signal, hertz))
+            elif kind == "mode":
+                added[kind].append((signal, hertz))
+            else:
+                added[kind].append(signal)
+        offsets, gains = (tuple(dict.fromkeys(added[kind])) for kind in ("offset", "gain"))
+        model = self.with_sensor_errors(offsets, gains)
+        for add, signal, hertz in others:
+            model = add(model, signal, hertz)
+        model = model.with_modes(*(HiddenMode(*each) for each in added["mode"]))
+        return model.with_series_springs(*map(SeriesSpring, added["spring"]))
 
     def build_procedure(self) -> Procedure:
         """The equations to identify.

@@ -1,109 +1,90 @@
 """`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
+import contextlib
 import functools
 import os
 import shutil
-from collections.abc import Callable
-from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
-import click
-
-from riecjax.cli.options import json_option, out_option, seed_option
+from riecjax.cli import Given, settings_command
 from riecjax.runtime import start_jax
-from riecjax.whole_files import stamp
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from riecjax.paper.study import Progress as Report
+from riecjax.settings import Contradiction, Output, Seed, Settings, flag, setting, whole
 
 DEFAULT_ROADS = 32
 PARTS = "variations.parts"
 """Folder of what is finished of an interrupted study, inside the one of --out."""
 
 
-@click.command("reproduce", short_help="Repeat the study of Best and Gordon (1999).")
-@seed_option
-@click.option(
-    "--roads",
-    type=click.IntRange(min=1, max=100_000),
-    help=f"Number of random roads behind the tables. [default: {DEFAULT_ROADS}]",
+@dataclass(frozen=True, kw_only=True)
+class Study(Settings):
+    """How much of the study is repeated."""
+
+    roads: int | None = setting("--roads N", whole(1, 100_000), default_in_words=f"{DEFAULT_ROADS}")
+    """Number of random roads behind the tables."""
+    full: bool = flag("--full")
+    """The whole study: every table, figure and statement."""
+    quick: bool = flag("--quick")
+    """The whole study on few roads, in about a minute."""
+
+    def require_sense(self) -> None:
+        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+        if self.roads and (self.full or self.quick):
+            raise Contradiction(
+                "{roads} excludes {full} and {quick}, which set the number of roads.",
+                self.options(),
+            )
+
+
+@settings_command(
+    "reproduce", Seed, Study, Output, short_help="Repeat the study of Best and Gordon (1999)."
 )
-@click.option("--full", is_flag=True, help="The whole study: every table, figure and statement.")
-@click.option("--quick", is_flag=True, help="The whole study on few roads, in about a minute.")
-@json_option
-@out_option
-def command(
-    seed: int, roads: int | None, full: bool, quick: bool, as_json: bool, out: Path | None
-) -> None:
+def command(given: Given) -> None:
     """Reproduce Best and Gordon (1999) on simulated roads.
 
     Without --full or --quick: Tables 1, 3, 4 and 5, and the statements that they decide. A study
     with --out that is interrupted goes on where it was when it is started again.
     """
-    if roads and (full or quick):
-        raise click.UsageError(
-            "--roads excludes --full and --quick, which set the number of roads."
-        )
+    given.take(Study)
+    out = given.out
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
     import jax
 
-    from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
-    from riecjax.paper.claims import table_claims
-    from riecjax.paper.reproduction import run_road
-    from riecjax.paper.study import FULL, QUICK, evaluate_claims, run_study
+    from riecjax.models.quarter_car import reconstructed
+    from riecjax.paper.charts import study_charts
+    from riecjax.paper.claims import evaluate_claims
+    from riecjax.paper.report import print_reproduction, reproduction_document, reproduction_page
+    from riecjax.paper.study import FULL, QUICK, run_study
     from riecjax.paper.variations import write_variations
-    from riecjax.reporting.output import emit
-    from riecjax.reporting.paper_charts import study_charts, table_charts
-    from riecjax.reporting.reproduction import (
-        print_reproduction,
-        reproduction_document,
-        reproduction_page,
-    )
-    from riecjax.studies.monte_carlo import over_keys
+    from riecjax.reporting import emit, require_folder
 
-    shapes, key = reconstructed(), jax.random.key(seed)
-    parts = None if out is None else out / PARTS
-    others: dict[str, Callable[[Path], None]] = {}
+    if out is not None:
+        require_folder(out)
+    shapes, parts = reconstructed(), None if out is None else out / PARTS
+    scale = QUICK if given.quick else FULL if given.full else given.roads or DEFAULT_ROADS
     with _progress() as report:
-        if full or quick:
-            scale = QUICK if quick else FULL
-            study = run_study(scale, key, shapes, folder=parts, progress=report)
-            report("statements", 0, 1)
-            results, claims = study.roads, evaluate_claims(study)
-            charts = functools.partial(study_charts, study, shapes)
-            others["variations.parquet"] = lambda file: write_variations(
-                study.table, file, stamp(file)
-            )
-        else:
-            scale, count = None, roads or DEFAULT_ROADS
-            results = over_keys(
-                run_road,
-                key,
-                count,
-                quarter_car_source(shapes),
-                shapes,
-                progress=lambda done: report("roads", done, count),
-            )
-            claims = table_claims(results)
-            charts = functools.partial(table_charts, results, shapes)
+        study = run_study(scale, jax.random.key(given.seed), shapes, folder=parts, progress=report)
+        report("statements", 0, 1)
+        claims = evaluate_claims(study)
+    others = {}
+    if study.further is not None:
+        variations = study.further.variations
+        others["variations.parquet"] = functools.partial(write_variations, variations)
     emit(
-        reproduction_document(results, claims, seed=seed, scale=scale),
-        as_json=as_json,
+        reproduction_document(study, claims, seed=given.seed),
+        as_json=given.as_json,
         out=out,
         show=print_reproduction,
-        charts=charts,
+        charts=functools.partial(study_charts, study, shapes),
         page=reproduction_page,
         others=others,
     )
-    if scale is not None and parts is not None:
+    if study.further is not None and parts is not None:
         shutil.rmtree(parts, ignore_errors=True)
 
 
-@contextmanager
-def _progress() -> "Iterator[Report]":
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
     """A bar for each thing that is computed, on standard error."""
     from rich.console import Console
     from rich.progress import Progress

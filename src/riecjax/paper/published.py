@@ -10,6 +10,9 @@ VARIANTS = ("W_true", "B_true", "W_id", "B_id")
 
 CRITERIA = ("RIEC", "DOLS")
 
+INPUTS = ("road", "pothole")
+"""What models are validated on."""
+
 
 class PublishedMode(NamedTuple):
     """One row of Table 1; complex numbers stand for the printed `a ± b i` with a sign."""

@@ -1,13 +1,15 @@
-"""Sections 4 and 5 of the paper on simulated roads: Tables 3 to 5, Figs 9 and 10, alpha, beta."""
+"""Sections 2, 4 and 5 of the paper on simulated roads: Tables 3 to 5, Figs 2, 9 and 10.
 
-from collections.abc import Mapping, Sequence
+Parameters of identified models are arrays whose last axis is in the order of [`PARAMETERS`][].
+"""
+
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from riecjax import (
     DOLS,
@@ -22,17 +24,18 @@ from riecjax import (
     staged,
 )
 from riecjax.estimation import solve
-from riecjax.models.quarter_car.identification import (
+from riecjax.models.quarter_car import (
+    Pothole,
     QuarterCar,
+    QuarterCarSource,
+    Reconstruction,
     body_equation,
     mass_equation,
     quarter_car_by_body,
     tyre_equation,
     wheel_equation,
 )
-from riecjax.models.quarter_car.reconstruction import Pothole, Reconstruction
-from riecjax.models.quarter_car.source import QuarterCarSource, contact_share
-from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
+from riecjax.paper.published import CRITERIA, INPUTS, TABLE_2, VARIANTS
 from riecjax.simulation import Simulation, band_limited_noise, pothole, robson_road
 from riecjax.studies import over_keys
 from riecjax.summaries import NormalEquations, stage_normal_equations
@@ -40,31 +43,39 @@ from riecjax.validation import percentage_error
 
 TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 VALIDATED_STATES = ("x1", "x2", "x3", "x4")
-INPUTS = ("road", "pothole")
-"""What models are validated on."""
 POTHOLE_DURATION = 3.0
 """Seconds of the pot-hole's validation, enough for the body to come to rest."""
-
-PARAMETERS = ("K_t", "M_us", "M_s", "K_s", "F_1", "F_2", "F_3", "F_4")
-
-Parameters = dict[str, Float[Array, ""]]
+FORCES = ("F_1", "F_2", "F_3", "F_4")
+PARAMETERS: tuple[str, ...] = ("K_t", "M_us", "M_s", "K_s", *FORCES)
+STEP = 1 / TABLE_2.rate
+"""Seconds from sample to sample."""
 
 
 class RoadResult(eqx.Module):
-    """One road: everything that Tables 3 to 5 print, and the damper maps.
+    """One road, or many along a leading axis: all that Tables 3 to 5 print, and the damper maps.
 
     **Fields:**
 
-    - `parameters`: by criterion, then variant, then parameter name.
-    - `errors`: p_i of x1 to x4 in percent, by input, then criterion, then variant; shape `(4,)`.
+    - `parameters` by each criterion, of each variant.
+    - `errors`: p_i of x1 to x4 in percent, on each of `INPUTS`.
     - `contact`: share of the identification record in which the tyre touches the road.
     - `successful`: whether every simulation kept its solution.
     """
 
-    parameters: dict[str, dict[str, Parameters]]
-    errors: dict[str, dict[str, dict[str, Float[Array, " 4"]]]]
+    parameters: Float[Array, "criteria variants parameters"]
+    errors: Float[Array, "criteria variants inputs 4"]
     contact: Float[Array, ""]
-    successful: Array
+    successful: Bool[Array, ""]
+
+    def identified(self, variant: str, name: str) -> Float[np.ndarray, "*roads criteria"]:
+        """Values of a parameter."""
+        place = VARIANTS.index(variant), PARAMETERS.index(name)
+        return np.asarray(self.parameters)[..., *place]
+
+    def summed_error(self, variant: str, where: str) -> Float[np.ndarray, "*roads criteria"]:
+        """p_1 + ... + p_4 in percent."""
+        place = VARIANTS.index(variant), INPUTS.index(where)
+        return np.asarray(self.errors)[..., *place, :].sum(axis=-1)
 
 
 class RoadKeys(NamedTuple):
@@ -82,35 +93,29 @@ def road_keys(key: Key[Array, ""]) -> RoadKeys:
 
 def training_noise(key: Key[Array, ""]) -> Float[Array, " n"]:
     """Road velocity of Table 2 in m/s."""
-    return band_limited_noise(
-        key, TABLE_2.sample_count, 1 / TABLE_2.rate, bandwidth=TABLE_2.bandwidth, rms=TABLE_2.rms
-    )
+    bandwidth, rms = TABLE_2.bandwidth, TABLE_2.rms
+    return band_limited_noise(key, TABLE_2.sample_count, STEP, bandwidth=bandwidth, rms=rms)
 
 
 def validation_inputs(key: Key[Array, ""], shapes: Reconstruction) -> dict[str, Array]:
     """Road velocities of Section 5 in m/s: a Robson `road` and the `pothole`."""
-    road = robson_road(
-        key, TABLE_2.sample_count, 1 / TABLE_2.rate, roughness=jnp.asarray(shapes.roughness)
-    )
+    roughness = jnp.asarray(shapes.roughness)
+    road = robson_road(key, TABLE_2.sample_count, STEP, roughness=roughness)
     return dict(zip(INPUTS, (road, pothole_velocity(shapes.pothole))))
 
 
 def pothole_velocity(hole: Pothole) -> Float[Array, " n"]:
     """Road velocity of a pot-hole in m/s, at Table 2's rate."""
-    return pothole(
-        round(POTHOLE_DURATION * TABLE_2.rate),
-        1 / TABLE_2.rate,
-        depth=jnp.asarray(hole.depth),
-        length=jnp.asarray(hole.length),
-        ramp=jnp.asarray(hole.ramp),
-    )
+    depth, length, ramp = (jnp.asarray(leaf) for leaf in (hole.depth, hole.length, hole.ramp))
+    count = round(POTHOLE_DURATION * TABLE_2.rate)
+    return pothole(count, STEP, depth=depth, length=length, ramp=ramp)
 
 
 def identification_record(
     source: QuarterCarSource, key: Key[Array, ""], *, method: FixedStep | None = None
 ) -> Simulation:
     """The source model on the white-noise road of Table 2."""
-    return simulate(source, Record({"v_r": training_noise(key)}, 1 / TABLE_2.rate), method=method)
+    return simulate(source, Record({"v_r": training_noise(key)}, STEP), method=method)
 
 
 def paper_criteria() -> dict[str, RIEC | DOLS]:
@@ -121,37 +126,39 @@ def paper_criteria() -> dict[str, RIEC | DOLS]:
 
 def identify_variants(
     record: Record, criterion: RIEC | DOLS, key: Key[Array, ""]
-) -> dict[str, Parameters]:
+) -> Float[Array, "variants parameters"]:
     """All four variants from one set of normal equations: only what is known differs."""
     procedure = staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
     tyre, masses, wheel, body = stage_normal_equations(procedure, record, criterion, key)
-    variants = {}
-    for variant in VARIANTS:
-        known = TRUE_MASSES if variant.endswith("true") else {}
-        known = {name: jnp.asarray(value) for name, value in known.items()}
-        last = wheel if variant.startswith("W") else body
-        values = _solved_in_turn([tyre, masses, last], known)
-        variants[variant] = {name: values[name] for name in PARAMETERS}
-    return variants
+    return jnp.stack(
+        [
+            _solved_in_turn(
+                [tyre, masses, wheel if variant.startswith("W") else body],
+                TRUE_MASSES if variant.endswith("true") else {},
+            )
+            for variant in VARIANTS
+        ]
+    )
 
 
 def by_body(
     record: Record, criterion: RIEC | DOLS, key: Key[Array, ""] | None = None
 ) -> Float[Array, " parameters"]:
-    """The variant B_id by one criterion, in the order of `PARAMETERS`."""
+    """The variant B_id by one criterion."""
     stages = stage_normal_equations(quarter_car_by_body(), record, criterion, key)
-    values = _solved_in_turn(stages, {})
-    return jnp.stack([values[name] for name in PARAMETERS])
+    return _solved_in_turn(stages, {})
 
 
-def _solved_in_turn(stages: Sequence[NormalEquations], known: Mapping[str, Array]) -> Parameters:
+def _solved_in_turn(
+    stages: list[NormalEquations], known: dict[str, float]
+) -> Float[Array, " parameters"]:
     """The paper's procedure: each stage takes as known what those before it found."""
-    values = dict(known)
+    values = {name: jnp.asarray(value) for name, value in known.items()}
     for stage in stages:
         equations = stage.total().fix(values)
         if equations.parameters:
             values |= dict(zip(equations.parameters, solve(equations).theta))
-    return values
+    return jnp.stack([values[name] for name in PARAMETERS])
 
 
 def run_road(
@@ -164,54 +171,41 @@ def run_road(
     """Simulate, identify and validate on one random road; vmap over keys for many."""
     keys = road_keys(key)
     training = identification_record(source, keys.training, method=method)
-    parameters = {
-        name: identify_variants(training.record, criterion, keys.windows)
-        for name, criterion in paper_criteria().items()
-    }
-    models = stack_models(parameters)
-    errors, successful = {}, training.successful
-    for name, velocity in validation_inputs(keys.validation, shapes).items():
-        truth = simulate(source, Record({"v_r": velocity}, 1 / TABLE_2.rate), method=method)
-        table, finite = validation_errors(models, truth.record, method)
-        errors[name] = {
-            criterion: {variant: table[i, j] for j, variant in enumerate(VARIANTS)}
-            for i, criterion in enumerate(CRITERIA)
-        }
-        successful = successful & truth.successful & finite
-    contact = contact_share(training.record["x1"], source)
-    return RoadResult(parameters, errors, contact, successful)
-
-
-def stack_models(
-    parameters: dict[str, dict[str, Parameters]],
-    criteria: Sequence[str] = CRITERIA,
-    variants: Sequence[str] = VARIANTS,
-) -> Parameters:
-    """Every parameter as an array over criteria and variants, its last two axes."""
-    return {
-        name: jnp.stack(
-            [jnp.stack([parameters[c][v][name] for v in variants], axis=-1) for c in criteria],
-            axis=-2,
-        )
-        for name in PARAMETERS
-    }
+    criteria = paper_criteria().values()
+    parameters = jnp.stack([identify_variants(training.record, c, keys.windows) for c in criteria])
+    inputs = validation_inputs(keys.validation, shapes)
+    errors, predicted = validation_errors(parameters, source, inputs, method)
+    lift_off = source.lift_off_force / source.tyre_stiffness
+    extension = training.record["x1"]
+    contact = jnp.mean(extension <= lift_off, axis=-1, dtype=extension.dtype)
+    return RoadResult(parameters, errors, contact, training.successful & jnp.all(predicted))
 
 
 def validation_errors(
-    models: Parameters, truth: Record, method: FixedStep | None = None
-) -> tuple[Float[Array, "criteria variants 4"], Array]:
-    """p_i of x1 to x4 in percent of each model, and whether all kept their solution."""
-    errors, successful = jax.vmap(jax.vmap(lambda m: prediction_errors(m, truth, method)))(models)
-    return errors, jnp.all(successful)
+    models: Float[Array, "*models parameters"],
+    source: QuarterCarSource,
+    inputs: dict[str, Array],
+    method: FixedStep | None = None,
+) -> tuple[Float[Array, "*models inputs 4"], Bool[Array, "*models"]]:
+    """p_i of x1 to x4 in percent on each input, and whether all simulations of a model held."""
+    errors, successful = [], []
+    for velocity in inputs.values():
+        road = Record({"v_r": velocity}, STEP)
+        truth = simulate(source, road, method=method)
+
+        def error(model: Array, road: Record = road, truth: Simulation = truth) -> tuple:
+            run = simulate(QuarterCar.from_parameters(_named(model)), road, method=method)
+            by_state = [percentage_error(run.record[s], truth.record[s]) for s in VALIDATED_STATES]
+            return jnp.stack(by_state), run.successful & truth.successful
+
+        percent, kept = jnp.vectorize(error, signature="(p)->(s),()")(models)
+        errors.append(percent)
+        successful.append(kept)
+    return jnp.stack(errors, axis=-2), jnp.all(jnp.stack(successful), axis=0)
 
 
-def prediction_errors(
-    model: Parameters, truth: Record, method: FixedStep | None = None
-) -> tuple[Float[Array, " 4"], Array]:
-    """p_i of x1 to x4 in percent of one model, and whether it kept its solution."""
-    run = simulate(QuarterCar.from_parameters(model), truth.select("v_r"), method=method)
-    errors = [percentage_error(run.record[s], truth[s]) for s in VALIDATED_STATES]
-    return jnp.stack(errors), run.successful
+def _named(parameters: Float[Array, " parameters"]) -> dict[str, Float[Array, ""]]:
+    return {name: parameters[i] for i, name in enumerate(PARAMETERS)}
 
 
 class Trajectories(eqx.Module):
@@ -219,41 +213,35 @@ class Trajectories(eqx.Module):
 
     Figures 9 and 10 show one model each; many on one motion show how far they scatter.
 
-    **Fields:** `time` in s; `source`, x1 to x4; `predicted` by criterion.
+    **Fields:** `time` in s; `source`, x1 to x4; `predicted` by each criterion.
     """
 
     time: Float[Array, " n"]
     source: Float[Array, "n 4"]
-    predicted: dict[str, Float[Array, "roads n 4"]]
+    predicted: Float[Array, "roads criteria n 4"]
 
 
+@eqx.filter_jit
 def validation_trajectories(
     roads: RoadResult, key: Key[Array, ""], source: QuarterCarSource, shapes: Reconstruction
 ) -> dict[str, Trajectories]:
     """Of the variant B_id on the `road` that belongs to `key`, and on the `pothole`."""
-    inputs = validation_inputs(road_keys(key).validation, shapes)
-    models = stack_models(roads.parameters, CRITERIA, ("B_id",))
-    return {name: _trajectories(models, source, v) for name, v in inputs.items()}
 
+    def motion(system: QuarterCarSource | QuarterCar, road: Record) -> Float[Array, "n 4"]:
+        record = simulate(system, road).record
+        return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
 
-@eqx.filter_jit
-def _trajectories(models: Parameters, source: QuarterCarSource, velocity: Array) -> Trajectories:
-    inputs = Record({"v_r": velocity}, 1 / TABLE_2.rate)
-
-    def predict(parameters: Parameters) -> Array:
-        return _states(simulate(QuarterCar.from_parameters(parameters), inputs).record)
-
-    # Roads, criteria, and the one variant.
-    predicted = jax.vmap(jax.vmap(jax.vmap(predict)))(models)[:, :, 0]
-    return Trajectories(
-        inputs.time,
-        _states(simulate(source, inputs).record),
-        {name: predicted[:, i] for i, name in enumerate(CRITERIA)},
-    )
-
-
-def _states(record: Record) -> Float[Array, "n 4"]:
-    return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
+    trajectories = {}
+    for where, velocity in validation_inputs(road_keys(key).validation, shapes).items():
+        road = Record({"v_r": velocity}, STEP)
+        predict = jax.vmap(
+            jax.vmap(
+                lambda model, road=road: motion(QuarterCar.from_parameters(_named(model)), road)
+            )
+        )
+        predicted = predict(roads.parameters[:, :, VARIANTS.index("B_id")])
+        trajectories[where] = Trajectories(road.time, motion(source, road), predicted)
+    return trajectories
 
 
 RAMPS = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8)
@@ -265,13 +253,11 @@ def errors_over_ramps(
     roads: RoadResult, source: QuarterCarSource, shapes: Reconstruction
 ) -> Float[Array, "ramps roads criteria variants 4"]:
     """p_i of x1 to x4 in percent, on pot-holes of the same depth and length with these ramps."""
-    models = stack_models(roads.parameters, CRITERIA, VARIANTS)
 
     def on(ramp: Array) -> Array:
         hole = Pothole(shapes.pothole.depth, shapes.pothole.length, ramp)
-        inputs = Record({"v_r": pothole_velocity(hole)}, 1 / TABLE_2.rate)
-        truth = simulate(source, inputs).record
-        return jax.vmap(lambda each: validation_errors(each, truth)[0])(models)
+        inputs = {"pothole": pothole_velocity(hole)}
+        return validation_errors(roads.parameters, source, inputs)[0][..., 0, :]
 
     return jax.lax.map(on, jnp.array(RAMPS))
 
@@ -299,8 +285,7 @@ class LengthMap(eqx.Module):
 
 def length_map(key: Key[Array, ""], source: QuarterCarSource, roads: int) -> LengthMap:
     """All pairs of `LENGTHS`, and each length almost alone: with one a sample longer."""
-    step = 1 / TABLE_2.rate
-    pairs = [(a, b) for a in LENGTHS for b in LENGTHS if a < b] + [(a, a + step) for a in LENGTHS]
+    pairs = [(a, b) for a in LENGTHS for b in LENGTHS if a < b] + [(a, a + STEP) for a in LENGTHS]
     alpha, beta = (jnp.array(side) for side in zip(*pairs))
     theta = over_keys(estimates_over_lengths, key, roads, source, alpha, beta)
     return LengthMap(alpha, beta, theta)
@@ -312,7 +297,7 @@ def estimates_over_lengths(
     alpha: Float[Array, " pairs"],
     beta: Float[Array, " pairs"],
 ) -> Float[Array, "pairs parameters"]:
-    """Parameters in the order of `PARAMETERS` on one random road; vmap over keys for many."""
+    """Parameters on one random road; vmap over keys for many."""
     record = identification_record(source, road_keys(key).training).record
     longest = round(max(LENGTHS) * TABLE_2.rate) + 1
 
@@ -356,13 +341,13 @@ def demonstrate(key: Key[Array, ""]) -> Demonstration:
     noise = jax.random.normal(noise_key, (count,))
     noise = noise * size / jnp.sqrt(jnp.mean(noise**2))
     largest = jnp.maximum(jnp.max(jnp.abs(run["dz"])), jnp.max(jnp.abs(run["dz"] + run["dd"])))
-    return Demonstration(noise, error, _running(noise), _running(error), 2 * SECOND_MASS * largest)
 
+    def integral(values: Float[Array, " n"]) -> Float[Array, " n"]:
+        """From the start to each sample, by trapezoids."""
+        steps = 0.5 * (values[1:] + values[:-1]) / RATE
+        return jnp.concatenate([jnp.zeros(1), jnp.cumsum(steps)])
 
-def _running(values: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Integral from the start to each sample, by trapezoids."""
-    steps = 0.5 * (values[1:] + values[:-1]) / RATE
-    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(steps)])
+    return Demonstration(noise, error, integral(noise), integral(error), 2 * SECOND_MASS * largest)
 
 
 STRETCHES = 8
@@ -380,6 +365,7 @@ class WindowErrorMoments(eqx.Module):
     correlation: Float[Array, ""]
 
 
+@eqx.filter_jit
 def window_error_moments(
     key: Key[Array, ""], roads: RoadResult, source: QuarterCarSource
 ) -> WindowErrorMoments:
@@ -387,32 +373,24 @@ def window_error_moments(
 
     **Arguments:** `roads`, as many as wanted, of a study that was made with `key`.
     """
+
+    def moments(road: tuple[Key[Array, ""], Float[Array, " parameters"]]) -> WindowErrorMoments:
+        keys, parameters = road_keys(road[0]), _named(road[1])
+        record = identification_record(source, keys.training).record
+        rows = paper_criteria()["RIEC"].rows(body_equation(), record, keys.windows)
+        theta = jnp.stack([parameters[name] for name in rows.parameters])
+        error = rows.columns[0] - theta @ rows.columns[1:]
+        count = error.shape[0]
+        stretch = jnp.floor(rows.position * STRETCHES / record.sample_count).astype(int)
+        inside = stretch[None, :] == jnp.arange(STRETCHES)[:, None]
+        square = jnp.sum(jnp.where(inside, error[None, :] ** 2, 0.0), axis=1)
+        mean_square = jnp.mean(error**2)
+        products = (jnp.sum(error) ** 2 - jnp.sum(error**2)) / (count * (count - 1))
+        by_start = square / jnp.maximum(jnp.sum(inside, axis=1), 1)
+        return WindowErrorMoments(by_start, products / mean_square)
+
     # The keys of [`over_keys`][], of which these roads were made.
     number = jnp.arange(roads.contact.shape[0], dtype=jnp.uint32)
     keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(number)
-    return _over_roads(keys, roads.parameters["RIEC"]["B_id"], source)
-
-
-@eqx.filter_jit
-def _over_roads(
-    keys: Key[Array, " roads"], found: Parameters, source: QuarterCarSource
-) -> WindowErrorMoments:
-    return jax.lax.map(lambda each: _moments(each[0], each[1], source), (keys, found))
-
-
-def _moments(
-    key: Key[Array, ""], found: Parameters, source: QuarterCarSource
-) -> WindowErrorMoments:
-    keys = road_keys(key)
-    record = identification_record(source, keys.training).record
-    rows = paper_criteria()["RIEC"].rows(body_equation(), record, keys.windows)
-    theta = jnp.stack([found[name] for name in rows.parameters])
-    error = rows.columns[0] - theta @ rows.columns[1:]
-    count = error.shape[0]
-    stretch = jnp.floor(rows.position * STRETCHES / record.sample_count).astype(int)
-    inside = stretch[None, :] == jnp.arange(STRETCHES)[:, None]
-    square = jnp.sum(jnp.where(inside, error[None, :] ** 2, 0.0), axis=1)
-    number = jnp.sum(inside, axis=1)
-    mean_square = jnp.mean(error**2)
-    products = (jnp.sum(error) ** 2 - jnp.sum(error**2)) / (count * (count - 1))
-    return WindowErrorMoments(square / jnp.maximum(number, 1), products / mean_square)
+    models = roads.parameters[:, CRITERIA.index("RIEC"), VARIANTS.index("B_id")]
+    return jax.lax.map(moments, (keys, models))

@@ -1,26 +1,15 @@
 """The whole study: all that the tables, figures and statements of the paper rest on, over roads."""
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
-import pyarrow as pa
 from jaxtyping import Array, Float, Key
 
-from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_car_source
-from riecjax.paper.claims import (
-    Claim,
-    bounded_impulse,
-    drop_outs,
-    table_claims,
-    variation_claims,
-    window_errors,
-    window_lengths,
-)
-from riecjax.paper.published import TABLE_6
+from riecjax.models.quarter_car import Reconstruction, quarter_car_source
 from riecjax.paper.reproduction import (
     Demonstration,
     LengthMap,
@@ -34,14 +23,7 @@ from riecjax.paper.reproduction import (
     validation_trajectories,
     window_error_moments,
 )
-from riecjax.paper.variations import (
-    Hysteresis,
-    Variations,
-    VariedStudy,
-    hysteresis,
-    run_variations,
-    varied_study,
-)
+from riecjax.paper.variations import Hysteresis, VariedStudy, hysteresis, run_variations
 from riecjax.studies import over_keys
 
 
@@ -77,28 +59,34 @@ QUICK = Scale(
 )
 
 
-class PaperStudy(NamedTuple):
-    """What was computed.
+class Further(NamedTuple):
+    """What a whole study has beyond Tables 3 to 5.
 
-    **Fields:**
-
-    - `scale`; `roads`, everything of Tables 3 to 5.
-    - `demonstrations` of Section 2; `window_errors`, for eq. (18).
-    - `lengths`: parameters over alpha and beta. `trajectories`: of Figs 9 and 10.
-    - `variations` of Section 6, and the tidy `table` that they were read from.
-    - `damper`: its hysteresis. `ramps`: errors on pot-holes of other shapes.
+    **Fields:** its `scale`; `variations` of Section 6; `demonstrations` of Section 2;
+    `window_errors`, for eq. (18); `lengths`, parameters over alpha and beta; `trajectories` of Figs
+    9 and 10; the `damper`'s hysteresis; `ramps`, errors on pot-holes of other shapes.
     """
 
     scale: Scale
-    roads: RoadResult
+    variations: VariedStudy
     demonstrations: Demonstration
     window_errors: WindowErrorMoments
     lengths: LengthMap
     trajectories: dict[str, Trajectories]
-    variations: VariedStudy
-    table: pa.Table
     damper: Hysteresis
     ramps: Float[Array, "ramps roads criteria variants 4"]
+
+
+class PaperStudy(NamedTuple):
+    """What was computed: `roads`, all of Tables 3 to 5, and what is `further` in a whole study."""
+
+    roads: RoadResult
+    further: Further | None = None
+
+    @property
+    def road_count(self) -> int:
+        """Number of roads behind the tables."""
+        return int(np.size(self.roads.contact))
 
 
 Progress = Callable[[str, int, int], None]
@@ -106,68 +94,47 @@ Progress = Callable[[str, int, int], None]
 
 
 def run_study(
-    scale: Scale,
+    scale: Scale | int,
     key: Key[Array, ""],
     shapes: Reconstruction,
     *,
     folder: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda what, done, total: None,
 ) -> PaperStudy:
-    """Compute it all, with the same roads in every part.
+    """Compute it, with the same roads in every part.
 
-    **Arguments:** `folder`, where finished parts of the variations are kept (see
-    [`run_variations`][]).
+    **Arguments:**
 
-    **Raises:** `DataError` for a folder that cannot be written to.
+    - `scale` of the whole study, or a number of roads for the tables alone.
+    - `folder`, where finished parts of the variations are kept (see [`run_variations`][]).
     """
     source = quarter_car_source(shapes)
-    report = progress or (lambda what, done, of: None)
 
     def over(what: str, experiment: Callable[..., Any], count: int, *args: Any) -> Any:
-        report(what, 0, count)
+        progress(what, 0, count)
         return over_keys(
-            experiment, key, count, *args, progress=lambda done: report(what, done, count)
+            experiment, key, count, *args, progress=lambda done: progress(what, done, count)
         )
 
-    plan = Variations(scale.bandwidths, tuple(TABLE_6), scale.studied, scale.draws)
+    if isinstance(scale, int):
+        return PaperStudy(over("roads", run_road, scale, source, shapes))
     what = "bandwidths and engine mounts"
-    report(what, 0, 1)
-    table = run_variations(
-        plan, key, shapes, folder=folder, progress=lambda done, of: report(what, done, of)
-    )
+    progress(what, 0, 1)
+    report = functools.partial(progress, what)
+    plan = (scale.bandwidths, scale.studied, scale.draws)
+    variations = run_variations(key, shapes, *plan, folder=folder, progress=report)
     roads = over("roads", run_road, scale.roads, source, shapes)
     few = jax.tree.map(lambda leaf: leaf[: scale.studied], roads)
     demonstrations = over("demonstrations of Section 2", demonstrate, scale.demonstrations)
-    report("errors of windows", 0, 1)
+    progress("errors of windows", 0, 1)
     errors = window_error_moments(key, few, source)
     damper = over("hysteresis of the damper", hysteresis, scale.studied, source)
-    report("window lengths", 0, 1)
+    progress("window lengths", 0, 1)
     lengths = length_map(key, source, scale.studied)
-    report("trajectories", 0, 1)
-    study = PaperStudy(
-        scale,
-        roads,
-        demonstrations,
-        errors,
-        lengths,
-        validation_trajectories(few, key, source, shapes),
-        varied_study(plan, table),
-        table,
-        damper,
-        errors_over_ramps(few, source, shapes),
-    )
+    progress("trajectories", 0, 1)
+    trajectories = validation_trajectories(few, key, source, shapes)
+    ramps = errors_over_ramps(few, source, shapes)
+    computed = (roads, demonstrations, errors, lengths, trajectories, damper, ramps)
     # NumPy's arrays: JAX would compile a slice for each number that a figure reads.
-    return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, study)
-
-
-def evaluate_claims(study: PaperStudy) -> list[Claim]:
-    """All 17 statements of the paper, in the order of their numbers."""
-    claims = [
-        *table_claims(study.roads, study.ramps),
-        bounded_impulse(study.demonstrations),
-        drop_outs(),
-        window_errors(study.window_errors),
-        window_lengths(study.lengths),
-        *variation_claims(study.variations, study.damper),
-    ]
-    return sorted(claims, key=lambda claim: claim.id)
+    roads, *others = jax.tree.map(np.asarray, computed)
+    return PaperStudy(roads, Further(scale, variations, *others))

@@ -1,168 +1,123 @@
-"""Tables 3, 4 and 5: published numbers beside their reproduction over many roads."""
+"""Tables 1, 3, 4 and 5: published numbers beside their reproduction, over many roads."""
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from riecjax.models.quarter_car.reconstruction import (
-    MOUNT_DAMPING,
-    MOUNT_RATE,
-    SPRING_RATE,
-    source_with_curves,
-)
-from riecjax.models.quarter_car.source import (
-    BumpStopSpring,
-    HardeningMount,
-    LinearDamper,
-    QuarterCarSource,
-)
+from riecjax.models.quarter_car import QuarterCarSource, quarter_car_source, reconstructed
 from riecjax.paper.published import (
     CONTACT_SHARE,
     CRITERIA,
     DAMPING_RATE,
+    INPUTS,
     TABLE_1,
     TABLE_3,
     TABLE_4,
     TABLE_5,
+    TABLE_6,
     VARIANTS,
+    MountVariant,
     PublishedMode,
 )
 from riecjax.paper.reproduction import RoadResult
-from riecjax.simulation import Mode, linearise, modes
+from riecjax.simulation import linearise, modes
 
 
 class Cell(NamedTuple):
     """One published number and its reproduction.
 
-    **Fields:** `published`; `reproduced`, the mean over the roads; `low` and `high`, the 2.5 and
-    97.5 % quantiles over the roads: where a single road, such as the paper's, may come to lie;
-    `rounding`, half a unit of the last digit in print.
+    **Fields:** `published`; `reproduced`, the mean over the roads; `interval95`, the 2.5 and 97.5 %
+    quantiles over the roads: where a single road, such as the paper's, may come to lie; `inside`,
+    whether what was rounded to the published number may lie there.
     """
 
     published: float
     reproduced: float
-    low: float
-    high: float
-    rounding: float
+    interval95: list[float]
+    inside: bool
 
     @property
     def deviation(self) -> float:
         """Relative distance of the mean from the published number."""
         return self.reproduced / self.published - 1
 
-    @property
-    def inside(self) -> bool:
-        """Whether what was rounded to the published number may lie in the range over the roads."""
-        return self.low - self.rounding <= self.published <= self.high + self.rounding
 
-
-CellTable = dict[str, dict[str, Cell]]
-"""Row, then criterion."""
-
-
-def table_3(roads: RoadResult) -> CellTable:
-    """Tyre stiffness in N/m and masses in kg."""
-    return {
-        name: {
-            criterion: _cell(
-                TABLE_3[name][criterion],
-                roads.parameters[criterion]["B_id"][name],
-                rounding=50.0 if name == "K_t" else 0.05,
-            )
-            for criterion in CRITERIA
-        }
-        for name in TABLE_3
-    }
-
-
-def table_4(roads: RoadResult) -> CellTable:
-    """Suspension stiffness in N/m."""
-    return {
-        variant: {
-            criterion: _cell(
-                TABLE_4[variant][criterion],
-                roads.parameters[criterion][variant]["K_s"],
-                rounding=50.0,
-            )
-            for criterion in CRITERIA
-        }
-        for variant in VARIANTS
-    }
-
-
-def table_5(roads: RoadResult) -> CellTable:
-    """Validation error in percent, summed over x1 to x4; rows are variant and input."""
-    return {
-        f"{variant} {where}": {
-            criterion: _cell(
-                TABLE_5[variant][where][criterion],
-                np.sum(roads.errors[where][criterion][variant], axis=-1),
-                rounding=0.05,
-            )
-            for criterion in CRITERIA
-        }
-        for variant in TABLE_5
-        for where in ("road", "pothole")
-    }
+def cell(published: float, over_roads: Float[np.ndarray, " roads"], rounding: float) -> Cell:
+    """A published number, rounded by so much at most, beside those of many roads."""
+    low, high = np.quantile(over_roads, [0.025, 0.975]).tolist()
+    inside = low - rounding <= published <= high + rounding
+    return Cell(published, float(over_roads.mean()), [low, high], inside)
 
 
 def contact(roads: RoadResult) -> Cell:
     """Share of the record during which the tyre touches the road."""
-    return _cell(CONTACT_SHARE, roads.contact, rounding=0.005)
+    return cell(CONTACT_SHARE, np.asarray(roads.contact), rounding=0.005)
 
 
-def _cell(published: float, over_roads: object, *, rounding: float) -> Cell:
-    values = np.asarray(over_roads)
-    low, high = np.quantile(values, [0.025, 0.975])
-    return Cell(published, float(values.mean()), float(low), float(high), rounding)
+def number_tables(roads: RoadResult) -> dict[str, dict[str, dict[str, Cell]]]:
+    """Tables 3, 4 and 5 by number: rows, then criteria.
+
+    3 has the tyre's stiffness in N/m and masses in kg, 4 the suspension's stiffness in N/m, 5 the
+    validation error in percent, summed over x1 to x4, whose rows are variant and input.
+    """
+
+    def row(
+        published: dict[str, float], values: Float[np.ndarray, "roads criteria"], rounding: float
+    ) -> dict[str, Cell]:
+        return {c: cell(published[c], v, rounding) for c, v in zip(CRITERIA, values.T)}
+
+    # Printed to a tenth: of kN/m, kg, and percent.
+    tenths = {"K_t": 50.0, "M_s": 0.05, "M_us": 0.05}
+    return {
+        "3": {n: row(TABLE_3[n], roads.identified("B_id", n), tenths[n]) for n in TABLE_3},
+        "4": {v: row(TABLE_4[v], roads.identified(v, "K_s"), tenths["K_t"]) for v in VARIANTS},
+        "5": {
+            f"{v} {where}": row(TABLE_5[v][where], roads.summed_error(v, where), rounding=0.05)
+            for v in TABLE_5
+            for where in INPUTS
+        },
+    }
+
+
+def linear_source(mount: MountVariant = TABLE_6["pathological"]) -> QuarterCarSource:
+    """The source model as linearised in Section 3: 1.5 kN s/m, 20 kN/m, and a linear mount."""
+    shapes = eqx.tree_at(
+        lambda s: (s.damper.low_speed_rate, s.damper.high_speed_rates, s.stop_rates, s.mount_cubic),
+        reconstructed(),
+        (jnp.asarray(DAMPING_RATE), jnp.full(2, DAMPING_RATE), np.zeros(2), np.zeros(())),
+    )
+    return quarter_car_source(shapes, mount_rate=mount.stiffness, mount_damping=mount.damping)
 
 
 WHEEL, BODY, ENGINE = 2, 3, 5
 """Places of the velocities x3, x4, x6 in the state."""
 
 
-class ModeComparison(NamedTuple):
-    """A published mode beside the reproduced one, and whether every printed digit agrees."""
+def table_1() -> list[tuple[PublishedMode, PublishedMode]]:
+    """Every row of Table 1, published and reproduced to the printed digits.
 
-    published: PublishedMode
-    reproduced: PublishedMode
-    agrees: bool
+    Shapes are scaled so that the larger of the velocities of wheel and body is 1.
+    """
 
+    def rounded(value: complex, digits: int) -> complex:
+        # Adding zero turns -0.0 into 0.0.
+        return complex(round(value.real, digits) + 0.0, round(value.imag, digits) + 0.0)
 
-def linear_source(
-    mount_rate: float = MOUNT_RATE, mount_damping: float = MOUNT_DAMPING
-) -> QuarterCarSource:
-    """The source model as linearised in Section 3: 1.5 kN s/m, 20 kN/m, and a linear mount."""
-    return source_with_curves(
-        LinearDamper(jnp.asarray(DAMPING_RATE)),
-        BumpStopSpring(jnp.asarray(SPRING_RATE), jnp.full(2, 1.0), jnp.zeros(2)),
-        HardeningMount(jnp.asarray(mount_rate), jnp.zeros(())),
-        mount_damping,
-    )
-
-
-def table_1() -> list[ModeComparison]:
-    """Every row of Table 1, published and reproduced to the printed digits."""
-    found = modes(linearise(linear_source())[0])
-    reproduced = [_printed(mode, like) for like, mode in zip(TABLE_1, found, strict=True)]
-    return [ModeComparison(*both, agrees=both[0] == both[1]) for both in zip(TABLE_1, reproduced)]
-
-
-def _printed(mode: Mode, like: PublishedMode) -> PublishedMode:
-    """The mode rounded as the paper prints it, scaled so that the larger velocity is 1."""
-    wheel, body, engine = mode.shape[[WHEEL, BODY, ENGINE]]
-    reference = wheel if abs(wheel) >= abs(body) else body
-    parts = np.array([wheel, body, engine - body]) / reference
-    return PublishedMode(
-        _round(mode.eigenvalue, like.digits),
-        None if mode.frequency is None else round(float(mode.frequency), 2),
-        None if mode.damping_ratio is None else round(float(mode.damping_ratio), 2),
-        *(_round(complex(part), 2) for part in parts),
-        digits=like.digits,
-    )
-
-
-def _round(value: complex, digits: int) -> complex:
-    # Adding zero turns -0.0 into 0.0.
-    return complex(round(value.real, digits) + 0.0, round(value.imag, digits) + 0.0)
+    rows = []
+    for published, mode in zip(TABLE_1, modes(linearise(linear_source())[0]), strict=True):
+        wheel, body, engine = mode.shape[[WHEEL, BODY, ENGINE]]
+        parts = np.array([wheel, body, engine - body]) / (
+            wheel if abs(wheel) >= abs(body) else body
+        )
+        frequency, ratio = (
+            None if value is None else round(float(value), 2)
+            for value in (mode.frequency, mode.damping_ratio)
+        )
+        eigenvalue = rounded(mode.eigenvalue, published.digits)
+        shape = (rounded(complex(part), 2) for part in parts)
+        reproduced = PublishedMode(eigenvalue, frequency, ratio, *shape, digits=published.digits)
+        rows.append((published, reproduced))
+    return rows

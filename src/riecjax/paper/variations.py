@@ -6,6 +6,8 @@ of windows. All of these models are validated on the two inputs of Section 5.
 """
 
 import contextlib
+import hashlib
+import io
 import json
 from collections.abc import Callable
 from importlib.metadata import version
@@ -20,50 +22,40 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Array, Bool, Float, Key
 
-from riecjax import DOLS, DataError, FixedStep, Record, simulate
-from riecjax.models.quarter_car.reconstruction import Reconstruction, quarter_car_source
-from riecjax.models.quarter_car.source import QuarterCarSource
-from riecjax.paper.published import TABLE_2, TABLE_6, MountVariant
+from riecjax import DOLS, FixedStep, Record, simulate
+from riecjax.models.quarter_car import QuarterCarSource, Reconstruction, quarter_car_source
+from riecjax.paper.published import INPUTS, TABLE_6, MountVariant
 from riecjax.paper.reproduction import (
-    INPUTS,
+    FORCES,
     PARAMETERS,
+    STEP,
     VALIDATED_STATES,
     by_body,
     paper_criteria,
-    prediction_errors,
     road_keys,
     training_noise,
+    validation_errors,
     validation_inputs,
 )
 from riecjax.simulation import low_passed
 from riecjax.studies import over_keys
+from riecjax.whole_files import Store, stamp
+
+Values = Array | np.ndarray
 
 
-class Variations(NamedTuple):
-    """What is varied.
-
-    **Fields:** `bandwidths` of the input in Hz; `cases` of Table 6 by name; `roads`, their number;
-    `draws` of random windows on each record.
-    """
-
-    bandwidths: tuple[float, ...]
-    cases: tuple[str, ...]
-    roads: int
-    draws: int
-
-
-class RoadVariations(eqx.Module):
-    """One road under one engine mount, at every bandwidth.
+class RoadVariations(NamedTuple):
+    """Roads under one engine mount, at every bandwidth.
 
     `models` are DOLS, and RIEC with each draw of windows.
 
-    **Fields:** `parameters` in the order of `PARAMETERS`; `errors`, p_i of x1 to x4 in percent for
-    each of `INPUTS`; whether all simulations behind a model were `successful`.
+    **Fields:** `parameters`; `errors`, p_i of x1 to x4 in percent on each of `INPUTS`; whether all
+    simulations behind a model were `successful`.
     """
 
-    parameters: Float[Array, "bandwidths models parameters"]
-    errors: Float[Array, "bandwidths models inputs 4"]
-    successful: Bool[Array, "bandwidths models"]
+    parameters: Float[Values, "roads bandwidths models parameters"]
+    errors: Float[Values, "roads bandwidths models inputs 4"]
+    successful: Bool[Values, "roads bandwidths models"]
 
 
 def vary_road(
@@ -81,217 +73,150 @@ def vary_road(
     draw gives the models of Tables 3 to 5.
     """
     source = quarter_car_source(shapes, mount_rate=mount.stiffness, mount_damping=mount.damping)
-    keys = road_keys(key)
-    step = 1 / TABLE_2.rate
+    keys, criteria = road_keys(key), paper_criteria()
     noise = training_noise(keys.training)
-    driven = jax.vmap(lambda bandwidth: low_passed(noise, step, bandwidth))(bandwidths)
+    # Windows are drawn by the road's own key first.
+    rest = jax.random.split(jax.random.fold_in(keys.windows, 1), draws - 1)
+    drawn = jnp.stack([keys.windows, *(rest[i] for i in range(draws - 1))])
 
-    def identified(velocity: Array) -> tuple[Array, Array]:
-        training = simulate(source, Record({"v_r": velocity}, step), method=method)
-        return identify_by_body(training.record, keys.windows, draws), training.successful
+    def identified(bandwidth: Array) -> tuple[Array, Array]:
+        driven = Record({"v_r": low_passed(noise, STEP, bandwidth)}, STEP)
+        training = simulate(source, driven, method=method)
+        by_riec = jax.vmap(lambda key: by_body(training.record, criteria["RIEC"], key))(drawn)
+        by_dols = by_body(training.record, criteria["DOLS"])
+        return jnp.concatenate([by_dols[None], by_riec]), training.successful
 
-    parameters, trained = jax.vmap(identified)(driven)
-    models = {name: parameters[..., i] for i, name in enumerate(PARAMETERS)}
-    errors, successful = [], trained[:, None]
-    for velocity in validation_inputs(keys.validation, shapes).values():
-        truth = simulate(source, Record({"v_r": velocity}, step), method=method)
-        found, predicted = jax.vmap(
-            jax.vmap(lambda model, t=truth: prediction_errors(model, t.record, method))
-        )(models)
-        errors.append(found)
-        successful = successful & truth.successful & predicted
-    return RoadVariations(parameters, jnp.stack(errors, axis=2), successful)
-
-
-def identify_by_body(
-    record: Record, key: Key[Array, ""], draws: int
-) -> Float[Array, "models parameters"]:
-    """The variant B_id by DOLS, and by RIEC with so many draws of windows; the first is `key`'s."""
-    criteria = paper_criteria()
-    rest = jax.random.split(jax.random.fold_in(key, 1), draws - 1)
-    drawn = jnp.stack([key, *(rest[i] for i in range(draws - 1))])
-    by_riec = jax.vmap(lambda each: by_body(record, criteria["RIEC"], each))(drawn)
-    return jnp.concatenate([by_body(record, criteria["DOLS"])[None], by_riec])
-
-
-ROADS_TO_A_PART = 4
-UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | {
-    f"F_{i}": "N" for i in range(1, 5)
-}
-ERRORS = tuple(f"{where} p_{i + 1} [%]" for where in INPUTS for i in range(len(VALIDATED_STATES)))
-"""Columns of validation errors: infinite where a model lost its solution."""
-SETTINGS = b"riecjax.variations"
-
-
-class Part(NamedTuple):
-    """Some roads under one mount; `stop` is not included."""
-
-    case: str
-    first: int
-    stop: int
-
-    @property
-    def file(self) -> str:
-        """Name of its file."""
-        return f"{self.case}-{self.first:05d}.part"
-
-
-def parts_of(plan: Variations) -> list[Part]:
-    """The parts of a study, in the order of the table."""
-    return [
-        Part(case, first, min(first + ROADS_TO_A_PART, plan.roads))
-        for case in plan.cases
-        for first in range(0, plan.roads, ROADS_TO_A_PART)
-    ]
-
-
-def run_variations(
-    plan: Variations,
-    key: Key[Array, ""],
-    shapes: Reconstruction,
-    *,
-    folder: Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> pa.Table:
-    """The tidy table: a row for each case, road, bandwidth, method and draw of windows.
-
-    **Arguments:**
-
-    - `folder`: where finished parts are kept until the table is whole. Those of an interrupted
-      study with the same plan, key and versions are taken up; others are computed anew.
-    - `progress`: called with the numbers of finished and of all parts.
-
-    **Raises:** `DataError` for a folder that cannot be written to.
-    """
-    # What a part's numbers depend on.
-    depends_on = {
-        "plan": plan._asdict(),
-        "key": np.asarray(jax.random.key_data(key)).tolist(),
-        "versions": {name: version(name) for name in ("riecjax", "jax", "jaxlib")},
-        "precision": str(jnp.zeros(()).dtype),
-    }
-    settings = json.dumps(depends_on, sort_keys=True).encode()
-    parts = parts_of(plan)
-    tables = []
-    for done, part in enumerate(parts):
-        table = None
-        if folder is not None:
-            with contextlib.suppress(OSError, pa.ArrowException):  # what is damaged is made anew
-                table = pq.read_table(folder / part.file, page_checksum_verification=True)
-        if table is None or (table.schema.metadata or {}).get(SETTINGS) != settings:
-            # Arrays, so that all mounts share what is compiled.
-            found = over_keys(
-                vary_road,
-                key,
-                part.stop - part.first,
-                jax.tree.map(jnp.asarray, TABLE_6[part.case]),
-                jnp.asarray(plan.bandwidths),
-                jax.tree.map(jnp.asarray, shapes),
-                plan.draws,
-                first=part.first,
-                chunk=ROADS_TO_A_PART,
-            )
-            table = _table(plan, part, found, settings)
-            if folder is not None:
-                # Renamed when it is whole: an interruption leaves no broken file behind.
-                temporary = (folder / part.file).with_suffix(".tmp")
-                try:
-                    folder.mkdir(parents=True, exist_ok=True)
-                    pq.write_table(table, temporary, write_page_checksum=True)
-                    temporary.replace(folder / part.file)
-                except OSError as error:
-                    said = error.strerror or error
-                    raise DataError(f"cannot write '{folder / part.file}': {said}.") from None
-        tables.append(table)
-        if progress is not None:
-            progress(done + 1, len(parts))
-    return pa.concat_tables(tables)
-
-
-def write_variations(table: pa.Table, file: Path, stamp: str = "") -> None:
-    """The whole table as one Parquet file, whose pages have checksums, and which says `stamp`.
-
-    **Raises:** `OSError` for a file that cannot be written.
-    """
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"riecjax": stamp})
-    pq.write_table(table, file, write_page_checksum=True)
-
-
-def _table(plan: Variations, part: Part, found: RoadVariations, settings: bytes) -> pa.Table:
-    roads = np.arange(part.first, part.stop)
-    # DOLS has no draws; RIEC's are numbered.
-    models = [("DOLS", 0), *(("RIEC", draw) for draw in range(plan.draws))]
-    grid = np.meshgrid(
-        roads, np.arange(len(plan.bandwidths)), np.arange(len(models)), indexing="ij"
-    )
-    road, band, model = (axis.ravel() for axis in grid)
-    parameters = np.asarray(found.parameters).reshape(-1, len(PARAMETERS))
-    simulated = np.asarray(found.successful).reshape(-1)
-    errors = np.asarray(found.errors).reshape(-1, len(ERRORS))
-    errors = np.where(simulated[:, None] & np.isfinite(errors), errors, np.inf)
-    columns: dict[str, object] = {
-        "case": pa.array([part.case] * road.size),
-        "road": road.astype(np.int32),
-        "bandwidth [Hz]": np.array(plan.bandwidths)[band],
-        "method": pa.array([models[m][0] for m in model]),
-        "draw": np.array([models[m][1] for m in model], np.int32),
-        **{f"{name} [{UNITS[name]}]": parameters[:, i] for i, name in enumerate(PARAMETERS)},
-        **{name: errors[:, i] for i, name in enumerate(ERRORS)},
-        "simulated": simulated,
-    }
-    return pa.table(columns).replace_schema_metadata({SETTINGS: settings})
-
-
-class Varied(NamedTuple):
-    """The models of one case and method, in arrays read off the table.
-
-    **Fields:** `parameters` by name, in SI units; `errors`, the sum of p_i over x1 to x4 in
-    percent, by input; `each` of the four.
-    """
-
-    parameters: dict[str, Float[np.ndarray, "roads bandwidths draws"]]
-    errors: dict[str, Float[np.ndarray, "roads bandwidths draws"]]
-    each: dict[str, Float[np.ndarray, "roads bandwidths draws 4"]]
+    parameters, trained = jax.vmap(identified)(bandwidths)
+    inputs = validation_inputs(keys.validation, shapes)
+    errors, predicted = validation_errors(parameters, source, inputs, method)
+    return RoadVariations(parameters, errors, trained[:, None] & predicted)
 
 
 class VariedStudy(NamedTuple):
-    """The whole study: its plan, and by case and method what was found."""
+    """What was found in each case of Table 6, in NumPy's arrays, at `bandwidths` in Hz."""
 
-    plan: Variations
-    found: dict[str, dict[str, Varied]]
+    bandwidths: Float[np.ndarray, " bandwidths"]
+    cases: dict[str, RoadVariations]
 
-    @property
-    def bandwidths(self) -> Float[np.ndarray, " bandwidths"]:
-        """Hz."""
-        return np.array(self.plan.bandwidths)
+    def identified(
+        self, case: str, method: str, *names: str
+    ) -> Float[np.ndarray, "roads bandwidths names"]:
+        """Parameters in SI units, mean over the draws of windows."""
+        values = np.asarray(self.cases[case].parameters)[:, :, _models(method)].mean(axis=2)
+        return values[..., [PARAMETERS.index(name) for name in names]]
 
-    def by_case(self) -> list[tuple[str, dict[str, Varied]]]:
-        """In the order of the plan."""
-        return [(case, self.found[case]) for case in self.plan.cases]
+    def summed_error(
+        self, case: str, method: str, where: str
+    ) -> Float[np.ndarray, "roads bandwidths"]:
+        """p_1 + ... + p_4 in percent, mean over draws; infinite where a simulation was lost."""
+        models = _models(method)
+        errors = self.cases[case].errors[:, :, models, INPUTS.index(where)].sum(axis=-1)
+        kept = self.cases[case].successful[:, :, models] & np.isfinite(errors)
+        return np.where(kept, errors, np.inf).mean(axis=-1)
 
 
-def varied_study(plan: Variations, table: pa.Table) -> VariedStudy:
-    """The table in arrays."""
-    found: dict[str, dict[str, Varied]] = {}
-    case, method = (np.array(table[name].to_pylist()) for name in ("case", "method"))
-    for name in plan.cases:
-        for kind in ("RIEC", "DOLS"):
-            chosen = (case == name) & (method == kind)
-            shape = (plan.roads, len(plan.bandwidths), plan.draws if kind == "RIEC" else 1)
+def _models(method: str) -> slice:
+    return slice(0, 1) if method == "DOLS" else slice(1, None)
 
-            def column(label: str, rows: np.ndarray = chosen, shape=shape) -> np.ndarray:
-                return table[label].to_numpy()[rows].reshape(shape)
 
-            each = {
-                where: np.stack([column(e) for e in ERRORS if e.startswith(where)], axis=-1)
-                for where in INPUTS
-            }
-            found.setdefault(name, {})[kind] = Varied(
-                {n: column(f"{n} [{UNITS[n]}]") for n in PARAMETERS},
-                {where: errors.sum(axis=-1) for where, errors in each.items()},
-                each,
-            )
-    return VariedStudy(plan, found)
+ROADS_TO_A_PART = 4
+MOST_KEPT = 2**40
+"""Bytes of finished parts: all of them."""
+
+
+def run_variations(
+    key: Key[Array, ""],
+    shapes: Reconstruction,
+    bandwidths: tuple[float, ...],
+    roads: int,
+    draws: int,
+    *,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> VariedStudy:
+    """Each case of Table 6 on all roads, at bandwidths in Hz, with so many draws of windows.
+
+    **Arguments:**
+
+    - `folder`: where finished parts are kept, some roads under one mount in each. Those of an
+      interrupted study with the same numbers, key and versions are taken up; others are computed.
+    - `progress`: called with the numbers of finished and of all parts.
+    """
+    # What a part's numbers depend on.
+    depends_on = {
+        "plan": (bandwidths, roads, draws),
+        "key": np.asarray(jax.random.key_data(key)).tolist(),
+        "versions": [version(name) for name in ("riecjax", "jax", "jaxlib")],
+        "precision": str(jnp.zeros(()).dtype),
+    }
+    settings = hashlib.sha256(json.dumps(depends_on).encode()).hexdigest()
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    store = None if folder is None else Store(folder, ".part", MOST_KEPT)
+    places = [(case, first) for case in TABLE_6 for first in range(0, roads, ROADS_TO_A_PART)]
+    parts: dict[str, list[RoadVariations]] = {case: [] for case in TABLE_6}
+    for done, (case, first) in enumerate(places, 1):
+        name, part = f"{case}-{first:05d}-{settings}", None
+        if store is not None and (content := store.get(name)) is not None:
+            with contextlib.suppress(Exception):  # what is damaged is made anew
+                part = RoadVariations(**np.load(io.BytesIO(content)))
+        if part is None:
+            # Arrays, so that all mounts share what is compiled.
+            mount, arrays = jax.tree.map(jnp.asarray, (TABLE_6[case], shapes))
+            count, bands = min(ROADS_TO_A_PART, roads - first), jnp.asarray(bandwidths)
+            settled = (mount, bands, arrays, draws)
+            computed = over_keys(vary_road, key, count, *settled, first=first, chunk=count)
+            part = jax.tree.map(np.asarray, computed)
+            if store is not None:
+                np.savez(content := io.BytesIO(), **part._asdict())
+                store.put(name, content.getvalue())
+        parts[case].append(part)
+        progress(done, len(places))
+    cases = {case: RoadVariations(*map(np.concatenate, zip(*some))) for case, some in parts.items()}
+    return VariedStudy(np.array(bandwidths), cases)
+
+
+UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | dict.fromkeys(FORCES, "N")
+
+
+def variations_table(study: VariedStudy) -> pa.Table:
+    """A row for each case, road, bandwidth, method and draw of windows.
+
+    Errors are infinite where a model lost its solution.
+    """
+    tables = []
+    for case, varied in study.cases.items():
+        roads, bandwidths, models = varied.successful.shape
+        # DOLS has no draws; RIEC's are numbered.
+        methods = [("DOLS", 0), *(("RIEC", draw) for draw in range(models - 1))]
+        road, band, model = (axis.ravel() for axis in np.indices((roads, bandwidths, models)))
+        parameters = varied.parameters.reshape(-1, len(PARAMETERS))
+        simulated = varied.successful.ravel()
+        errors = varied.errors.reshape(simulated.size, -1)
+        errors = np.where(simulated[:, None] & np.isfinite(errors), errors, np.inf)
+        states = range(1, 1 + len(VALIDATED_STATES))
+        names = [f"{where} p_{i} [%]" for where in INPUTS for i in states]
+        columns = {
+            "case": [case] * road.size,
+            "road": road.astype(np.int32),
+            "bandwidth [Hz]": study.bandwidths[band],
+            "method": [methods[m][0] for m in model],
+            "draw": np.array([methods[m][1] for m in model], np.int32),
+            **{f"{n} [{UNITS[n]}]": parameters[:, i] for i, n in enumerate(PARAMETERS)},
+            **{name: errors[:, i] for i, name in enumerate(names)},
+            "simulated": simulated,
+        }
+        tables.append(pa.table(columns))
+    return pa.concat_tables(tables)
+
+
+def write_variations(study: VariedStudy, file: Path) -> None:
+    """The table as one Parquet file, whose pages have checksums and which bears a [`stamp`][].
+
+    **Raises:** `OSError` for a file that cannot be written.
+    """
+    table = variations_table(study).replace_schema_metadata({b"riecjax": stamp(file)})
+    pq.write_table(table, file, write_page_checksum=True)
 
 
 BANDWIDTHS = (6.0, 15.0, 30.0)
@@ -321,12 +246,11 @@ def hysteresis(key: Key[Array, ""], source: QuarterCarSource) -> Hysteresis:
 
     On one random road; vmap over keys for many.
     """
-    keys, step = road_keys(key), 1 / TABLE_2.rate
-    noise = training_noise(keys.training)
+    noise = training_noise(road_keys(key).training)
 
     def at(compliance: Array, bandwidth: Array) -> Hysteresis:
         model = eqx.tree_at(lambda s: s.damper_compliance, source, compliance)
-        driven = Record({"v_r": low_passed(noise, step, bandwidth)}, step)
+        driven = Record({"v_r": low_passed(noise, STEP, bandwidth)}, STEP)
         record = simulate(model, driven, method=METHOD).record
         relative = record["x3"] - record["x4"]
         force = source.damper(record["x7"])
@@ -336,5 +260,5 @@ def hysteresis(key: Key[Array, ""], source: QuarterCarSource) -> Hysteresis:
 
     compliances = jnp.asarray(source.damper_compliance) * jnp.array([1.0, STIFFER])
     over_bandwidths = jax.vmap(at, in_axes=(None, 0))
-    found = jax.vmap(over_bandwidths, in_axes=(0, None))(compliances, jnp.array(BANDWIDTHS))
-    return Hysteresis(found.velocity[0], found.force[0], found.width, found.by_dols)
+    both = jax.vmap(over_bandwidths, in_axes=(0, None))(compliances, jnp.array(BANDWIDTHS))
+    return Hysteresis(both.velocity[0], both.force[0], both.width, both.by_dols)

@@ -12,5 +12,4 @@ from .preparation import unfilter as unfilter
 from .preparation import upsample as upsample
 from .preparation import with_local_derivative as with_local_derivative
 from .reading.read import read_channels as read_channels
-from .reading_settings import ReadingSettings as ReadingSettings
 from .record import stack_records as stack_records

@@ -1,33 +1,22 @@
 """Records from pandas data frames and xarray data sets, without importing either library."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.reading.channels import Channels, seconds_of, vectors
 from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import split_unit
-from riecjax.records.reading_settings import Selection
 from riecjax.records.record import Record
+from riecjax.settings.option import taking
+from riecjax.settings.tree import Frame
 
 
-def from_dataframe(
-    frame: Any,
-    *,
-    time: str | None = None,
-    rename: Mapping[str, str] | None = None,
-    scale: Mapping[str, float] | None = None,
-    units: Mapping[str, str] | None = None,
-    derive: Mapping[str, str] | None = None,
-    time_step: float | None = None,
-    resample: float | None = None,
-    noise: GivenNoise = "auto",
-) -> Record:
+@taking(Frame)
+def from_dataframe(frame: Any, settings: Frame) -> Record:
     """Make a record from a pandas data frame: one signal for each column of numbers.
 
     Time is the column `time`, or an index of date-times, durations or floats (seconds), or a
@@ -48,33 +37,21 @@ def from_dataframe(
             left_out[name] = f"it holds {frame.dtypes.iloc[place]}, not numbers"
         else:
             columns[name] = values
-    renamed = dict(rename or {})
-    if time is not None:
-        renamed["t"] = time
-    elif "t" not in renamed and time_step is None and _is_time(frame.index):
+    renamed = dict(settings.rename)
+    if settings.time is not None:
+        renamed["t"] = settings.time
+    elif "t" not in renamed and settings.time_step is None and _is_time(frame.index):
         index = _numbers(frame.index)
         if index is not None and frame.index.name not in columns:
             # `t` is looked for before any other name of time.
             columns = {"t": index} | {k: v for k, v in columns.items() if k != "t"}
     stated = {name: unit for name in columns if (unit := split_unit(name)[1])}
-    selection = Selection(
-        renamed, scale or {}, units or {}, derive or {}, time_step, resample, noise
-    )
+    selection = replace(settings, rename=renamed)
     return record_from_channels(Channels(columns, stated, {}, left_out), selection).record
 
 
-def from_dataset(
-    dataset: Any,
-    *,
-    time: str | None = None,
-    rename: Mapping[str, str] | None = None,
-    scale: Mapping[str, float] | None = None,
-    units: Mapping[str, str] | None = None,
-    derive: Mapping[str, str] | None = None,
-    time_step: float | None = None,
-    resample: float | None = None,
-    noise: GivenNoise = "auto",
-) -> Record:
+@taking(Frame)
+def from_dataset(dataset: Any, settings: Frame) -> Record:
     """Make a record from an xarray data set: one signal for each variable over time.
 
     Time is the coordinate `time`, or the only one that may be time by its name or its type.
@@ -84,7 +61,9 @@ def from_dataset(
     **Raises:** `DataError` without a time or for samples that do not make a record, `ModelError`
     for a formula.
     """
-    axis = None if time_step is not None else _time_coordinate(dataset, time)
+    axis = None
+    if settings.time_step is None:
+        axis = _time_coordinate(dataset, settings.time)
     arrays: dict[str, np.ndarray] = {}
     stated: dict[str, str] = {}
     left_out: dict[str, str] = {}
@@ -104,7 +83,7 @@ def from_dataset(
         arrays |= parts
         if variable.attrs.get("units"):
             stated |= dict.fromkeys(parts, str(variable.attrs["units"]))
-    renamed = dict(rename or {})
+    renamed = dict(settings.rename)
     if axis is not None:
         name = str(axis)
         values = _numbers(dataset[axis])
@@ -115,9 +94,7 @@ def from_dataset(
             stated[name] = stated["t"] = str(dataset[axis].attrs["units"])
         renamed["t"] = name
     channels = replace(vectors(arrays), units=stated, left_out=left_out)
-    selection = Selection(
-        renamed, scale or {}, units or {}, derive or {}, time_step, resample, noise
-    )
+    selection = replace(settings, rename=renamed)
     return record_from_channels(channels, selection).record
 
 

@@ -5,7 +5,7 @@ import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -16,15 +16,16 @@ from riecjax.records.faults.rows import without_repetitions
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs
-from riecjax.records.preparation.steps import prepare
+from riecjax.records.preparation.steps import halves, idle_cuts, prepare
 from riecjax.records.reading.channels import Channels
 from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
 from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import same, split_unit
-from riecjax.records.reading_settings import ReadingSettings, Selection, sorted_settings
 from riecjax.records.record import Record, Records, as_records
+from riecjax.settings.option import taking
+from riecjax.settings.tree import Reading, Select
 from riecjax.shows import Drawn
 
 
@@ -113,17 +114,17 @@ def as_recordings(records: Records) -> list[Recording]:
     ]
 
 
-def read_record(path: str | os.PathLike[str], **settings: Unpack[ReadingSettings]) -> Record:
+@taking(Reading)
+def read_record(path: str | os.PathLike[str], settings: Reading) -> Record:
     """Read a record from a file of any format that [`read_recording`][] reads.
 
     With the same keywords and errors, but only the signals.
     """
-    return read_recording(path, **settings).record
+    return read_recording(path, **settings.keywords()).record
 
 
-def read_recording(
-    path: str | os.PathLike[str], *, model: Any = None, **settings: Unpack[ReadingSettings]
-) -> Recording:
+@taking(Reading)
+def read_recording(path: str | os.PathLike[str], settings: Reading) -> Recording:
     """Read a recording from a text file, Excel, NPZ, MAT, HDF5, JSON, Parquet, MDF, TDMS or a bag.
 
     Time is a column in seconds, called `t` or `time` or renamed to `t`; where the file states
@@ -134,23 +135,24 @@ def read_recording(
 
     **Arguments:** `model`, a `Model`, whose units the signals get, and which says which signals are
     derivatives of others, to be formed if the file lacks them; and the keywords of
-    [`ReadingSettings`][riecjax.records.ReadingSettings].
+    [`Select`][riecjax.settings.Select], [`Read`][riecjax.settings.Read] and
+    [`Prepare`][riecjax.settings.Prepare].
 
     **Raises:** `DataError` if the file cannot be read, holds several recordings and no `part` is
     chosen, a named column is missing, the samples do not make a record (see
     [`Record.from_samples`][]), or a step is not possible; `ModelError` for a formula that is not
     understood.
     """
-    found = _held(path, model, settings)
+    part = settings.part or ", ".join(settings.parts)
+    found = _held(path, part, settings)
     if len(found.held) > 1:
         with _explaining(str(path), {}, {}):
             raise several(found.held)
-    return _recordings(path, found, model, settings)[0]
+    return _recordings(path, found, settings)[0]
 
 
-def read_recordings(
-    path: str | os.PathLike[str], *, model: Any = None, **settings: Unpack[ReadingSettings]
-) -> list[Recording]:
+@taking(Reading)
+def read_recordings(path: str | os.PathLike[str], settings: Reading) -> list[Recording]:
     """Read all recordings that a file holds, each as [`read_recording`][] reads one.
 
     Elements of a cell or an array of structures of MATLAB, groups with the same channels in HDF5
@@ -162,42 +164,35 @@ def read_recordings(
     **Arguments** and errors as of [`read_recording`][]; of errors of parts, the first is raised
     where none can be read.
     """
-    return _recordings(path, _held(path, model, settings), model, settings)
-
-
-def read_parts(
-    path: str | os.PathLike[str], parts: Sequence[str], *, model: Any = None, **settings: Any
-) -> list[Recording]:
-    """The recordings of a file that are called so, in this order; all that it holds if none is.
-
-    **Arguments** and errors as of [`read_recordings`][].
-    """
+    wanted = settings.parts or [settings.part or ""]
     return [
-        one
-        for part in parts or (None,)
-        for one in read_recordings(path, model=model, part=part, **settings)
+        recording
+        for part in wanted
+        for recording in _recordings(path, _held(path, part, settings), settings)
     ]
 
 
-def _held(path: str | os.PathLike[str], model: Any, settings: ReadingSettings) -> Parts:
+def _held(path: str | os.PathLike[str], part: str, settings: Reading) -> Parts:
     require("the file", path, str | os.PathLike, "rx.read_recording('drive.csv')", DataError)
-    if isinstance(model, str | type):
-        require("the model", model, (), "model=rx.find_model('quarter-car')")
-    selection, _, dialect = sorted_settings(settings)
-    channels = read_channels(path, **dialect)
+    if isinstance(settings.model, str | type):
+        require("the model", settings.model, (), "model=rx.find_model('quarter-car')")
+    channels = read_channels(
+        path,
+        delimiter=settings.delimiter,
+        decimal=settings.decimal,
+        columns=settings.columns,
+    )
     with _explaining(str(path), {}, {}):
-        return recordings_in(channels, selection.rename.values(), settings.get("part") or "")
+        return recordings_in(channels, settings.rename.values(), part)
 
 
-def _recordings(
-    path: str | os.PathLike[str], parts: Parts, model: Any, settings: ReadingSettings
-) -> list[Recording]:
+def _recordings(path: str | os.PathLike[str], parts: Parts, settings: Reading) -> list[Recording]:
     """The parts that can be read; the first tells of the others."""
     read: list[Recording] = []
     errors: dict[str, DataError] = {}
     for name, channels in parts.held.items():
         try:
-            read.append(_recording(path, name, channels, model, settings))
+            read.append(_recording(path, name, channels, settings))
         except DataError as error:
             errors[name] = error
     if not read:
@@ -216,33 +211,32 @@ def _recording(
     path: str | os.PathLike[str],
     part: str,
     channels: Channels,
-    model: Any,
-    settings: ReadingSettings,
+    settings: Reading,
 ) -> Recording:
-    selection, preparation, _ = sorted_settings(settings)
+    model = settings.model
     file = Path(path).name
     left_out = _left_out(channels)
     # Damaged numbers overflow; what is not finite is found and named.
-    with _explaining(str(path), selection.rename, left_out, part), np.errstate(all="ignore"):
+    with _explaining(str(path), settings.rename, left_out, part), np.errstate(all="ignore"):
         try:
             # What the model reads and what others are derived from, with the units of both.
             units = {signal.name: signal.unit for signal in getattr(model, "signals", ())}
-            read_by = dict.fromkeys(preparation.derivatives.values(), "") | units
+            read_by = dict.fromkeys(settings.derivatives.values(), "") | units
             band = getattr(model, "band", None)
             shortest = 0.5 / band[1] if band else None
-            selected = record_from_channels(channels, selection, read_by, shortest)
+            selected = record_from_channels(channels, settings, read_by, shortest)
             record, left_out = selected.record, {**left_out, **selected.left_out}
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
         read = tuple(record.arrays)
-        record, mismatches = _in_model_units(record, model, selection)
-        idle = preparation.idle_cuts(record)
-        before, after = preparation.halves()
+        record, mismatches = _in_model_units(record, model, settings)
+        idle = idle_cuts(settings, record)
+        before, after = halves(settings)
         record, repeated = without_repetitions(record)
         record, first_steps = prepare(record, {}, before)
-        pairs, given = declared_pairs(model), given_noise(selection.noise, record.arrays).kernels
+        pairs, given = declared_pairs(model), given_noise(settings.noise, record.arrays).kernels
         record, found = without_computed(record, pairs, given)
-        aligned = align(record, pairs, preparation.align)
+        aligned = align(record, pairs, settings.align)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
         steps = (*first_steps, *found, *aligned.words, *last_steps)
     computed = "and {} is computed from other signals instead."
@@ -266,22 +260,22 @@ def _recording(
         ),
     ]
     units = dict(selected.record.units)
-    read_steps = [f"{name}: column scaled by {by:g}" for name, by in selection.scale.items()]
+    read_steps = [f"{name}: column scaled by {by:g}" for name, by in settings.scale.items()]
     read_steps += [f"{name}: {old} to {units[name]}" for name, old in selected.converted.items()]
-    if selection.resample is not None:
-        read_steps.append(f"resampled to {selection.resample:g} Hz")
-    read_steps += [f"{name}: {formula}" for name, formula in selection.derive.items()]
-    used = {*read, *TIME_COLUMNS, *selection.rename.values(), *channels.time_of.values()}
+    if settings.resample is not None:
+        read_steps.append(f"resampled to {settings.resample:g} Hz")
+    read_steps += [f"{name}: {formula}" for name, formula in settings.derive.items()]
+    used = {*read, *TIME_COLUMNS, *settings.rename.values(), *channels.time_of.values()}
     return Recording(
         record,
         str(path),
         (*channels.notes, *selected.notes, *read_steps, *steps),
         tuple(findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
-        selection.rename,
+        settings.rename,
         part,
         selected.converted,
-        tuple(n for n in record.arrays if n not in read or n in selection.derive),
+        tuple(n for n in record.arrays if n not in read or n in settings.derive),
     )
 
 
@@ -333,9 +327,7 @@ def _explaining(
         raise DataError(said[:LONGEST_MESSAGE]) from None
 
 
-def _in_model_units(
-    record: Record, model: Any, selection: Selection
-) -> tuple[Record, dict[str, str]]:
+def _in_model_units(record: Record, model: Any, selection: Select) -> tuple[Record, dict[str, str]]:
     """The record in the model's units, and what the file says against them, by signal."""
     stated = dict(record.units)
     units = {signal.name: signal.unit for signal in getattr(model, "signals", ()) if signal.unit}

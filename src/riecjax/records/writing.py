@@ -12,7 +12,7 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import STEP_TOLERANCE
-from riecjax.whole_files import require_plain, temporary
+from riecjax.whole_files import require_plain, write_file
 
 Columns = Mapping[str, np.ndarray]
 FORMULA = r"(^|[;|,\t]\s*)(?=[=+@-])"
@@ -36,7 +36,7 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     if "t" in record.arrays:
         raise DataError("a signal called 't' would take the place of time; give it another name.")
     columns, units = _columns(record), dict(record.units)
-    write_whole(file, lambda temporary: writer(temporary, columns, units))
+    write_file(file, lambda temporary: writer(temporary, columns, units))
 
 
 def check_writable(file: Path) -> None:
@@ -53,20 +53,6 @@ def check_writable(file: Path) -> None:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
     if not os.access(file.parent, os.W_OK):
         raise DataError(f"cannot write '{file}': its folder may not be written to.")
-
-
-def write_whole(file: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` fill a temporary file beside `file`, then rename it: whole or not at all."""
-    try:
-        require_plain(file)
-        with temporary(file.parent, file.suffix) as new:
-            write(new)
-            mask = os.umask(0)
-            os.umask(mask)
-            new.chmod(0o666 & ~mask)
-            new.replace(file)
-    except OSError as error:
-        raise DataError(f"cannot write '{file}': {error.strerror}.") from None
 
 
 def _columns(record: Record) -> dict[str, np.ndarray]:

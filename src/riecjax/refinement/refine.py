@@ -34,7 +34,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation import kept_jit
-from riecjax.errors import renamed, require
+from riecjax.errors import require
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import require_settings
 from riecjax.findings import Finding
@@ -301,7 +301,6 @@ FURTHER_ROUNDS = 2
 """Fits after the first where there are priors, weighed against the scatter that was left before."""
 
 
-@renamed(own="per_record")
 def refine(
     model: Any,
     records: Records,

@@ -26,13 +26,15 @@ from riecjax.reporting.estimate import (
     print_estimate,
 )
 from riecjax.reporting.tables import say
-from riecjax.reporting.verdict import as_typed, print_verdict, verdict_entries
+from riecjax.reporting.verdict import WithOptions, as_typed, print_verdict, verdict_entries
 
 if TYPE_CHECKING:
     from riecjax.estimation.mode_evidence import ModeEvidence
 
 
-def identification_document(result: Assessment, command: Sequence[str] = ()) -> Document:
+def identification_document(
+    result: Assessment, command: Sequence[str] = (), with_options: WithOptions | None = None
+) -> Document:
     """The document that `--json` prints and results.json holds.
 
     **Arguments:** `command`: the arguments of `riecjax` that made it, if any did.
@@ -49,7 +51,7 @@ def identification_document(result: Assessment, command: Sequence[str] = ()) -> 
     return {
         **found,
         "equations": procedure_in_words(result.procedure),
-        "verdict": verdict_entries(result.verdict, command),
+        "verdict": verdict_entries(result.verdict, with_options),
         "modes": mode_entries(result.modes),
         "excitation": excitation_entries(result.checked),
         "noise": noise_entries(result.recordings, result.checked.signals),

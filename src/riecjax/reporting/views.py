@@ -15,7 +15,6 @@ from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
 from riecjax.estimation.mode_evidence import ModeEvidence
 from riecjax.findings import Finding
-from riecjax.fleets.fleet import Fleet
 from riecjax.leaves import is_concrete, on_host
 from riecjax.models.model import Model
 from riecjax.records.record import Record, samples_with_nan
@@ -38,7 +37,6 @@ from riecjax.reporting.equations import (
 )
 from riecjax.reporting.estimate import parameter_table
 from riecjax.reporting.exports import document_of
-from riecjax.reporting.fleet import differing_table, fleet_document, left_out_table, spread_table
 from riecjax.reporting.tables import Table, View, in_html, in_text, with_error
 from riecjax.reporting.verdict import percent
 from riecjax.summaries.summary import Summary
@@ -135,13 +133,6 @@ def _(thing: Recording) -> View:
     steps = [f"prepared: {step}" for step in thing.steps]
     lines = [*steps, *_warnings(thing.findings)]
     return View(f"{thing.name}: {record.title}", record.tables, lines)
-
-
-@view_of.register
-def _(thing: Fleet) -> View:
-    document = fleet_document(thing)
-    tables = [spread_table(document), differing_table(document), left_out_table(document)]
-    return View(document["sentence"], tables)
 
 
 @view_of.register

@@ -15,7 +15,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, Key
 
 from riecjax import RIEC, Estimate, ModelError, Naive, Record, Recording, identify
-from riecjax.errors import renamed, require
+from riecjax.errors import require
 
 
 def over_keys(
@@ -92,7 +92,6 @@ class SeedScatter(eqx.Module):
         return jnp.std(self.theta, axis=0, ddof=1)
 
 
-@renamed(own="per_record")
 def seed_scatter(
     model: Any,
     records: Record | Recording | Sequence[Record] | Sequence[Recording],

@@ -33,6 +33,7 @@ def summarise(
     survey: bool = False,
     noise: GivenNoise = "auto",
     at_rest: AtRest | None = None,
+    starts: tuple[int, int] | None = None,
 ) -> Summary:
     """Sum up what one or several recordings say to a model: all that [`estimate`][] needs.
 
@@ -47,6 +48,9 @@ def summarise(
       afterwards: so many bins from alpha to beta in equal ratios, or their edges in seconds, to
       which alpha and beta are added.
     - `survey`: sum up also what [`check`][] and figures ask for.
+    - `starts`: first of the samples whose windows count and one beyond the last, where a record is
+      a stretch of a longer one with what its windows reach beyond it; see
+      [`stretch_starts`][riecjax.summaries.stretch_starts].
 
     **Returns:** a [`Summary`][] of the recordings in this order.
 
@@ -56,7 +60,7 @@ def summarise(
     """
     asked = task(model, record, criterion, key, noise, at_rest)
     with explaining_errors(as_recordings(record)):
-        return summed(asked, bins=bins, survey=survey)
+        return summed(asked, bins=bins, survey=survey, starts=starts)
 
 
 def summed(
@@ -66,11 +70,7 @@ def summed(
     survey: bool = False,
     starts: tuple[int, int] | None = None,
 ) -> Summary:
-    """The Summary of a task; see [`summarise`][].
-
-    **Arguments:** `starts`: first of the starts of windows that count and one beyond the last,
-    where a record is a stretch of a longer one with what its windows reach beyond it.
-    """
+    """The Summary of a task; see [`summarise`][]."""
     procedure, records, criterion, keys = asked
     # With hidden elements, sums are of more columns than there are parameters.
     procedure = procedure.linear

@@ -148,6 +148,69 @@ class Summary(Shown, eqx.Module):
             raise ModelError(f"sums are scaled by a factor of zero or more; got {factor}.")
         return self.of_recordings(one.scaled(factor) for one in self.recordings)
 
+    # Sums of less. Short blocks within a recording tell how errors scatter where there are few
+    # recordings. Where there are many, each is a block that shares nothing with the others, and its
+    # sums are all that is needed: a hundredth of the memory, and compiled functions of one shape
+    # for a group of any size.
+
+    def merge_length_bins(self) -> "Summary":
+        """The same without bins of window lengths: the sums of those in use, in one (not under
+        jit)."""
+        band = slice(*self.band)
+
+        def of(equation: EquationSums) -> EquationSums:
+            by_source = equation.noise_of_source
+            one = equation.each(lambda sums: np.asarray(sums)[band].sum(0, keepdims=True))
+            if by_source is None:
+                return one
+            by_source = np.asarray(by_source)[band].sum(0, keepdims=True)
+            return dataclasses.replace(one, noise_of_source=by_source)
+
+        return dataclasses.replace(
+            self.of_recordings(one.of_equations(of) for one in self.recordings),
+            edges=None,
+            in_law=(0, 1),
+            band=(0, 1),
+        )
+
+    def coarsen_blocks(self, most: int) -> "Summary":
+        """The same with at most so many blocks of time for each recording, neighbours added up (not
+        under jit)."""
+        return self.of_recordings(one.in_blocks(most) for one in self.recordings)
+
+    def pool_recordings(self, blocks: int = 1) -> "Summary":
+        """The sums of all recordings as those of one, in which each has at most so many blocks; of
+        more than a Summary has room for, neighbours share one (not under jit).
+
+        Estimates are those of the recordings side by side, to rounding. Of sources of noise with
+        the same name the effects add up, and the degrees of freedom: exact for recordings of equal
+        noise.
+        """
+        every = self.coarsen_blocks(blocks).recordings
+        count = sum(int(one.blocks) for one in every)
+        seconds = sum(float(one.blocks) * float(one.block_seconds) for one in every)
+        noise = _noise([one.noise for one in every])
+        sources = [one.noise.sources for one in every]
+        stages = [
+            [
+                _pooled([one.stages[i][j] for one in every], sources, noise.sources)
+                for j, _ in enumerate(stage)
+            ]
+            for i, stage in enumerate(every[0].stages)
+        ]
+        digests = b"".join(np.asarray(one.digest).astype(">u4").tobytes() for one in every)
+        joined = RecordingSums(
+            tuple(map(tuple, stages)),
+            np.asarray(count),
+            np.asarray(seconds / count),
+            np.asarray(sum(float(one.offered) for one in every)),
+            np.asarray(sum(int(one.samples) for one in every)),
+            np.asarray(max(float(one.time_step) for one in every)),
+            np.frombuffer(hashlib.sha256(digests).digest(), ">u4").astype(np.uint32),
+            noise,
+        )
+        return self.of_recordings([joined.in_blocks(ROOMS[-1])])
+
     def between(self, alpha: float, beta: float) -> "Summary":
         """The same for windows of other lengths, from alpha to beta seconds.
 
@@ -377,85 +440,6 @@ def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
         return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
 
     return min(one, other, key=rank)
-
-
-# Sums of less: window lengths together, blocks together, recordings together (not under jit).
-#
-# Short blocks within a recording tell how errors scatter where there are few recordings. Where
-# there are many, each is a block that shares nothing with the others, and its sums are all that is
-# needed: a hundredth of the memory, and compiled functions of one shape for a group of any size.
-
-
-def together(summary: Summary) -> Summary:
-    """The same without bins of window lengths: the sums of those in use, in one."""
-    band = slice(*summary.band)
-
-    def of(equation: EquationSums) -> EquationSums:
-        by_source = equation.noise_of_source
-        one = equation.each(lambda sums: np.asarray(sums)[band].sum(0, keepdims=True))
-        if by_source is None:
-            return one
-        by_source = np.asarray(by_source)[band].sum(0, keepdims=True)
-        return dataclasses.replace(one, noise_of_source=by_source)
-
-    return dataclasses.replace(
-        summary.of_recordings(one.of_equations(of) for one in summary.recordings),
-        edges=None,
-        in_law=(0, 1),
-        band=(0, 1),
-    )
-
-
-def in_blocks(recording: RecordingSums, most: int) -> RecordingSums:
-    """The same in so many blocks of time at most, neighbours added up."""
-    held = int(recording.blocks)
-    if held <= most:
-        return recording
-    count = most
-    first = -(-np.arange(count) * held // count)
-
-    def of(equation: EquationSums) -> EquationSums:
-        return equation.each(lambda sums: np.add.reduceat(np.asarray(sums), first, axis=1))
-
-    seconds = float(recording.blocks) * float(recording.block_seconds)
-    return dataclasses.replace(
-        recording.of_equations(of),
-        blocks=np.asarray(count),
-        block_seconds=np.asarray(seconds / count),
-    )
-
-
-def pooled(recordings: Sequence[RecordingSums], each: int = 1) -> RecordingSums:
-    """The sums of recordings as those of one, in which each has so many blocks; of more than a
-    Summary has room for, neighbours share one.
-
-    Estimates are those of the recordings side by side, to rounding. Of sources of noise with the
-    same name the effects add up, and the degrees of freedom: exact for recordings of equal noise.
-    """
-    every = [in_blocks(one, each) for one in recordings]
-    blocks = sum(int(one.blocks) for one in every)
-    seconds = sum(float(one.blocks) * float(one.block_seconds) for one in every)
-    noise = _noise([one.noise for one in every])
-    sources = [one.noise.sources for one in every]
-    stages = [
-        [
-            _pooled([one.stages[i][j] for one in every], sources, noise.sources)
-            for j, _ in enumerate(stage)
-        ]
-        for i, stage in enumerate(every[0].stages)
-    ]
-    digests = b"".join(np.asarray(one.digest).astype(">u4").tobytes() for one in every)
-    joined = RecordingSums(
-        tuple(map(tuple, stages)),
-        np.asarray(blocks),
-        np.asarray(seconds / blocks),
-        np.asarray(sum(float(one.offered) for one in every)),
-        np.asarray(sum(int(one.samples) for one in every)),
-        np.asarray(max(float(one.time_step) for one in every)),
-        np.frombuffer(hashlib.sha256(digests).digest(), ">u4").astype(np.uint32),
-        noise,
-    )
-    return in_blocks(joined, ROOMS[-1])
 
 
 def _noise(every: Sequence[Noise]) -> Noise:

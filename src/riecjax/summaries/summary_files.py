@@ -26,10 +26,10 @@ from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.noise import Noise
 from riecjax.records.reading.channels import foreign_reader, read_array
-from riecjax.records.writing import write_npz, write_whole
+from riecjax.records.writing import write_npz
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
-from riecjax.whole_files import no_file
+from riecjax.whole_files import no_file, write_file
 
 DOCUMENT = "summary"
 """Name of the JSON document among the arrays."""
@@ -152,7 +152,7 @@ def write_checked(
             f"this {name} takes {size} bytes, and a file may hold {LARGEST}: save its recordings "
             f"apart, summary.select(0).save(...), or make it with fewer bins."
         )
-    write_whole(file, lambda temporary: write_npz(temporary, arrays))
+    write_file(file, lambda temporary: write_npz(temporary, arrays))
 
 
 def read_checked(

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import suited, with_velocities
+from riecjax.criteria.suited import WRITE_CRITERION, suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.procedure import (
@@ -32,6 +32,22 @@ from riecjax.records.recording import Recording, as_recordings
 
 LARGEST = 1e150
 """Size of a value past which its square is no number."""
+
+
+def default_criterion(
+    model: Equation | Procedure | HasProcedure, records: Records, noise: GivenNoise = "auto"
+) -> AbstractCriterion:
+    """What [`identify`][] takes where no criterion is given.
+
+    Boxcars of the model's band where every velocity was measured, smooth windows else.
+
+    **Arguments:** as of [`identify`][].
+
+    **Raises:** `DataError` for a missing signal.
+    """
+    procedure = as_procedure(model)
+    recordings = [each.record for each in ready(procedure, records, noise)]
+    return suited(procedure, getattr(model, "band", None), recordings)
 
 
 class Task(NamedTuple):
@@ -141,12 +157,6 @@ def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") ->
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
-
-
-WRITE_CRITERION = (
-    "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, or "
-    "rx.DOLS()"
-)
 
 
 def require_key(key: object) -> None:

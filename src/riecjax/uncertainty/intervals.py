@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax import tails
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
 from riecjax.summaries.normal_equations import MOST_BLOCKS, NormalEquations, ShortBlocks
 from riecjax.uncertainty.block_statistics import BlockStatistics, block_statistics
@@ -194,6 +194,24 @@ class Naive(AbstractIntervals):
             jnp.ones(count),
             "least squares as if all windows were independent (far too narrow)",
         )
+
+
+def intervals_of(said: AbstractIntervals | str | None, seed: int = 0) -> AbstractIntervals:
+    """The intervals that settings ask for; by default a [`BlockBootstrap`][riecjax.BlockBootstrap].
+
+    **Raises:** `ModelError` for what is none.
+    """
+    named = {
+        None: BlockBootstrap,
+        "bootstrap": BlockBootstrap,
+        "sandwich": Sandwich,
+        "naive": Naive,
+    }
+    if isinstance(said, str | None):
+        made = named[said]
+        return BlockBootstrap(seed=seed) if made is BlockBootstrap else made()
+    require("intervals", said, AbstractIntervals, "intervals=rx.BlockBootstrap()")
+    return said
 
 
 def with_few_blocks(

@@ -13,5 +13,7 @@ from .late_signals import SignalDelay as SignalDelay
 from .late_signals import signal_delays as signal_delays
 from .residuals import ResidualTests as ResidualTests
 from .residuals import residual_tests as residual_tests
+from .sweep import LONGER as LONGER
 from .sweep import WindowSweep as WindowSweep
+from .sweep import sweep_edges as sweep_edges
 from .sweep import window_sweep as window_sweep

@@ -18,7 +18,7 @@ from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import DataError, renamed, require
+from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
 from riecjax.estimation.stages import found_values, solve_stages, stages_over_records
 from riecjax.findings import Finding
@@ -224,7 +224,6 @@ LONGER = 2.0
 for show motions that the model was never meant for, and nearly every model fails there."""
 
 
-@renamed(own="per_record")
 def window_sweep(
     model: Equation | Procedure | HasProcedure,
     records: Records | Summary,

@@ -6,8 +6,9 @@ import scipy.signal
 
 from riecjax.errors import DataError
 from riecjax.models.model import Model
-from riecjax.records.preparation.steps import Preparation, prepare, split, split_at
+from riecjax.records.preparation.steps import prepare, split, split_at
 from riecjax.records.record import Record
+from riecjax.settings import Prepare
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE
@@ -27,7 +28,7 @@ def butterworth(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
 def test_prepare_filters_then_differentiates_then_thins_out():
     rng = np.random.default_rng(2)
     q = np.sin(9 * TIME) + 1e-3 * rng.normal(size=4000)
-    prepared, _ = prepare(record(q=q), AXIS.derived, Preparation(cutoffs={"q": 100.0}, every=10))
+    prepared, _ = prepare(record(q=q), AXIS.derived, Prepare(cutoffs={"q": 100.0}, every=10))
     smooth = scipy.signal.filtfilt(*butterworth(100.0), q)[50:-50]
     velocity = np.gradient(smooth, 1 / RATE, edge_order=2)
     acceleration = np.gradient(velocity, 1 / RATE, edge_order=2)
@@ -39,7 +40,7 @@ def test_prepare_filters_then_differentiates_then_thins_out():
 
 
 def test_every_step_of_a_preparation_is_taken_in_order():
-    asked = Preparation(
+    asked = Prepare(
         start=1.0,
         stop=3.0,
         offsets=("q",),
@@ -65,14 +66,14 @@ EPOCH = 1.7e9
 
 def test_a_cut_counts_from_the_first_sample_whatever_its_stamp():
     stamped = Record.from_samples({"q": TIME}, time=EPOCH + TIME)
-    prepared, words = prepare(stamped, {}, Preparation(start=1.0, stop=2.5))
+    prepared, words = prepare(stamped, {}, Prepare(start=1.0, stop=2.5))
     np.testing.assert_allclose(np.asarray(prepared["q"])[[0, -1]], [1.0, 2.5])
     assert words == ["cut from 1 s to 2.5 s"]
     # The recording's clock goes on, and its own stamps are kept.
     # Their rounding, 2.4e-7 s, is in the time step.
     np.testing.assert_allclose(np.asarray(prepared.elapsed)[[0, -1]], [1.0, 2.5], atol=3e-7)
     assert float(prepared.start_time) == pytest.approx(EPOCH + 1.0, abs=3e-7)
-    again, _ = prepare(prepared, {}, Preparation(start=2.0))
+    again, _ = prepare(prepared, {}, Prepare(start=2.0))
     assert float(again["q"][0]) == 2.0
 
 

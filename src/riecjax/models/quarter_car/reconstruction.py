@@ -19,7 +19,6 @@ from jaxtyping import Array
 
 from riecjax.models.quarter_car.source import (
     BumpStopSpring,
-    Curve,
     DamperCurve,
     DigressiveDamper,
     HardeningMount,
@@ -118,20 +117,8 @@ def quarter_car_source(
 
     The mount's whole curve is scaled by the gain of its stiffness, as the paper does.
     """
-    shapes = jax.tree.map(jnp.asarray, shapes)
+    gaps, rates = jnp.asarray(shapes.stop_gaps), jnp.asarray(shapes.stop_rates)
     mount = HardeningMount(jnp.asarray(MOUNT_RATE), jnp.asarray(shapes.mount_cubic))
-    spring = BumpStopSpring(
-        jnp.asarray(SPRING_RATE), jnp.asarray(shapes.stop_gaps), jnp.asarray(shapes.stop_rates)
-    )
-    return source_with_curves(
-        shapes.damper, spring, mount.scaled(mount_rate / MOUNT_RATE), mount_damping
-    )
-
-
-def source_with_curves(
-    damper: DamperCurve, spring: Curve, mount: Curve, mount_damping: float | Array
-) -> QuarterCarSource:
-    """The source model of these curves, with the published and derived masses and rates."""
     return QuarterCarSource(
         wheel_mass=jnp.asarray(WHEEL_MASS),
         body_mass=jnp.asarray(BODY_MASS),
@@ -139,9 +126,9 @@ def source_with_curves(
         tyre_stiffness=jnp.asarray(TYRE_STIFFNESS),
         damper_compliance=jnp.asarray(DAMPER_COMPLIANCE),
         mount_damping=jnp.asarray(mount_damping),
-        damper=damper,
-        spring=spring,
-        mount=mount,
+        damper=jax.tree.map(jnp.asarray, shapes.damper),
+        spring=BumpStopSpring(jnp.asarray(SPRING_RATE), gaps, rates),
+        mount=mount.scaled(mount_rate / MOUNT_RATE),
     )
 
 
@@ -155,32 +142,3 @@ def source_system(parameters: Mapping[str, Array]) -> QuarterCarSource:
         source,
         tuple(parameters[name] for name in ("M_w", "M_b", "M_e", "K_t", "K_c")),
     )
-
-
-def reconstruction_document() -> dict[str, object]:
-    """What is published, derived and reconstructed, as plain data in SI units."""
-    return {
-        "note": "curves, pot-hole and road amplitude are reconstructed, not published",
-        "published": {
-            "K_t": TYRE_STIFFNESS,
-            "spring_rate": SPRING_RATE,
-            "mount_rate": MOUNT_RATE,
-            "mount_damping": MOUNT_DAMPING,
-        },
-        "derived_from_table_1": {
-            "M_w": WHEEL_MASS,
-            "M_b": BODY_MASS,
-            "M_e": ENGINE_MASS,
-            "K_c": DAMPER_COMPLIANCE,
-        },
-        "reconstructed": {
-            "damper_low_speed_rate": DAMPER_LOW_SPEED_RATE,
-            "damper_high_speed_rates": list(DAMPER_HIGH_SPEED_RATES),
-            "damper_knees": list(DAMPER_KNEES),
-            "stop_gaps": list(STOP_GAPS),
-            "stop_rates": list(STOP_RATES),
-            "mount_cubic": MOUNT_CUBIC,
-            "pothole_depth_length_ramp": list(POTHOLE),
-            "roughness": ROUGHNESS,
-        },
-    }

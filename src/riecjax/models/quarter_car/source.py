@@ -101,12 +101,6 @@ class QuarterCarSource(AbstractSystem):
         return {"F_t": self.tyre_force(state[0])}
 
 
-def contact_share(tyre_extension: Array, source: QuarterCarSource) -> Array:
-    """Share of the samples at which the tyre touches the road."""
-    lift_off = source.lift_off_force / source.tyre_stiffness
-    return jnp.mean(tyre_extension <= lift_off, axis=-1, dtype=tyre_extension.dtype)
-
-
 class DigressiveDamper(eqx.Module):
     """Damper force over velocity, steep at low speed, flatter beyond a knee.
 
@@ -183,17 +177,3 @@ class HardeningMount(eqx.Module):
     def scaled(self, gain: Array | float) -> "HardeningMount":
         """The same curve times a gain, as the paper makes its Table 6 variants."""
         return HardeningMount(self.rate * gain, self.cubic * gain)
-
-
-class LinearDamper(eqx.Module):
-    """F(v) = c v, the damper of the linearised source model; `rate` c in N s/m."""
-
-    rate: Float[Array, ""]
-
-    def __call__(self, velocity: Array) -> Array:
-        """Force in N at a velocity in m/s."""
-        return self.rate * velocity
-
-    def slope(self, velocity: Array) -> Array:
-        """dF/dv in N s/m."""
-        return jnp.broadcast_to(self.rate, jnp.shape(velocity))

@@ -1,9 +1,9 @@
 """From a record as read to the records that a model's equations are estimated and validated on."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from riecjax.records.preparation import (
 )
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
+from riecjax.settings.tree import Prepare
 
 
 class Step(NamedTuple):
@@ -33,94 +34,65 @@ class Step(NamedTuple):
     apply: Callable[[Record], Record]
 
 
-@dataclass(frozen=True)
-class Preparation:
-    """What a user asks to be done to a record, in this order.
+def halves(preparation: Prepare) -> tuple[Prepare, Prepare]:
+    """What comes before signals are aligned, and what comes after."""
+    names = ("start", "stop", "left_out", "shifts", "clocks", "lags")
+    first = Prepare(**{name: getattr(preparation, name) for name in names})
+    last = {n: getattr(preparation, n) for n in Prepare.options() if n not in names}
+    return first, Prepare(**last)
 
-    **Fields:**
 
-    - `start`, `stop`: times to cut at in seconds from the recording's first sample, or `None`.
-    - `left_out`: signals of which what is stuck or at its limit becomes missing.
-    - `shifts`: signal to the seconds that it is advanced by.
-    - `clocks`: signal to the millionths of the time by which it falls behind.
-    - `lags`: signal to the time constant in seconds of a first-order low-pass that is undone.
-    - `align`: whether signals that are late against their derivatives are advanced, see
-      [`align`][riecjax.records.align]; not one of the `steps`, since it depends on what is found.
-    - `offsets`, `drifts`: signals to remove the mean or a straight line from.
-    - `notches`: lines of the mains to take off all signals, in Hz, or `"auto"`.
-    - `cutoffs`: signal to cut-off in Hz of a low-pass.
-    - `upsample`: factor of a band-limited interpolation.
-    - `derivatives`: new signal to the signal whose derivative it is.
-    - `every`: use every n-th sample.
-    """
+def idle_cuts(preparation: Prepare, record: Record) -> dict[str, str]:
+    """Of `start` and `stop`, those that cut nothing off a record, and that in words."""
+    time = np.asarray(record.elapsed)
+    idle = {}
+    if preparation.start is not None and preparation.start <= time[0]:
+        idle["start"] = f"a cut from {preparation.start:g} s on removes nothing: {_lasts(record)}"
+    if preparation.stop is not None and preparation.stop >= time[-1]:
+        idle["stop"] = f"a cut up to {preparation.stop:g} s removes nothing: {_lasts(record)}"
+    return idle
 
-    start: float | None = None
-    stop: float | None = None
-    left_out: tuple[str, ...] = ()
-    shifts: Mapping[str, float] = field(default_factory=dict)
-    clocks: Mapping[str, float] = field(default_factory=dict)
-    lags: Mapping[str, float] = field(default_factory=dict)
-    align: str | tuple[str, ...] = "auto"
-    offsets: tuple[str, ...] = ()
-    drifts: tuple[str, ...] = ()
-    notches: tuple[float | Literal["auto"], ...] = ()
-    cutoffs: Mapping[str, float] = field(default_factory=dict)
-    upsample: int = 1
-    derivatives: Mapping[str, str] = field(default_factory=dict)
-    every: int = 1
 
-    def halves(self) -> tuple["Preparation", "Preparation"]:
-        """What comes before signals are aligned, and what comes after."""
-        names = ("start", "stop", "left_out", "shifts", "clocks", "lags")
-        first = Preparation(**{name: getattr(self, name) for name in names})
-        none = Preparation()
-        return first, replace(self, **{name: getattr(none, name) for name in names})
-
-    def idle_cuts(self, record: Record) -> dict[str, str]:
-        """Of `start` and `stop`, those that cut nothing off a record, and that in words."""
-        time = np.asarray(record.elapsed)
-        idle = {}
-        if self.start is not None and self.start <= time[0]:
-            idle["start"] = f"a cut from {self.start:g} s on removes nothing: {_lasts(record)}"
-        if self.stop is not None and self.stop >= time[-1]:
-            idle["stop"] = f"a cut up to {self.stop:g} s removes nothing: {_lasts(record)}"
-        return idle
-
-    def steps(self) -> list[Step]:
-        """The steps in the order in which they are taken."""
-        steps = []
-        if self.start is not None or self.stop is not None:
-            low = "the start" if self.start is None else f"{self.start:g} s"
-            high = "the end" if self.stop is None else f"{self.stop:g} s"
-            steps.append(Step(f"cut from {low} to {high}", partial(cut, self.start, self.stop)))
-        steps += _each(self.left_out, "left out where it is stuck or at its limit", leave_out)
-        steps += _together(self.shifts, "advanced: {} by {:g} s", shift)
-        steps += _together(self.clocks, "clocks: {} by {:g} ppm", set_clocks)
-        steps += _together(self.lags, "low-pass undone: {} of {:g} s", unfilter)
-        steps += _each(self.offsets, "mean removed", remove_offset)
-        steps += _each(self.drifts, "straight line removed", remove_drift)
-        for hertz in self.notches:
-            at = "" if hertz == "auto" else f" at {hertz:g} Hz"
-            taken_off = partial(_with, notch, hertz)
-            steps.append(Step(f"lines of the mains{at} taken off", taken_off))
-        butterworth = "zero-phase 4th-order Butterworth low-pass: {} at {:g} Hz"
-        steps += _together(self.cutoffs, butterworth, low_pass)
-        if self.upsample > 1:
-            words = f"band-limited up-sampling by {self.upsample}"
-            steps.append(Step(words, partial(_with, upsample, self.upsample)))
-        steps += [_derivative(name, of) for name, of in self.derivatives.items()]
-        if self.every > 1:
-            tens, ones = divmod(self.every % 100, 10)
-            ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"
-            steps.append(Step(f"every {self.every}{ending} sample", lambda r: r.every(self.every)))
-        return steps
+def steps_of(preparation: Prepare) -> list[Step]:
+    """The steps in the order in which they are taken, but for alignment, which depends on what is
+    found."""
+    steps = []
+    if preparation.start is not None or preparation.stop is not None:
+        low = "the start" if preparation.start is None else f"{preparation.start:g} s"
+        high = "the end" if preparation.stop is None else f"{preparation.stop:g} s"
+        steps.append(
+            Step(f"cut from {low} to {high}", partial(cut, preparation.start, preparation.stop))
+        )
+    steps += _each(preparation.left_out, "left out where it is stuck or at its limit", leave_out)
+    steps += _together(preparation.shifts, "advanced: {} by {:g} s", shift)
+    steps += _together(preparation.clocks, "clocks: {} by {:g} ppm", set_clocks)
+    steps += _together(preparation.lags, "low-pass undone: {} of {:g} s", unfilter)
+    steps += _each(preparation.offsets, "mean removed", remove_offset)
+    steps += _each(preparation.drifts, "straight line removed", remove_drift)
+    for hertz in preparation.notches:
+        at = "" if hertz == "auto" else f" at {hertz:g} Hz"
+        taken_off = partial(_with, notch, hertz)
+        steps.append(Step(f"lines of the mains{at} taken off", taken_off))
+    butterworth = "zero-phase 4th-order Butterworth low-pass: {} at {:g} Hz"
+    steps += _together(preparation.cutoffs, butterworth, low_pass)
+    if preparation.upsample > 1:
+        words = f"band-limited up-sampling by {preparation.upsample}"
+        steps.append(Step(words, partial(_with, upsample, preparation.upsample)))
+    steps += [_derivative(name, of) for name, of in preparation.derivatives.items()]
+    if preparation.every > 1:
+        tens, ones = divmod(preparation.every % 100, 10)
+        ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"
+        steps.append(
+            Step(f"every {preparation.every}{ending} sample", lambda r: r.every(preparation.every))
+        )
+    return steps
 
 
 def _with(step: Callable[..., Record], setting: Any, record: Record) -> Record:
     return step(record, setting)
 
 
-def _each(names: tuple[str, ...], words: str, step: Callable[..., Record]) -> list[Step]:
+def _each(names: Sequence[str], words: str, step: Callable[..., Record]) -> list[Step]:
     """A step for each of these signals."""
     return [Step(f"{name}: {words}", partial(_with, step, name)) for name in names]
 
@@ -133,7 +105,7 @@ def _together(settings: Mapping[str, float], words: str, step: Callable[..., Rec
 
 
 def prepare(
-    record: Record, derived: Mapping[str, str], preparation: Preparation
+    record: Record, derived: Mapping[str, str], preparation: Prepare
 ) -> tuple[Record, list[str]]:
     """Take the steps; add derivatives (`derived`: new signal to its signal) that are still missing.
 
@@ -143,8 +115,8 @@ def prepare(
 
     **Raises:** `DataError` for a missing signal or settings that the record does not allow.
     """
-    preparation = replace(preparation, **dict.fromkeys(preparation.idle_cuts(record)))
-    steps = preparation.steps()
+    preparation = replace(preparation, **dict.fromkeys(idle_cuts(preparation, record)))
+    steps = steps_of(preparation)
     thinning = steps[-1:] if preparation.every > 1 else []
     words = []
     for step in steps[: len(steps) - len(thinning)]:

@@ -11,6 +11,7 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.derived import sensitivities, with_derived
+from riecjax.records.faults.spikes import Treatment
 from riecjax.records.noise_judgement import given_noise, judged
 from riecjax.records.preparation.repair import signed, treat_all
 from riecjax.records.reading import times as clocks
@@ -22,9 +23,9 @@ from riecjax.records.reading.units import (
     require_sure_unit,
     unit_behind,
 )
-from riecjax.records.reading_settings import Selection
 from riecjax.records.record import Record
 from riecjax.records.time_base import StampError
+from riecjax.settings.tree import Read, Select
 
 
 class Selected(NamedTuple):
@@ -56,7 +57,7 @@ class _Signals(NamedTuple):
 
 def record_from_channels(
     channels: Channels,
-    selection: Selection,
+    selection: Select,
     read: Mapping[str, str] | None = None,
     shortest: float | None = None,
 ) -> Selected:
@@ -122,7 +123,9 @@ def record_from_channels(
         why = _first_reason(replace(channels, left_out={**channels.left_out, **signals.left_out}))
         raise DataError(f"a record needs at least one signal besides its time{why}.")
     matter = asked or {*signals.values}
-    step, how, formulas = selection.time_step, selection.outliers, selection.derive
+    step, formulas = selection.time_step, selection.derive
+    # What a program hands over as arrays is left as it is.
+    how: Treatment = selection.outliers if isinstance(selection, Read) else "keep"
     columns, axis, axes = signals.values, None, times
     try:
         if selection.resample is None:
@@ -209,7 +212,7 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, l
     return _Signals(values, column, units), registers
 
 
-def _with_labels(signals: _Signals, selection: Selection) -> dict[str, str]:
+def _with_labels(signals: _Signals, selection: Select) -> dict[str, str]:
     """The signals' units, and those that the user says of formulas."""
     return signals.units | {k: u for k, u in selection.units.items() if k in selection.derive}
 
@@ -352,7 +355,7 @@ def _on_one_axis(
 def _resampled(
     signals: _Signals,
     times: dict[str, np.ndarray],
-    selection: Selection,
+    selection: Select,
     matter: Collection[str],
 ) -> Record:
     from riecjax.records.preparation.resampling import on_grid, on_grid_noise
@@ -376,7 +379,7 @@ def _resampled(
     return _with_noise(record, selection, {"t": time, **computed})
 
 
-def _with_noise(record: Record, selection: Selection, columns: Mapping[str, np.ndarray]) -> Record:
+def _with_noise(record: Record, selection: Select, columns: Mapping[str, np.ndarray]) -> Record:
     """The record with what is known of its noise, of the signals of formulas by these columns.
 
     What is said of a signal goes before what its samples and formulas tell.
@@ -392,7 +395,7 @@ def _with_noise(record: Record, selection: Selection, columns: Mapping[str, np.n
     return record.with_noise(noise)
 
 
-def _finite(values: dict[str, np.ndarray], selection: Selection) -> dict[str, np.ndarray]:
+def _finite(values: dict[str, np.ndarray], selection: Select) -> dict[str, np.ndarray]:
     """Without the infinite by-products of files from which signals are asked for by name."""
     wanted = {*selection.rename, *selection.derive}
     if not wanted - {"t"}:

@@ -3,14 +3,18 @@
 import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from riecjax.fleets.fleet import Fleet
+from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.errors import DataError
 from riecjax.fleets.groups import Entry
-from riecjax.fleets.spread import ALARMS, Spread
+from riecjax.fleets.spread import ALARMS, RATE, Change, Spread
 from riecjax.fleets.sums import DONE, Row
+from riecjax.models.model import Model
 from riecjax.reporting.charts.chart import (
     BLUE,
     GREY,
@@ -35,7 +39,8 @@ from riecjax.reporting.document import (
     versions,
 )
 from riecjax.reporting.page import Page, Section
-from riecjax.reporting.tables import Table, in_rich, print_table, say
+from riecjax.reporting.tables import Table, View, in_rich, print_table, say
+from riecjax.shows import Shown
 
 LISTED = 50
 """Groups, changes and recordings of each kind that a document lists; the tables hold all."""
@@ -47,6 +52,68 @@ COURSES = 4
 """Recordings whose courses are drawn: those that change first."""
 FINEST, HOUR = 1e-3, 3600
 """Seconds of what takes no time, and of an hour."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fleet(Shown):
+    """Parameters of groups of recordings; made by [`fleet`][].
+
+    **Fields:**
+
+    - `model`; `by`, what groups are; `criterion` that made the sums.
+    - `entries`: one for each parameter of each group, and one for each recording that failed.
+    - `over_time`: the same for each span of time of each recording, if asked for.
+    - `spreads` of each parameter over groups, and `changes` over time.
+    - `recordings`: one row for each, or for each stretch of a long one, without its sums.
+    - `changed`: sources that went on changing while they were summed, and count as they were then.
+    - `rate` of false discoveries among groups that are called different.
+    """
+
+    model: Model
+    by: tuple[str, ...]
+    criterion: AbstractCriterion
+    entries: Sequence[Entry]
+    over_time: Sequence[Entry]
+    spreads: Sequence[Spread]
+    changes: Sequence[Change]
+    recordings: Sequence[Row]
+    changed: Sequence[str] = ()
+    rate: float = RATE
+
+    @property
+    def failures(self) -> list[Row]:
+        """Recordings that are in no group, whose `status` says why."""
+        return [row for row in self.recordings if row.status != DONE]
+
+    @property
+    def unanswered(self) -> list[Entry]:
+        """Groups that could not be estimated, whose `status` says why."""
+        lost = {row.status for row in self.failures}
+        return [e for e in self.entries if e.status != DONE and e.status not in lost]
+
+    @property
+    def samples(self) -> int:
+        """Of all recordings that were summed."""
+        return sum(row.samples for row in self.recordings)
+
+    def to_frame(self) -> Any:
+        """All entries, those over time last, as a frame of pandas.
+
+        **Raises:** `DataError` without pandas.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise DataError(
+                'frames need pandas; install it by pip install "riecjax[frames]".'
+            ) from None
+        return pd.DataFrame([*self.entries, *self.over_time], columns=list(Entry._fields))
+
+    def view(self) -> View:
+        """What is printed of it."""
+        document = fleet_document(self)
+        tables = [spread_table(document), differing_table(document), left_out_table(document)]
+        return View(document["sentence"], tables)
 
 
 def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0.0) -> Document:

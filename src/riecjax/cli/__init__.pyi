@@ -1,0 +1,2 @@
+from .command import Given as Given
+from .command import settings_command as settings_command

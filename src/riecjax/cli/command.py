@@ -1,0 +1,356 @@
+"""Commands whose options are settings: from words, and a job beside them, to what was given."""
+
+import dataclasses
+import functools
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+from click.core import ParameterSource
+
+from riecjax.cli.job import digest, job_file, read_job
+from riecjax.models.model import Model
+from riecjax.records.recording import Recording
+from riecjax.settings.kinds import TEST_FUNCTIONS
+from riecjax.settings.option import Contradiction, Option, Settings
+from riecjax.settings.tree import Elements, Reading
+from riecjax.whole_files import seen_from
+
+if TYPE_CHECKING:
+    from riecjax.findings import Finding
+
+SMALL_FILES = 2**24
+"""Bytes of all recordings below which compiling code takes longer than running it."""
+
+Kind = TypeVar("Kind", bound=Settings)
+
+
+class Parsed(click.ParamType):
+    """What an option makes of a text."""
+
+    def __init__(self, option: Option):
+        self.name, self.option = option.form, option
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        try:
+            return self.option.parsed(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+def _collected(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
+    try:
+        return param.type.option.collected(value)  # type: ignore[attr-defined]
+    except ValueError as error:
+        raise click.BadParameter(str(error), ctx, param) from None
+
+
+class SettingOption(click.Option):
+    """An option that reads its help when it is asked for."""
+
+    settings: type[Settings]
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        self.help = self.settings.help(str(self.name))
+        self.required = self.settings.options()[str(self.name)].required
+        return super().get_help_record(ctx)
+
+
+def _parameter(name: str, settings: type[Settings]) -> click.Parameter:
+    """What click knows of a setting. Whether it must be there is seen after a job was read."""
+    option = settings.options()[name]
+    kind = click.Choice(option.kind.choices) if option.kind.choices else Parsed(option)
+    many = option.shape in ("many", "named")
+    said: dict[str, Any] = {"callback": _collected} if many else {}
+    if not option.flag:
+        # A command of one thing takes one; RECORD... stands for any number.
+        return click.Argument(
+            [name],
+            type=kind,
+            metavar=option.metavar,
+            nargs=-1 if many else 1,
+            required=False,
+            **said,
+        )
+    if option.shape in ("flag", "switch"):
+        said = {"is_flag": True, "default": option.default}
+    else:
+        said |= {
+            "type": (kind,) * option.count if option.count > 1 else kind,
+            "multiple": many,
+            "metavar": option.metavar or None,
+            "default": None if many else option.default,
+        }
+    silent = option.default_in_words or option.default is None or option.default is False
+    shown = not silent and option.default not in ((), {})
+    made = SettingOption([*option.flag.split(" "), name], show_default=shown, **said)
+    made.settings = settings
+    return made
+
+
+@dataclasses.dataclass(frozen=True)
+class Given:
+    """What a command was given.
+
+    **Fields:** `command`; `values` of all its settings; `typed`, those that were typed, in this
+    order; `job`, a file that others are from, and `recorded`, digests of the files that its result
+    was made from.
+    """
+
+    command: "SettingsCommand"
+    values: dict[str, Any]
+    typed: dict[str, Any]
+    job: Path | None = None
+    recorded: Sequence[Mapping[str, str]] = ()
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self.values[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+    @property
+    def arguments(self) -> Sequence[str]:
+        """What was typed behind `riecjax`."""
+        return click.get_current_context().obj or ()
+
+    def take(self, kind: type[Kind]) -> Kind:
+        """The settings of one kind, with the user's own test function for its name."""
+        values = {name: self.values[name] for name in kind.options() if name in self.values}
+        weight = values.get("test_function")
+        if weight is None or weight in TEST_FUNCTIONS:
+            return kind(**values)
+        from riecjax.models.catalogue import test_function_of_file
+
+        asked = kind(**values)
+        return dataclasses.replace(asked, test_function=test_function_of_file(weight))
+
+    def model(self) -> "Model":
+        """The model, with the elements that are added to it."""
+        from riecjax.models.catalogue import find_model
+
+        model = find_model(self.model_name)
+        return model.with_elements(self.take(Elements)) if "modes" in self.values else model
+
+    def recordings(self, model: "Model", files: Sequence[Path] | None = None) -> "list[Recording]":
+        """What files hold, read and prepared for a model; the RECORD... if no others are named.
+
+        **Raises:** `DataError` naming the file, or a recording that was given twice.
+        """
+        from riecjax.records.faults.rows import refuse_duplicates
+        from riecjax.records.recording import read_recordings
+
+        asked = {**self.take(Reading).keywords(), "model": model}
+        files = self.files if files is None else files
+        recordings = [each for file in files for each in read_recordings(file, **asked)]
+        if not self.allow_duplicates:
+            refuse_duplicates(recordings)
+        return recordings
+
+    @property
+    def is_small(self) -> bool:
+        """Whether recordings are so short that what works on them runs in no time."""
+        files = [*self.files, *self.values.get("validate_on", ())]
+        return sum(file.stat().st_size for file in files if file.exists()) < SMALL_FILES
+
+    def shown(self, folder: Path | None = None) -> dict[str, Any]:
+        """All that is set, with defaults, by the keys of a job file and as one holds it.
+
+        **Arguments:** `folder`, where relative paths start from; here if `None`.
+        """
+        shown = {}
+        for name, option in self.command.options.items():
+            value = self.values[name]
+            idle = value is None or value in ((), {}) or value == option.default in option.alone
+            if option.shape == "switch" or not (idle or value is False):
+                shown[option.key] = option.plain(
+                    option.moved(value, functools.partial(seen_from, folder))
+                )
+        return shown
+
+    def as_job(self, folder: Path | None = None) -> dict[str, Any]:
+        """The same but for where the result goes: a job that gives it again."""
+        idle = {option.key for option in self.command.options.values() if option.of_result}
+        return {key: value for key, value in self.shown(folder).items() if key not in idle}
+
+    def inputs(self) -> list[str]:
+        """Every file that is read: recordings, also in a bag's folder, and users' code."""
+        found: dict[str, str] = {}
+        for name, option in self.command.options.items():
+            if not option.of_result:
+                option.moved(self.values[name], lambda path: found.setdefault(path, path))
+        # Of a folder, as a bag is, those in it.
+        return [
+            file
+            for path in found
+            for file in (
+                [os.path.join(path, name) for name in sorted(os.listdir(path))]
+                if os.path.isdir(path)
+                else [path]
+            )
+        ]
+
+    def digests(self, folder: Path | None = None) -> list[dict[str, Any]]:
+        """Size and SHA-256 of these files, as `provenance` keeps them."""
+        return [digest(file, folder) for file in self.inputs() if os.path.isfile(file)]
+
+    def changed_files(self) -> "list[Finding]":
+        """Files that are others than those the job's results were made from, told at once.
+
+        Files typed beside a job are no change of the job's.
+        """
+        from riecjax.findings import Finding
+
+        if self.job is None or not self.recorded:
+            return []
+        folder, name = os.path.dirname(self.job), self.job.name
+        known = {
+            os.path.normpath(os.path.join(folder, d["file"])): d["sha256"] for d in self.recorded
+        }
+        found = []
+        for file in self.inputs():
+            if file in known and os.path.isfile(file):
+                now, before = digest(file)["sha256"], known[file]
+                if now != before:
+                    said = (
+                        f"{seen_from(None, file)} is not the file that {name} was made from (its "
+                        f"SHA-256 begins with {now[:8]}, not {before[:8]}): these numbers are of "
+                        f"the new file."
+                    )
+                    found.append(Finding("file_changed", said))
+        for finding in found:
+            click.echo(f"warning [{finding.code}]: {finding.message}", err=True)
+        return found
+
+    def with_options(self, words: Sequence[str]) -> list[str]:
+        """Arguments of the command with further options, in place of those that they replace.
+
+        A folder that holds a result is not written over. What is found amiss is that of the record
+        as prepared: what is left of a delay adds to what was taken off.
+        """
+        typed = {k: v for k, v in self.typed.items() if k not in ("as_json", "out")}
+        for name, further in self.command.typed(words).items():
+            option = self.command.options[name]
+            both = option.beside(self.values[name], further)
+            if isinstance(both, dict) and isinstance(further, dict):
+                before = typed.get(name)
+                both = {
+                    **(before if isinstance(before, dict) else {}),
+                    **{k: both[k] for k in further},
+                }
+            typed[name] = both
+            typed = {k: v for k, v in typed.items() if k not in option.excludes}
+        said = [(self.command.options[name], value) for name, value in typed.items()]
+        arguments_first = sorted(said, key=lambda each: each[0].flag != "")
+        words = (word for option, value in arguments_first for word in option.words(value))
+        return [str(self.command.name), *words]
+
+
+class SettingsCommand(click.Command):
+    """A command that is given settings, some of which may stand in a job file."""
+
+    def __init__(self, name: str, kinds: Sequence[type[Settings]], **said: Any):
+        self.kinds = kinds
+        self.settings = {field: kind for kind in kinds for field in kind.options()}
+        self.options = {field: kind.options()[field] for field, kind in self.settings.items()}
+        params = [_parameter(field, kind) for field, kind in self.settings.items()]
+        super().__init__(name, params=params, **said)
+
+    def typed(self, words: Sequence[str], ctx: click.Context | None = None) -> dict[str, Any]:
+        """Settings that words say, in their order."""
+        ctx = ctx or click.Context(self, resilient_parsing=True)
+        order = self.make_parser(ctx).parse_args(args=list(words))[2]
+        super().parse_args(ctx, list(words))
+        return {
+            param.name: ctx.params[param.name]
+            for param in order
+            if param.name in self.options
+            and ctx.get_parameter_source(param.name) is ParameterSource.COMMANDLINE
+            and ctx.params[param.name] not in ((), None)
+        }
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        typed = self.typed(args, ctx)
+        values = {name: option.default for name, option in self.options.items()}
+        job, recorded = typed.get("job"), ()
+        if job is not None:
+            job = job_file(job)
+            held, recorded = read_job(job)
+            values |= self._of_job(ctx, held, job.parent)
+        for name, value in typed.items():
+            option, before = self.options[name], values[name]
+            values |= {each: self.options[each].default for each in option.excludes}
+            values[name] = (
+                {**before, **value}
+                if isinstance(before, dict) and isinstance(value, dict)
+                else value
+            )
+        values |= {name: typed[name] for name in typed if not isinstance(typed[name], dict)}
+        for param in sorted(self.params, key=lambda param: isinstance(param, click.Option)):
+            name = str(param.name)
+            if self.options[name].required and values[name] in (None, ()):
+                raise click.MissingParameter(ctx=ctx, param=param)
+        ctx.params = {"given": Given(self, values, typed, job, recorded)}
+        return []
+
+    def _of_job(
+        self, ctx: click.Context, job: Mapping[str, Any], folder: Path
+    ) -> Iterator[tuple[str, Any]]:
+        """What a job says of this command's settings.
+
+        A job may hold all options of identify, also where another command reads it.
+        """
+
+        def from_here(path: str) -> str:
+            return os.path.normpath(os.path.join(folder, path))
+
+        group = ctx.find_root().command
+        other = group.get_command(ctx, "identify") if isinstance(group, click.Group) else None
+        others = {option.key for option in getattr(other, "options", {}).values()}
+        names = {option.key: name for name, option in self.options.items() if name != "job"}
+        for key, value in job.items():
+            if key not in names:
+                if key in others:
+                    continue
+                near = get_close_matches(key, names, 1)
+                remedy = "'riecjax init' prints a job with all of them"
+                remedy = f"the nearest is '{near[0]}'" if near else remedy
+                raise click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
+            option = self.options[names[key]]
+            try:
+                yield names[key], option.moved(option.of_plain(value), from_here)
+            except ValueError as error:
+                raise click.UsageError(f"--job: {error}") from None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except Contradiction as error:
+            raise click.UsageError(error.typed(), ctx) from None
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Options below what their settings are about."""
+        about: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            kind = self.settings.get(str(param.name))
+            if isinstance(param, click.Option) and (record := param.get_help_record(ctx)):
+                about.setdefault(kind.about(str(param.name)) if kind else "Help", []).append(record)
+        for title, records in about.items():
+            with formatter.section(title):
+                formatter.write_dl(records)
+
+
+def settings_command(
+    name: str, *kinds: type[Settings], short_help: str
+) -> Callable[[Callable[[Given], None]], SettingsCommand]:
+    """Make a command of a function that is [`Given`][] settings of these kinds."""
+
+    def decorate(function: Callable[[Given], None]) -> SettingsCommand:
+        return SettingsCommand(
+            name, kinds, callback=function, help=function.__doc__, short_help=short_help
+        )
+
+    return decorate

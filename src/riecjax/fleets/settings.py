@@ -1,0 +1,85 @@
+"""Settings of a fleet: what is estimated together, how all recordings are read, and by whom."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from riecjax.settings import (
+    POSITIVE,
+    TEXT,
+    Contradiction,
+    Fit,
+    Known,
+    Prepare,
+    Read,
+    Reading,
+    Seed,
+    Settings,
+    Uncertainty,
+    flag,
+    setting,
+    whole,
+)
+
+Progress = Callable[[str, int, int, int], None]
+"""Told what is being done, how much of it is, of how much, and how many samples that were."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Groups(Settings):
+    """What is estimated together, and by whom."""
+
+    by: str | Sequence[str] = setting("--by file|folder|COLUMN[,COLUMN]", TEXT, "file")
+    """What is estimated together: each file, each folder, or all that agrees in keys of its path
+    (vehicle=3/) or columns of its Parquet files."""
+    span: float | None = setting("--span SECONDS", POSITIVE)
+    """Estimate over time as well, in spans of about this length."""
+    workers: int | None = setting("--workers N", whole(0, 4096), default_in_words="one a core")
+    """Processes that sum; 0 for none but this one."""
+    scheduler: str | None = setting("--scheduler ADDRESS", TEXT)
+    """Use the workers of this scheduler of Dask."""
+    strict: bool = flag("--strict")
+    """End at the first recording that cannot be summed."""
+
+    def require_sense(self) -> None:
+        """**Raises:** [`Contradiction`][riecjax.Contradiction]."""
+        if self.workers is not None and self.scheduler is not None:
+            raise Contradiction(
+                "{workers} are of this machine, {scheduler} has its own: give one.", self.options()
+            )
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """`"file"`, `"folder"`, or names of columns."""
+        said = self.by.split(",") if isinstance(self.by, str) else self.by
+        return tuple(part.strip() if isinstance(part, str) else part for part in said)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fleets(Groups, Seed, Uncertainty, Known, Fit, Prepare, Read):
+    """Keywords of [`fleet`][riecjax.fleet].
+
+    **Fields:** also `allow_duplicates`: count recordings of a group that hold the same samples
+    each; `out`: folder for `summaries.parquet` and `estimates.parquet`, `None` keeps nothing;
+    `storage`: what fsspec is to know of the store; `progress`: called with what is being done, how
+    much of it is, of how much, and samples; `on_start`: called with the address of Dask's
+    dashboard, if it has one.
+    """
+
+    allow_duplicates: bool = flag("--allow-duplicates")
+    """Take recordings that hold the same samples, which are refused otherwise."""
+    out: str | os.PathLike[str] | None = None
+    storage: Mapping[str, Any] | None = None
+    progress: Progress | None = None
+    on_start: Callable[[str], None] | None = None
+
+    def require_sense(self) -> None:
+        """**Raises:** as those that it is made of."""
+        Groups.require_sense(self)
+        Fit.require_sense(self)
+
+    @property
+    def reading(self) -> Reading:
+        """How each recording is read and prepared."""
+        return Reading(**{name: getattr(self, name) for name in Reading.options()})

@@ -1,0 +1,1 @@
+from .model import as_model as as_model

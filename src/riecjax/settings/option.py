@@ -1,0 +1,469 @@
+"""A setting, said once: a field of a frozen dataclass with its option, its kind and its help.
+
+From these fields come the keywords of the verbs that take such a dataclass ([`taking`][]), the
+options of the command line, job files and the form of one, provenance, and proposed commands.
+"""
+
+import ast
+import dataclasses
+import difflib
+import functools
+import inspect
+import itertools
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from numbers import Real
+from pathlib import Path
+from typing import (
+    Any,
+    ClassVar,
+    Concatenate,
+    Literal,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+    overload,
+)
+
+from riecjax.errors import ModelError, RiecjaxError, require
+from riecjax.settings.kinds import TRUTH, Kind, number_text
+
+Shape = Literal["once", "many", "named", "flag", "switch"]
+Plain = Any
+"""What TOML and JSON have words for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Option:
+    """How a setting is said on the command line and in a job file.
+
+    **Fields:**
+
+    - `said`: the option and what its value looks like, as `--map SIGNAL=COLUMN`, of a switch
+      `--sweep/--no-sweep`, of an argument `RECORD...`; `kind` of each value.
+    - `shape`: said `once` (with `count` values), `many` times (a tuple), for what it is `named` (a
+      dict), or a truth that a `flag` turns on and a `switch` on or off.
+    - `default`, and the same in words where it depends on others.
+    - `alone`: words that stand for all values of a setting that is said many times.
+    - `combine`: makes one value of the one that was given to a name and of a further one.
+    - `excludes`: names of settings that it replaces.
+    - `required`, whether there must be one; `free`, whether Python takes objects of other kinds
+      too; `of_result`, whether it is about where the result goes, and not about what it is.
+    """
+
+    said: str
+    kind: Kind
+    shape: Shape = "once"
+    count: int = 1
+    default: Any = None
+    default_in_words: str = ""
+    alone: tuple[str, ...] = ()
+    combine: Callable[[Any, Any], Any] | None = None
+    excludes: tuple[str, ...] = ()
+    required: bool = False
+    free: bool = False
+    of_result: bool = False
+
+    @functools.cached_property
+    def flag(self) -> str:
+        """The option as it is typed, `--map`; empty for an argument."""
+        return self.said.partition(" ")[0] if self.said.startswith("--") else ""
+
+    @functools.cached_property
+    def metavar(self) -> str:
+        """What help shows for its value, where that is not its kind's name."""
+        return self.said.removeprefix(self.flag).strip()
+
+    @property
+    def key(self) -> str:
+        """What a job file calls it: `map` for `--map`, `records` for RECORD..."""
+        named = self.flag.partition("/")[0].removeprefix("--")
+        return named or f"{self.metavar.strip('.').lower()}s"
+
+    @property
+    def form(self) -> str:
+        """What its value looks like."""
+        return self.metavar or "|".join(self.kind.choices) or self.kind.name
+
+    def parsed(self, text: str) -> Any:
+        """The value of one text: of a name a pair.
+
+        **Raises:** `ValueError` that says what is wrong with it.
+        """
+        if self.shape != "named" or text in self.alone:
+            return text if text in self.alone else self.kind.parse(text)
+        name, equals, said = (part.strip() for part in text.partition("="))
+        if not (name and equals and said):
+            raise ValueError(f"'{text}' is not of the form {self.form}.")
+        try:
+            return name, self.kind.parse(said)
+        except ValueError as error:
+            what = str(error).replace(f"'{said}'", f"'{said}' in '{text}'", 1)
+            raise ValueError(what) from None
+
+    def collected(self, values: tuple[Any, ...]) -> Any:
+        """The setting of the values of all texts.
+
+        **Raises:** `ValueError` for a word beside others, or a name that is given twice.
+        """
+        if words := [value for value in values if value in self.alone]:
+            if len(values) > 1:
+                raise ValueError(f"'{words[0]}' is for all signals; give it alone.")
+            return words[0]
+        if self.shape != "named":
+            return values or self.default
+        names = [name for name, _ in values]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"'{name}' is given twice.")
+        return dict(values) or self.default
+
+    def texts(self, value: Any) -> Iterator[list[str]]:
+        """Texts that are understood as this value, a list for each time that it is said."""
+        if isinstance(value, str) and value in self.alone:
+            yield [value]
+        elif self.shape == "named":
+            for name, each in (value or {}).items():
+                yield [f"{name}={self.kind.write(each)}"]
+        elif self.shape == "many":
+            for each in value or ():
+                yield [self.kind.write(each)]
+        elif self.count > 1:
+            yield [self.kind.write(each) for each in value]
+        else:
+            yield [self.kind.write(value)]
+
+    def words(self, value: Any) -> list[str]:
+        """Arguments of the command line that say this value."""
+        on, _, off = self.flag.partition("/")
+        if self.shape in ("flag", "switch"):
+            return list(filter(None, [on if value else off]))
+        return [word for texts in self.texts(value) for word in filter(None, (on, *texts))]
+
+    def plain(self, value: Any) -> Plain:
+        """The value as a job file holds it."""
+        if isinstance(value, bool):
+            return value
+        texts = [text for said in self.texts(value) for text in said]
+        if isinstance(value, str) and value in self.alone:
+            return [value] if self.shape == "many" else value
+        if self.shape == "named" or "=" in self.form:
+            pairs = [text.partition("=") for text in texts]
+            if len({name for name, equals, _ in pairs if equals}) == len(pairs):
+                return {name: _number(text) for name, _, text in pairs}
+        if self.shape == "once" and self.count == 1:
+            return _number(texts[0])
+        return [_number(text) if self.count > 1 else text for text in texts]
+
+    def of_plain(self, value: Plain) -> Any:
+        """The setting that a job file's value says.
+
+        **Raises:** `ValueError` for what is not of its kind.
+        """
+        if self.shape in ("flag", "switch"):
+            if not isinstance(value, bool):
+                raise ValueError(f"'{self.key}' must be true or false; got {value!r}.")
+            return value
+        if isinstance(value, dict):
+            if "=" not in self.form:
+                raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
+            said = [f"{name}={self._text(each, name)}" for name, each in value.items()]
+        elif self.count > 1:
+            if not (isinstance(value, list) and len(value) == self.count):
+                raise ValueError(f"'{self.key}' must be a list of {self.count}; got {value!r}.")
+            return tuple(self.parsed(self._text(each)) for each in value)
+        elif not self.flag and not _is_text(value):
+            raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
+        else:
+            said = [self._text(each) for each in (value if isinstance(value, list) else [value])]
+        try:
+            if self.shape == "once":
+                return self.parsed(",".join(said))
+            return self.collected(tuple(map(self.parsed, said)))
+        except ValueError as error:
+            raise ValueError(f"'{self.key}': {error}") from None
+
+    def _text(self, value: Plain, name: str = "") -> str:
+        key = f"{self.key}.{name}" if name else self.key
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise ValueError(f"'{key}' must be a number, or a name in quotes; got {value!r}.")
+        text = value if isinstance(value, str) else number_text(value)
+        if "\0" in text or (not text.isascii() and not _encodes(text)):
+            raise ValueError(f"'{key}' must be text as can be typed; got {value!r}.")
+        return text
+
+    def moved(self, value: Any, move: Callable[[str], str]) -> Any:
+        """The value with its paths moved: of files, and of the file in `FILE.py[:OBJECT]`."""
+        if not self.kind.path or value is None:
+            return value
+        if self.shape == "many":
+            return tuple(self._moved(each, move) for each in value)
+        return self._moved(value, move)
+
+    def _moved(self, value: Any, move: Callable[[str], str]) -> Any:
+        if self.kind.path == "file":
+            return Path(move(str(value)))
+        code = PYTHON_FILE.fullmatch(str(value))
+        return value if code is None else move(code["file"]) + (code["object"] or "")
+
+    def beside(self, given: Any, further: Any) -> Any:
+        """The setting with a further one: of what is named or listed, both."""
+        if not isinstance(given, dict | tuple) or not isinstance(further, dict | tuple):
+            return further
+        if isinstance(given, dict) and isinstance(further, dict):
+            both = given.keys() & further.keys() if self.combine else ()
+            return {**given, **further} | {k: self.combine(given[k], further[k]) for k in both}  # type: ignore[misc]
+        return (*given, *(each for each in further if each not in given))
+
+
+def _is_text(value: Plain) -> bool:
+    listed = value if isinstance(value, list) else [value]
+    return all(isinstance(each, str) for each in listed)
+
+
+def _encodes(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _number(text: str) -> float | str:
+    """The number that is written so and not otherwise, or the text."""
+    for kind in (int, float):
+        try:
+            value = kind(text)
+        except ValueError:
+            continue
+        if number_text(value) == text:
+            return value
+    return text
+
+
+PYTHON_FILE = re.compile(r"(?P<file>.+\.py)(?P<object>:[^:/\\]*)?")
+OPTION = "option"
+
+
+def setting(said: str, kind: Kind, default: Any = None, **more: Any) -> Any:
+    """A field of [`Settings`][] that is said once; `more`, fields of its [`Option`][].
+
+    The text below the field says what it is for, in help, job files and documentation alike.
+    """
+    option = Option(said, kind, default=default, **more)
+    if isinstance(default, dict):
+        return dataclasses.field(default_factory=dict, metadata={OPTION: option})
+    return dataclasses.field(default=default, metadata={OPTION: option})
+
+
+def many(said: str, kind: Kind, default: Any = (), **more: Any) -> Any:
+    """A field that is said many times: a tuple."""
+    return setting(said, kind, default, shape="many", **more)
+
+
+def named(said: str, kind: Kind, default: str | None = None, **more: Any) -> Any:
+    """A field with a value for each name: a dict."""
+    return setting(said, kind, {} if default is None else default, shape="named", **more)
+
+
+def flag(said: str, **more: Any) -> Any:
+    """A field that is false unless it is said."""
+    return setting(said, TRUTH, False, shape="flag", **more)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings that belong together. Fields made by [`setting`][], [`many`][], [`named`][] and
+    [`flag`][] are options too; others are of Python alone.
+
+    **Raises:** `error` for a value of the wrong kind, [`Contradiction`][] for settings that do not
+    go together.
+    """
+
+    error: ClassVar[type[RiecjaxError]] = ModelError
+
+    def __post_init__(self) -> None:
+        for name, option in self.options().items():
+            value = getattr(self, name)
+            object.__setattr__(self, name, _checked(name, option, value, self.error))
+        self.require_sense()
+
+    def require_sense(self) -> None:
+        """**Raises:** [`Contradiction`][] for settings that do not go together."""
+
+    @classmethod
+    def options(cls) -> dict[str, Option]:
+        """Options by the names of their fields."""
+        fields = dataclasses.fields(cls)
+        return {each.name: each.metadata[OPTION] for each in fields if OPTION in each.metadata}
+
+    @classmethod
+    def help(cls, name: str) -> str:
+        """What a setting is for: the text below its field, whether it may be repeated, and its
+        default where words say that best; empty where there is no source to read."""
+        texts = (_texts_of(base.__module__).get(f"{base.__name__}.{name}") for base in cls.__mro__)
+        option = cls.options()[name]
+        repeatable = "Repeatable." if option.shape in ("many", "named") and option.flag else ""
+        default = f"[default: {option.default_in_words}]" if option.default_in_words else ""
+        return " ".join(filter(None, (next(filter(None, texts), ""), repeatable, default)))
+
+    @classmethod
+    def about(cls, name: str) -> str:
+        """What a setting belongs to: the first words of the class that has its field."""
+        owner = next(each for each in cls.__mro__ if name in vars(each).get("__annotations__", ()))
+        return (owner.__doc__ or "").partition("\n")[0].rstrip(".")
+
+    def keywords(self) -> dict[str, Any]:
+        """Its fields by name, to hand them on."""
+        return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+
+    def plain(self) -> dict[str, Plain]:
+        """What is other than its default, by the keys of a job file and as one holds it."""
+        options = self.options().items()
+        said = {name: option for name, option in options if self.says(name)}
+        return {option.key: option.plain(getattr(self, name)) for name, option in said.items()}
+
+    def says(self, *names: str) -> bool:
+        """Whether any of these is other than its default."""
+        options = self.options()
+        return any(getattr(self, name) != options[name].default for name in names)
+
+
+@functools.cache
+def _texts_of(module: str) -> dict[str, str]:
+    """Texts below fields of the classes of a module, by class and field."""
+    try:
+        source = inspect.getsource(sys.modules[module])
+    except (OSError, TypeError):  # as of a frozen program
+        return {}
+    classes = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
+    return {
+        f"{each.name}.{ast.unparse(field.target)}": " ".join(ast.literal_eval(text.value).split())
+        for each in classes
+        for field, text in itertools.pairwise(each.body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+    }
+
+
+class Contradiction(ModelError):
+    """Settings that do not go together, named as whoever gave them does.
+
+    **Arguments:** `template`, with `{field}` for a setting, and `{field:value}` for what it is;
+    `options` of the settings by field.
+    """
+
+    def __init__(self, template: str, options: Mapping[str, Option]):
+        self.template, self.options = template, options
+        super().__init__(template.format(**{name: _Keyword(name) for name in options}))
+
+    def typed(self) -> str:
+        """The same on the command line."""
+        flags = {name: option.flag.partition("/")[0] for name, option in self.options.items()}
+        return self.template.format(**{name: _Flag(flags[name]) for name in flags})
+
+
+class _Keyword(str):
+    def __format__(self, value: str) -> str:
+        return f"{self!s}={value!r}" if value else str(self)
+
+
+class _Flag(str):
+    def __format__(self, value: str) -> str:
+        return f"{self!s} {value}".rstrip()
+
+
+def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -> Any:
+    """A value as its setting holds it, or the error that says what to write."""
+    if option.shape in ("flag", "switch"):
+        require(name, value, bool, f"{name}=True", error)
+        return value
+    if option.free or value is None or (isinstance(value, str) and value in option.alone):
+        return {} if value is None and option.default == {} else value
+    leaves: Any = [(f"{name}", value)]
+    if option.shape == "named":
+        require(name, value, Mapping, f"{name}={{'x': ...}}, by the signal's name", error)
+        for each in value:
+            require(f"a name in {name}", each, str, "names as text, 'x'", error)
+        value = dict(value)
+        leaves = [(f"{name} of '{each}'", held) for each, held in value.items()]
+    elif option.shape == "many":
+        require(name, value, (list, tuple), f"{name}=('x',), a tuple of names", error)
+        value = tuple(value)
+        leaves = [(f"a name in {name}", each) for each in value]
+    elif option.count > 1:
+        require(name, value, (list, tuple), f"{name}=(1.0, 10.0)", error)
+        value = tuple(value)
+        leaves = [(f"an end of {name}", each) for each in value]
+    for what, leaf in leaves:
+        if option.kind.is_number and not hasattr(leaf, "dtype"):
+            require(what, leaf, Real, "a number", error)
+        elif option.kind.choices and isinstance(leaf, str) and leaf not in option.kind.choices:
+            listed = " or ".join(f"'{word}'" for word in option.kind.choices)
+            require(what, leaf, (), listed, error)
+        elif option.kind.name == "text" and option.shape != "once":
+            write = "it as text, 'x'" if option.shape == "named" else "names as text, 'x'"
+            require(what, leaf, str, write, error)
+    return value
+
+
+Keywords = ParamSpec("Keywords")
+Given = TypeVar("Given", bound=Settings)
+First = TypeVar("First")
+Second = TypeVar("Second")
+Answer = TypeVar("Answer")
+
+
+class Taking(Protocol[Keywords]):
+    """What [`taking`][] decorates: a verb of one or two things, and of settings."""
+
+    @overload
+    def __call__(
+        self, verb: Callable[[First, Any], Answer], /
+    ) -> Callable[Concatenate[First, Keywords], Answer]: ...
+    @overload
+    def __call__(
+        self, verb: Callable[[First, Second, Any], Answer], /
+    ) -> Callable[Concatenate[First, Second, Keywords], Answer]: ...
+
+
+def taking(kind: Callable[Keywords, Given]) -> Taking[Keywords]:
+    """Give a verb whose last parameter is `settings` the keywords of a kind of [`Settings`][].
+
+    **Raises:** `TypeError`, from the verb, for a keyword that it has not, with the nearest.
+    """
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+
+    def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
+        *own, _ = inspect.signature(verb).parameters.values()
+        places = inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+        taken = [
+            inspect.Parameter(
+                field.name,
+                places[not field.kw_only],
+                default={} if field.default is dataclasses.MISSING else field.default,
+                annotation=field.type,
+            )
+            for field in sorted(fields, key=lambda field: bool(field.kw_only))
+        ]
+        signature = inspect.Signature([*own, *taken])
+
+        @functools.wraps(verb)
+        def called(*arguments: Any, **keywords: Any) -> Any:
+            for name in keywords.keys() - signature.parameters.keys():
+                near = difflib.get_close_matches(name, signature.parameters, 1)
+                remedy = f"; the nearest is '{near[0]}'" if near else ""
+                raise TypeError(
+                    f"{verb.__name__}() has no keyword '{name}'{remedy}. There are: "
+                    f"{', '.join(signature.parameters)}."
+                )
+            bound = signature.bind(*arguments, **keywords).arguments
+            mine = {each.name: bound.pop(each.name) for each in fields if each.name in bound}
+            return verb(**bound, settings=kind(**mine))  # type: ignore[call-arg]
+
+        called.__signature__ = signature  # type: ignore[attr-defined]
+        return called
+
+    return decorate  # type: ignore[return-value]
