@@ -27,7 +27,7 @@ from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
-from riecjax.refinement.optimum import Bounds, is_pair
+from riecjax.refinement.optimum import Bounds, Prior, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refine_with_misfit
 from riecjax.settings.tree import Assess, Refine
@@ -134,7 +134,7 @@ def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None
     if settings.refine == "output-error":
         horizon = settings.horizon
         shooting = WholeRecord() if horizon is None else Tiles(seconds=horizon)
-        return OutputError(shooting, channels=settings.channels or None, loss=settings.loss)
+        return OutputError(shooting, channels=tuple(settings.channels) or None, loss=settings.loss)
     return settings.refine  # type: ignore[return-value]
 
 
@@ -171,7 +171,7 @@ def _search(
         key=asked.key,
         intervals=asked.intervals,
         bounds=settings.bounds or None,
-        priors=settings.priors or None,
+        priors={name: Prior(*each) for name, each in settings.priors.items()} or None,
         max_steps=max_steps,
         progress=progress,
     )

@@ -8,6 +8,7 @@ derivatives off the position instead, and the velocity appears in no window.
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -67,8 +68,9 @@ def criterion_for(
         criterion = suited(procedure, band, records)
     else:
         criterion = RIEC.of_band(band, _test_function(fit))
-    alpha = criterion.windows.alpha if fit.alpha is None else fit.alpha
-    beta = criterion.windows.beta if fit.beta is None else fit.beta
+    own: Any = criterion.windows
+    alpha = own.alpha if fit.alpha is None else fit.alpha
+    beta = own.beta if fit.beta is None else fit.beta
     if isinstance(fit.windows, int):
         windows = RandomWindows(alpha, beta, fit.windows)
         return RIEC(windows, criterion.test_function, criterion.why)

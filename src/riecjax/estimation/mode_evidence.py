@@ -325,11 +325,11 @@ def carried_modes(
     **Raises:** as [`identify`][riecjax.identify] of the model without modes.
     """
     procedure = as_procedure(model)
-    estimate, evidence = identify(procedure, records, known=known), []
+    estimate, evidence = identify(procedure, records, known=known or {}), []
     for _ in range(most):
         further = procedure.with_modes(HiddenMode(on))
         try:
-            tried = identify(further, records, known=known)
+            tried = identify(further, records, known=known or {})
         except IdentifiabilityError:
             break  # it cannot be told from those that are there
         names = ModeParameters.of(len(procedure.modes))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from riecjax import BlockBootstrap, Model, Naive, Recording, Sandwich, read_recordings
+from riecjax import BlockBootstrap, Model, Recording, read_recordings
 from riecjax.criteria import AbstractCriterion
 from riecjax.equations import AtRest, Procedure, with_rests
 from riecjax.errors import DataError, ModelError, reason_of
@@ -62,8 +62,8 @@ class Order:
     window: int = 0
     storage: Mapping[str, Any] = field(default_factory=dict)
     at_rest: AtRest | None = None
-    known: Mapping[str, float] = field(default_factory=dict)
-    intervals: BlockBootstrap | Naive | Sandwich = field(default_factory=BlockBootstrap)
+    known: Mapping[str, Any] = field(default_factory=dict)
+    intervals: Any = field(default_factory=BlockBootstrap)
     span: float | None = None
 
     def recordings_in(self, file: Path) -> list[Recording]:

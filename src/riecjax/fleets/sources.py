@@ -75,7 +75,7 @@ def find_sources(
     """
     files: Infos = {}
     roots = []
-    for pattern in map(os.fspath, patterns):
+    for pattern in [os.fspath(pattern) for pattern in patterns]:
         root, matching = _files(pattern, storage or {})
         matching = {url: info for url, info in matching.items() if not is_other(url)}
         if not matching:
