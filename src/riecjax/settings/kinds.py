@@ -28,7 +28,7 @@ class Kind:
 
 def number_text(value: float) -> str:
     """The shortest text that is read as the same number."""
-    return str(int(value)) if float(value).is_integer() else repr(float(value))
+    return str(value) if isinstance(value, int) else repr(float(value)).removesuffix(".0")
 
 
 def number(name: str, condition: Callable[[float], bool], words: str, kind: type = float) -> Kind:

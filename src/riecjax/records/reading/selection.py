@@ -25,7 +25,7 @@ from riecjax.records.reading.units import (
 )
 from riecjax.records.record import Record
 from riecjax.records.time_base import StampError
-from riecjax.settings.tree import Read, Select
+from riecjax.settings import Read, Select
 
 
 class Selected(NamedTuple):
