@@ -11,7 +11,7 @@ of them: moments of all windows, and, on request, a survey for checks and figure
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
