@@ -32,7 +32,6 @@ BASE = (
     "compilation",
     "errors",
     "extensions",
-    "finding_codes",
     "findings",
     "leaves",
     "linear_algebra",

@@ -20,7 +20,7 @@ from benchmarks.recovery.faults import FAULTS, recorded
 from benchmarks.recovery.machines import MACHINES, RATE, Machine
 from riecjax.cli.identify import command
 from riecjax.cli.main import run
-from riecjax.finding_codes import code_of
+from riecjax.findings import code_of
 
 OPTIONS = ("--json", "--refine", "none", "--no-sweep")
 UNTREATED = {

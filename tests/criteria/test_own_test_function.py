@@ -11,8 +11,8 @@ import scipy.integrate
 import riecjax as rx
 from nightly import nightly
 from riecjax.cli.main import run
-from riecjax.criteria.plain_data import TEST_FUNCTIONS
 from riecjax.criteria.suited import criterion_for
+from riecjax.criteria.test_functions import TEST_FUNCTIONS
 from riecjax.settings import Fit
 from riecjax.settings.kinds import TEST_FUNCTIONS as OFFERED
 

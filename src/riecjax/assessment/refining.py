@@ -26,7 +26,6 @@ from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, Prior, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
@@ -129,6 +128,8 @@ def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None
     if settings.refine in (None, "none"):
         return None
     if settings.refine == "integral":
+        from riecjax.refinement.integral_error import IntegralError
+
         return IntegralError()
     if settings.refine == "output-error":
         horizon = settings.horizon

@@ -13,8 +13,12 @@ from typing import Any
 import numpy as np
 
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
-from riecjax.criteria.plain_data import TEST_FUNCTIONS
-from riecjax.criteria.test_functions import AbstractTestFunction, Bump, GradedBump
+from riecjax.criteria.test_functions import (
+    TEST_FUNCTIONS,
+    AbstractTestFunction,
+    Bump,
+    GradedBump,
+)
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
