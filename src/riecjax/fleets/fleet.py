@@ -63,9 +63,9 @@ def fleet(
     for pattern in listed or [None]:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
     tell: Progress = settings.progress or (lambda *_: None)
-    if settings.intervals in (None, "bootstrap"):
-        settings = dataclasses.replace(settings, intervals=BlockBootstrap(seed=settings.seed))
-    settings = dataclasses.replace(settings, progress=None, storage=settings.storage or {})
+    is_usual = settings.intervals in (None, "bootstrap")
+    intervals = BlockBootstrap(seed=settings.seed) if is_usual else settings.intervals
+    settings = dataclasses.replace(settings, intervals=intervals, progress=None)
     asked = Order(as_model(model), settings)
     with contextlib.ExitStack() as stack:
         folder = Path(
@@ -73,7 +73,7 @@ def fleet(
         )
 
         def look() -> list[Source]:
-            return find_sources(listed, settings.storage, lambda path: is_result(folder, path))
+            return find_sources(listed, asked.storage, lambda path: is_result(folder, path))
 
         table, sources = Path(listed[0]), []
         if has_table := len(listed) == 1 and is_table(table):
@@ -144,11 +144,7 @@ def _order_of(table: Path, asked: Order) -> Order:
 
 
 def _sum(
-    order: Order,
-    pieces: Sequence[Piece],
-    store: SumStore,
-    runs: Engine,
-    tell: Progress,
+    order: Order, pieces: Sequence[Piece], store: SumStore, runs: Engine, tell: Progress
 ) -> None:
     """Keep the rows of all pieces, of which those that are kept already are not summed again.
 
@@ -164,10 +160,9 @@ def _sum(
         for some, rows in runs.each(sum_up, order.packed, missing, lambda p: p.source.size):
             if isinstance(rows, Lost):
                 rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
-            if order.settings.strict and (
-                reason := next((r.status for r in rows if r.status != DONE), "")
-            ):
-                raise DataError(reason)
+            failures = [row.status for row in rows if row.status != DONE]
+            if failures and order.settings.strict:
+                raise DataError(failures[0])
             store.add(rows)
             done += len(some)
             samples += sum(row.samples for row in rows)

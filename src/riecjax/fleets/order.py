@@ -7,10 +7,11 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,6 +68,11 @@ class Order:
     def procedure(self) -> Procedure:
         """The model's equations, built once."""
         return with_rests(self.model.build_procedure(), self.settings.at_rest)
+
+    @property
+    def storage(self) -> Mapping[str, Any]:
+        """What fsspec is told of the store."""
+        return self.settings.storage or {}
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -155,11 +161,11 @@ class Order:
             # What is wrong with one recording is told by its row.
             try:
                 if source.is_long or (source.is_parquet and columns):
-                    piece = recordings_of(source, columns, self.settings.storage)[0]
+                    piece = recordings_of(source, columns, self.storage)[0]
                     high = min(piece.high, piece.low + LOOKED_AT)
-                    opening = rows_at_hand(piece, piece.low, high, self.settings.storage)
+                    opening = rows_at_hand(piece, piece.low, high, self.storage)
                 else:
-                    opening = at_hand(source, self.settings.storage)
+                    opening = at_hand(source, self.storage)
                 with opening as file:
                     return self.recordings_in(file)[0]
             except Exception as error:
@@ -177,9 +183,7 @@ class Order:
             if source.is_long:
                 # Whoever sums it says why not.
                 with contextlib.suppress(Exception):
-                    recordings = recordings_of(
-                        source, self.columns_in(source), self.settings.storage
-                    )
+                    recordings = recordings_of(source, self.columns_in(source), self.storage)
             for recording in recordings:
                 if recording.stop:
                     yield from stretches(recording, self.starts, self.window)

@@ -73,7 +73,6 @@ class Fleet(Shown):
     - `spreads` of each parameter over groups, and `changes` over time.
     - `recordings`: one row for each, or for each stretch of a long one, without its sums.
     - `changed`: sources that went on changing while they were summed, and count as they were then.
-    - `rate` of false discoveries among groups that are called different.
     """
 
     model: Model
@@ -85,7 +84,6 @@ class Fleet(Shown):
     changes: Sequence[Change]
     recordings: Sequence[Row]
     changed: Sequence[str] = ()
-    rate: float = RATE
 
     @property
     def failures(self) -> list[Row]:
@@ -178,7 +176,7 @@ def fleet_document(fleet: Fleet, command: Sequence[str] = (), seconds: float = 0
             }
             for row, some, worst in amiss[:LISTED]
         ],
-        "rate": fleet.rate,
+        "rate": RATE,
         "warnings": [],
         "provenance": {
             "versions": versions(),

@@ -76,7 +76,8 @@ def find_sources(
     """
     files: Infos = {}
     roots = []
-    for pattern in map(os.fspath, patterns):
+    for each in patterns:
+        pattern = os.fspath(each)
         root, matching = _files(pattern, storage or {})
         matching = {url: info for url, info in matching.items() if not is_other(url)}
         if not matching:
