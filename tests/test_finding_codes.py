@@ -18,8 +18,7 @@ from conftest import held_to
 from riecjax.assessment.assessment import Refinement
 from riecjax.assessment.trust import validated
 from riecjax.estimation.excitation import Excitation
-from riecjax.finding_codes import CODES, code_of, codes_of
-from riecjax.findings import Finding
+from riecjax.findings import CODES, Finding, code_of, codes_of
 from riecjax.models.model import as_model
 from riecjax.paper.report import road_findings
 from riecjax.paper.study import PaperStudy

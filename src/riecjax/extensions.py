@@ -75,7 +75,7 @@ def extension_names(kind: Kind) -> list[str]:
     return list(_offered(kind, tuple(sys.path)))
 
 
-def extension(kind: Kind, name: str) -> Any | None:
+def extension(kind: Kind, name: str) -> Callable[..., Any] | None:
     """What is called so among the extensions of a kind, imported now; `None` if nothing is.
 
     **Raises:** `ExtensionError` if it cannot be imported, or several distributions offer it.
@@ -90,7 +90,10 @@ def extension(kind: Kind, name: str) -> Any | None:
             f"uninstall all but one."
         )
     try:
-        return points[0].load()
+        found = points[0].load()
+        if not callable(found):
+            raise TypeError(f"{found!r} cannot be called")
+        return found
     except (Exception, SystemExit) as error:
         raise ExtensionError(
             f"'{name}' of riecjax.{kind} cannot be loaded from {points[0].value}: "
@@ -104,7 +107,7 @@ def element(name: str) -> Callable[..., Any]:
     **Raises:** `ModelError` if no distribution has it; `ExtensionError` as `extension`.
     """
     made = extension("elements", name)
-    if not callable(made):
+    if made is None:
         listed = ", ".join(extension_names("elements")) or "none"
         raise ModelError(f"there is no element '{name}'; installed are: {listed}.")
     return made

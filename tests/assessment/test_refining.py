@@ -19,6 +19,7 @@ from riecjax.assessment import refining
 from riecjax.assessment.assess import check_answering
 from riecjax.records.recording import as_recordings
 from riecjax.reporting.checking import check_document
+from riecjax.settings import Check
 
 DRAG = rx.find_model("drag-oscillator")
 QUICK = {"sweep": False, "intervals": rx.Sandwich()}
@@ -129,7 +130,7 @@ def test_check_names_the_refinement_that_answers_where_windows_cannot():
     record = rx.Record.from_samples(signals, time_step=0.01)
     record = rx.records.preparation.differentiate(record, "x", "dx")
     short = rx.RIEC(rx.AllWindows(0.03, 0.1))
-    found = check_answering(DRAG, record, short)
+    found = check_answering(DRAG, record, Check(short))
     assert found.checked.refusal is not None
     assert found.answerable
     assert found.by_refinement is not None

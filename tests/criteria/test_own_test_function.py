@@ -11,8 +11,8 @@ import scipy.integrate
 import riecjax as rx
 from nightly import nightly
 from riecjax.cli.main import run
-from riecjax.criteria.plain_data import TEST_FUNCTIONS
 from riecjax.criteria.suited import criterion_for
+from riecjax.criteria.test_functions import TEST_FUNCTIONS
 from riecjax.settings import Fit
 from riecjax.settings.kinds import TEST_FUNCTIONS as OFFERED
 
@@ -111,6 +111,7 @@ def test_the_command_line_offers_the_test_functions_that_are_there():
     procedure = MODEL.build_procedure()
     for name in TEST_FUNCTIONS:
         criterion = criterion_for(Fit(test_function=name), procedure, MODEL.band, ())
+        assert criterion is not None
         assert criterion.describe()["test_function"] == name
     finer = criterion_for(Fit(test_function="hat", quadrature="6"), procedure, MODEL.band, ())
     assert finer == rx.RIEC.of_band((1.0, 10.0), rx.Hat(6))

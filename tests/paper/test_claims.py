@@ -23,12 +23,11 @@ from riecjax.paper.claims import (
     window_lengths,
 )
 from riecjax.paper.reproduction import (
-    LENGTHS,
+    PAIRS,
     PARAMETERS,
     RATE,
     SECOND_MASS,
     Demonstration,
-    LengthMap,
     WindowErrorMoments,
     demonstrate,
     estimates_over_lengths,
@@ -110,14 +109,13 @@ def test_window_errors_of_one_size_and_unrelated():
     assert not holds(window_errors(moments(np.ones(8), 0.2)))
 
 
-def lengths(bias: float, narrow: float) -> LengthMap:
+def lengths(bias: float, narrow: float) -> np.ndarray:
     """Parameters of one, but for short windows and for narrow ranges of lengths."""
-    pairs = [(a, b) for a in LENGTHS for b in LENGTHS if a < b] + [(a, a + 0.005) for a in LENGTHS]
-    alpha, beta = np.array(pairs).T
+    alpha, beta = PAIRS.T
     theta = np.ones(alpha.size) + 0.01 * (alpha > 0.1)
     theta[(beta <= 0.05) & (alpha < 0.05)] += bias
     theta[(beta < 1.5 * alpha) & (alpha >= 0.05)] += narrow
-    return LengthMap(alpha, beta, np.tile(theta[None, :, None], (ROADS, 1, 8)))  # pyright: ignore
+    return np.tile(theta[None, :, None], (ROADS, 1, 8))
 
 
 @pytest.mark.parametrize(
@@ -131,11 +129,11 @@ def test_window_lengths(bias, narrow, expected):
 def test_estimates_over_lengths_are_those_of_identify():
     source = quarter_car_source(reconstructed())
     key = jax.random.key(2)
-    alpha, beta = jnp.array([0.05, 0.1]), jnp.array([0.5, 0.15])
-    found = estimates_over_lengths(key, source, alpha, beta)
+    pairs = [(0.05, 0.5), (0.1, 0.15)]
+    found = estimates_over_lengths(key, source, jnp.array(pairs))
     record = identification_record(source, road_keys(key).training).record
-    for i in range(2):
-        windows = AllWindows(float(alpha[i]), float(beta[i]), longest_samples=101)
+    for i, pair in enumerate(pairs):
+        windows = AllWindows(*pair, longest_samples=101)
         # Trapezoids, and noise not judged, as the paper has it.
         by = RIEC(windows, Boxcar(2))
         expected = identify(quarter_car_by_body(), record, by, intervals=Naive(), noise="none")

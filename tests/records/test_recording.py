@@ -122,5 +122,5 @@ def test_it_shows_itself_and_splits():
 def test_slips_are_named_with_what_to_write(settings, words):
     write(rows("t,x", "{i}"))
     with pytest.raises(rx.RiecjaxError) as error:
-        rx.read_recording(**cast(Any, {"path": "a.csv", **settings}))
+        cast(Any, rx.read_recording)(**{"path": "a.csv", **settings})
     assert words in str(error.value)

@@ -26,9 +26,8 @@ from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
-from riecjax.refinement.optimum import Bounds, is_pair
+from riecjax.refinement.optimum import Bounds, Prior, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refine_with_misfit
 from riecjax.settings.tree import Assess, Refine
@@ -129,11 +128,13 @@ def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None
     if settings.refine in (None, "none"):
         return None
     if settings.refine == "integral":
+        from riecjax.refinement.integral_error import IntegralError
+
         return IntegralError()
     if settings.refine == "output-error":
         horizon = settings.horizon
         shooting = WholeRecord() if horizon is None else Tiles(seconds=horizon)
-        return OutputError(shooting, channels=settings.channels or None, loss=settings.loss)
+        return OutputError(shooting, channels=tuple(settings.channels) or None, loss=settings.loss)
     return settings.refine  # type: ignore[return-value]
 
 
@@ -170,7 +171,7 @@ def _search(
         key=asked.key,
         intervals=asked.intervals,
         bounds=settings.bounds or None,
-        priors=settings.priors or None,
+        priors={name: Prior(*each) for name, each in settings.priors.items()} or None,
         max_steps=max_steps,
         progress=progress,
     )
@@ -188,7 +189,9 @@ def _by_itself(
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
         by = _objective(asked, estimate, horizon)
-        if (work := _work(asked, estimate, by)) > MOST_WORK:
+        own = tuple(asked.settings["per_record"])
+        specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
+        if (work := by.misfit(specified).work) > MOST_WORK:
             return Refinement(
                 declined=f"a search would take {work:.2g} steps x states x tangents, more than "
                 f"{MOST_WORK:.0g}; {ASK}"
@@ -203,12 +206,6 @@ def _by_itself(
         return found
     except EXPECTED as error:
         return Refinement(declined=f"no output error can be formed: {str(error).rstrip('.')}")
-
-
-def _work(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> int:
-    own = tuple(asked.settings["per_record"])
-    specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
-    return by.misfit(specified).work
 
 
 def _left_out(estimate: Estimate) -> str:

@@ -15,8 +15,7 @@ from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
 from riecjax.equations.hidden_elements import is_hidden_name
 from riecjax.equations.term import Term, constant
-from riecjax.finding_codes import CODES, KINDS, code_of, codes_of
-from riecjax.findings import Finding
+from riecjax.findings import CODES, KINDS, Finding, code_of, codes_of
 from riecjax.shows import Shown
 from riecjax.validation.residuals import EquationResidual
 from riecjax.validation.sweep import MOST

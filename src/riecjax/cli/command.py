@@ -144,8 +144,11 @@ class Given:
         from riecjax.records.recording import read_recordings
 
         asked = {**self.take(Reading).keywords(), "model": model}
-        files = self.files if files is None else files
-        recordings = [each for file in files for each in read_recordings(file, **asked)]
+        recordings = [
+            recording
+            for file in (self.files if files is None else files)
+            for recording in read_recordings(file, **asked)
+        ]
         if not self.allow_duplicates:
             refuse_duplicates(recordings)
         return recordings

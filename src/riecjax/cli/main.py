@@ -7,6 +7,7 @@ import io
 import json
 import os
 import sys
+from typing import Any
 
 import click
 
@@ -41,7 +42,7 @@ class LazyGroup(click.Group):
         if cmd_name in COMMANDS:
             return importlib.import_module(COMMANDS[cmd_name]).command
         try:
-            command = extension("commands", cmd_name)
+            command: Any = extension("commands", cmd_name)
             if command is not None:
                 require(f"the command '{cmd_name}'", command, click.Command, "a click.Command")
             return command

@@ -1,4 +1,4 @@
-"""Test functions by name, and a criterion as plain data, for files, and back.
+"""A criterion as plain data, for files, and back.
 
 Each part is its class's name and its fields, parts within parts. A file names classes and never
 imports them: what is read is looked for among the subclasses that the running program has defined,
@@ -16,15 +16,10 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import AbstractLaw
-from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Bump, Hat
+from riecjax.criteria.test_functions import AbstractTestFunction
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.errors import DataError, ModelError
 
-TEST_FUNCTIONS: dict[str, type[AbstractTestFunction]] = {
-    kind.name: kind for kind in (Boxcar, Hat, Bump)
-}
-"""The test functions that a user can ask for by name. The command line offers those that
-`cli/options.py` lists too, which reads no class before it must."""
 FAMILIES = (AbstractCriterion, AbstractWindows, AbstractLaw, AbstractTestFunction)
 """What a criterion is made of."""
 RESERVED = ("class", "from")

@@ -8,12 +8,17 @@ derivatives off the position instead, and the velocity appears in no window.
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
-from riecjax.criteria.plain_data import TEST_FUNCTIONS
-from riecjax.criteria.test_functions import AbstractTestFunction, Bump, GradedBump
+from riecjax.criteria.test_functions import (
+    TEST_FUNCTIONS,
+    AbstractTestFunction,
+    Bump,
+    GradedBump,
+)
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
@@ -63,8 +68,9 @@ def criterion_for(
         criterion = suited(procedure, band, records)
     else:
         criterion = RIEC.of_band(band, _test_function(fit))
-    alpha = criterion.windows.alpha if fit.alpha is None else fit.alpha
-    beta = criterion.windows.beta if fit.beta is None else fit.beta
+    own: Any = criterion.windows
+    alpha = own.alpha if fit.alpha is None else fit.alpha
+    beta = own.beta if fit.beta is None else fit.beta
     if isinstance(fit.windows, int):
         windows = RandomWindows(alpha, beta, fit.windows)
         return RIEC(windows, criterion.test_function, criterion.why)

@@ -823,3 +823,10 @@ def fourier_size(
         size = np.hypot(np.cos(phase) @ phi, np.sin(phase) @ phi)
         found[seen, place] = 0.5 * seconds * size
     return found
+
+
+TEST_FUNCTIONS: dict[str, type[AbstractTestFunction]] = {
+    kind.name: kind for kind in (Boxcar, Hat, Bump)
+}
+"""Those that a user can ask for by name. The command line offers those that `settings/kinds.py`
+lists too, which reads no class before it must."""

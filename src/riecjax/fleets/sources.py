@@ -76,8 +76,7 @@ def find_sources(
     """
     files: Infos = {}
     roots = []
-    for each in patterns:
-        pattern = os.fspath(each)
+    for pattern in [os.fspath(pattern) for pattern in patterns]:
         root, matching = _files(pattern, storage or {})
         matching = {url: info for url, info in matching.items() if not is_other(url)}
         if not matching:

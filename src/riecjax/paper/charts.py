@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from riecjax import Boxcar
@@ -23,10 +23,11 @@ from riecjax.paper.reproduction import (
     DURATION,
     FORCES,
     LENGTHS,
+    OF_TABLE_2,
+    PAIRS,
     PARAMETERS,
     RATE,
     Demonstration,
-    LengthMap,
     RoadResult,
     Trajectories,
 )
@@ -235,11 +236,10 @@ SPEED = 20.0
 
 def figure_8(shapes: Reconstruction) -> Chart:
     """Profile of the pot-hole, positive upwards as a road is drawn."""
-    hole = shapes.pothole
-    depth, length, ramp = (float(np.asarray(a)) for a in (hole.depth, hole.length, hole.ramp))
+    shape = {name: float(np.asarray(leaf)) for name, leaf in vars(shapes.pothole).items()}
+    depth, length, ramp = shape.values()
     step, before = 5e-4, 0.05
     count = round((length + ramp + 2.0) / (SPEED * step))
-    shape = {"depth": depth, "length": length, "ramp": ramp}
     velocity = np.asarray(pothole(count, step, **shape, speed=SPEED, start=before))
     distance = SPEED * (step * np.arange(count) - before)
     return single(
@@ -260,23 +260,21 @@ def tables_at_a_glance(roads: RoadResult) -> Chart:
         for row, line in table.items()
         for criterion, cell in line.items()
     }
+    published = np.array([[cell.published] for cell in cells.values()])
+    numbers = np.array([(*cell.interval95, cell.reproduced) for cell in cells.values()])
+    percent, places = 100 * (numbers / published - 1), np.arange(len(cells))
+    inside = np.array([cell.inside for cell in cells.values()])
     marks: list[Level | Line | Dots] = [Level(0.0, "x")]
-    reach = 0.0
-    for inside, label, color in (
-        (True, "published number inside the range over roads", BLUE),
-        (False, "outside", RUST),
+    for chosen, label, color in (
+        (inside, "published number inside the range over roads", BLUE),
+        (~inside, "outside", RUST),
     ):
-        places = [i for i, cell in enumerate(cells.values()) if cell.inside == inside]
-        chosen = [cell for cell in cells.values() if cell.inside == inside]
-        if not chosen:
-            continue
-        # A gap after each range.
-        ends = [end for cell in chosen for end in (*cell.interval95, np.nan)]
-        x = 100 * (np.array(ends) / np.repeat([cell.published for cell in chosen], 3) - 1)
-        means = [100 * cell.deviation for cell in chosen]
-        marks.append(Line(x, np.repeat(places, 3), "", color, width=BOLD))
-        marks.append(Dots(means, places, label, color))
-        reach = max(reach, 1.05 * np.nanmax(np.abs(x)))
+        if chosen.any():
+            # A gap after each range.
+            ends = np.insert(percent[chosen, :2], 2, np.nan, axis=1).ravel()
+            marks.append(Line(ends, np.repeat(places[chosen], 3), "", color, width=BOLD))
+            marks.append(Dots(percent[chosen, 2], places[chosen], label, color))
+    reach = 1.05 * np.abs(percent[:, :2]).max()
     return single(
         marks,
         Axis("reproduced against published / %", low=-reach, high=reach),
@@ -452,20 +450,17 @@ def figure_14(study: VariedStudy) -> Chart:
     )
 
 
-def length_map_chart(lengths: LengthMap) -> Chart:
+def length_map_chart(lengths: Float[Array, "roads pairs parameters"]) -> Chart:
     """Estimates over alpha and beta (Section 4), as changes from Table 2's choice."""
-    theta = np.asarray(lengths.theta).mean(axis=0)
+    theta = np.asarray(lengths).mean(axis=0)
     grid, names = np.arange(len(LENGTHS)), tuple(f"{length:g}" for length in LENGTHS)
     # The next length of the grid below one that is a sample longer than alpha is alpha itself.
-    across, up = (
-        np.searchsorted(LENGTHS, np.asarray(side) + 1e-9, side="right") - 1
-        for side in (lengths.alpha, lengths.beta)
-    )
+    across, up = np.searchsorted(LENGTHS, PAIRS.T + 1e-9, side="right") - 1
     row = []
     for name in SHOWN:
         values = theta[:, PARAMETERS.index(name)]
         change = np.full((grid.size, grid.size), np.nan)
-        change[up, across] = 100 * (values / values[lengths.of_table_2] - 1)
+        change[up, across] = 100 * (values / values[OF_TABLE_2] - 1)
         heat = HeatMap(grid, grid, change, "change / %", -20.0, 20.0, diverging=True)
         x, y = Axis("alpha / s", categories=names), Axis("beta / s", categories=names)
         row.append(Panel([heat], x, y, title=name))

@@ -1,10 +1,8 @@
 """`riecjax reproduce`: the paper's tables, figures and statements beside their reproduction."""
 
-import contextlib
 import functools
 import os
 import shutil
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from riecjax.cli import Given, settings_command
@@ -49,6 +47,8 @@ def command(given: Given) -> None:
     out = given.out
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
     import jax
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
 
     from riecjax.models.quarter_car import reconstructed
     from riecjax.paper.charts import study_charts
@@ -62,7 +62,15 @@ def command(given: Given) -> None:
         require_folder(out)
     shapes, parts = reconstructed(), None if out is None else out / PARTS
     scale = QUICK if given.quick else FULL if given.full else given.roads or DEFAULT_ROADS
-    with _progress() as report:
+    bars: dict[str, TaskID] = {}
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+
+        def report(what: str, done: int, total: int) -> None:
+            """A bar for each thing that is computed."""
+            if what not in bars:
+                bars[what] = bar.add_task(what, total=total)
+            bar.update(bars[what], completed=done, total=total)
+
         study = run_study(scale, jax.random.key(given.seed), shapes, folder=parts, progress=report)
         report("statements", 0, 1)
         claims = evaluate_claims(study)
@@ -81,20 +89,3 @@ def command(given: Given) -> None:
     )
     if study.further is not None and parts is not None:
         shutil.rmtree(parts, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar for each thing that is computed, on standard error."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        tasks = {}
-
-        def report(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = progress.add_task(what, total=total)
-            progress.update(tasks[what], completed=done, total=total)
-
-        yield report

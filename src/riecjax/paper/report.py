@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table as RichTable
 
 from riecjax.findings import Finding
 from riecjax.models.quarter_car import SPRING_RATE, quarter_car_source, reconstructed
@@ -20,7 +19,9 @@ from riecjax.reporting import (
     Section,
     Table,
     finite,
+    in_rich,
     number,
+    print_table,
     say,
     versions,
 )
@@ -77,7 +78,7 @@ def reproduction_document(study: PaperStudy, claims: Sequence[Claim], *, seed: i
             "evidence": {
                 evidence.what: {
                     "value": finite(evidence.value),
-                    "interval95": evidence.interval and [*map(finite, evidence.interval)],
+                    "interval95": evidence.interval and finite(evidence.interval),
                     "at_least": evidence.at_least,
                     "at_most": evidence.at_most,
                     "holds": evidence.holds,
@@ -208,13 +209,10 @@ def print_reproduction(document: Document, console: Console) -> None:
     """Published numbers beside reproduced ones."""
 
     def show(table: Table) -> None:
-        printed = RichTable(caption_justify="left", box=None, padding=(0, 1, 0, 0))
-        for heading in table.header:
-            printed.add_column(heading, justify="right" if heading else "left", no_wrap=True)
-        for row in table.rows:
-            printed.add_row(*row)
-        printed.caption = table.note or None
-        console.print(printed)
+        printed = in_rich(table, table.header[1:])
+        printed.padding = (0, 1, 0, 0)
+        printed.caption, printed.caption_justify = table.note or None, "left"
+        print_table(printed, console)
 
     modes = mode_table(document)
     console.print(f"[bold]Table 1[/bold]  {modes.caption}")
@@ -224,21 +222,7 @@ def print_reproduction(document: Document, console: Console) -> None:
         heading = f"\n[bold]Table {name}[/bold]  {table.caption}, {roads} roads"
         console.print(heading, highlight=False)
         show(table)
-    cell = document["contact"]
-    low, high = cell["interval95"]
-    say(
-        console,
-        "",
-        f"tyre in contact: published {100 * cell['published']:.0f} %, reproduced "
-        f"{100 * cell['reproduced']:.2f} % ({100 * low:.2f} .. {100 * high:.2f})",
-        *(
-            f"Table {name}: largest distance {100 * entry['largest_distance']:.1f} %, mean "
-            f"{100 * entry['mean_distance']:.1f} %, {entry['inside']} of {entry['numbers']} "
-            f"published numbers inside the range over the roads"
-            for name, entry in document["summary"].items()
-        ),
-        "",
-    )
+    say(console, "", *_summary(document), "")
     for claim in document["claims"]:
         say(console, f"claim {claim['id']}: {_verdict(claim)}. {claim['statement']}")
         for what, entry in claim["evidence"].items():
@@ -248,6 +232,22 @@ def print_reproduction(document: Document, console: Console) -> None:
                 say(console, f"    {what}: {number(entry['value'], 3)}{between}{limits}")
         say(console, *([] if claim["holds"] else [f"    {claim['note']}"]))
     say(console, document["reconstruction"]["note"])
+
+
+def _summary(document: Document) -> Iterator[str]:
+    """How near the tables come to the published ones."""
+    cell = document["contact"]
+    low, high = (100 * end for end in cell["interval95"])
+    yield (
+        f"tyre in contact: published {100 * cell['published']:.0f} %, reproduced "
+        f"{100 * cell['reproduced']:.2f} % ({low:.2f} .. {high:.2f})"
+    )
+    for name, entry in document["summary"].items():
+        yield (
+            f"Table {name}: largest distance {100 * entry['largest_distance']:.1f} %, mean "
+            f"{100 * entry['mean_distance']:.1f} %, {entry['inside']} of {entry['numbers']} "
+            f"published numbers inside the range over the roads"
+        )
 
 
 def _verdict(claim: Document) -> str:
@@ -290,10 +290,22 @@ def reproduction_page(document: Document) -> Page:
         else f"The whole study: tables from {roads} simulated roads, everything else from "
         f"{study['studied']} of them."
     )
+    words = (
+        "RIEC integrates the equations of motion over random windows, DOLS fits them instant by "
+        "instant. The variants find the suspension from the wheel's (W) or the body's (B) "
+        "equation, with masses that are identified (id) or known (true). p_1 to p_4 are errors of "
+        "prediction of tyre and suspension deflection, wheel and body velocity (x1 to x4), in "
+        "percent (eq. 28)."
+    )
     claims = document["claims"]
+    held = sum(claim["holds"] for claim in claims)
+    glance = [words, f"{held} of {len(claims)} statements of the paper hold here."]
+    glance += [f"{line[0].upper()}{line[1:]}." for line in _summary(document)]
     statements = [(str(c["id"]), c["statement"], _verdict(c)) for c in claims]
-    verdicts = Table(("", "statement", "here"), statements, "Statements of the paper.", "", False)
-    sections = [Section("At a glance", list(_glance(document)), [verdicts], ("tables",))]
+    verdicts = Table(
+        ("claim", "statement", "here"), statements, "Statements of the paper.", "", False
+    )
+    sections = [Section("At a glance", glance, [verdicts], ("tables",))]
     for heading, (names, ids, charts) in SECTIONS.items():
         tables = []
         for name in names:
@@ -308,31 +320,6 @@ def reproduction_page(document: Document) -> Page:
     )
     sections.append(Section("What is reconstructed", [reconstruction]))
     return Page("Best and Gordon (1999), reproduced", lead, sections)
-
-
-def _glance(document: Document) -> Iterator[str]:
-    yield (
-        "RIEC integrates the equations of motion over random windows, DOLS fits them instant by "
-        "instant. The variants find the suspension from the wheel's (W) or the body's (B) "
-        "equation, with masses that are identified (id) or known (true). p_1 to p_4 are errors of "
-        "prediction of tyre and suspension deflection, wheel and body velocity (x1 to x4), in "
-        "percent (eq. 28)."
-    )
-    claims = document["claims"]
-    held = sum(claim["holds"] for claim in claims)
-    yield f"{held} of {len(claims)} statements of the paper hold here."
-    for name, entry in document["summary"].items():
-        yield (
-            f"Table {name}: {entry['inside']} of {entry['numbers']} published numbers lie in the "
-            f"range over the roads; the means are {100 * entry['mean_distance']:.1f} % off on "
-            f"average, {100 * entry['largest_distance']:.1f} % at most."
-        )
-    cell = document["contact"]
-    low, high = (100 * end for end in cell["interval95"])
-    yield (
-        f"The tyre touches the road for {100 * cell['reproduced']:.2f} % of the time ({low:.2f} to "
-        f"{high:.2f}); published: {100 * cell['published']:.0f} %."
-    )
 
 
 def _evidence(claim: Document) -> Table:

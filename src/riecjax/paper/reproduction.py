@@ -37,7 +37,6 @@ from riecjax.models.quarter_car import (
 )
 from riecjax.paper.published import CRITERIA, INPUTS, TABLE_2, VARIANTS
 from riecjax.simulation import Simulation, band_limited_noise, pothole, robson_road
-from riecjax.studies import over_keys
 from riecjax.summaries import NormalEquations, stage_normal_equations
 from riecjax.validation import percentage_error
 
@@ -130,15 +129,9 @@ def identify_variants(
     """All four variants from one set of normal equations: only what is known differs."""
     procedure = staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
     tyre, masses, wheel, body = stage_normal_equations(procedure, record, criterion, key)
-    return jnp.stack(
-        [
-            _solved_in_turn(
-                [tyre, masses, wheel if variant.startswith("W") else body],
-                TRUE_MASSES if variant.endswith("true") else {},
-            )
-            for variant in VARIANTS
-        ]
-    )
+    last, known = {"W": wheel, "B": body}, {"true": TRUE_MASSES, "id": {}}
+    variants = (variant.split("_") for variant in VARIANTS)
+    return jnp.stack([_solved_in_turn([tyre, masses, last[w]], known[m]) for w, m in variants])
 
 
 def by_body(
@@ -266,45 +259,30 @@ LENGTHS = (0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1
 """Of windows in seconds, for alpha and for beta; in whole samples of 5 ms."""
 
 
-class LengthMap(eqx.Module):
-    """Parameters over pairs of window lengths in seconds, on several roads (Section 4).
-
-    All windows of each pair at once, so that no sampling noise blurs the map.
-    """
-
-    alpha: Float[Array, " pairs"]
-    beta: Float[Array, " pairs"]
-    theta: Float[Array, "roads pairs parameters"]
-
-    @property
-    def of_table_2(self) -> int:
-        """Place of the pair that Table 2 has."""
-        alpha, beta = np.asarray(self.alpha), np.asarray(self.beta)
-        return int(np.argmin(np.abs(alpha - TABLE_2.alpha) + np.abs(beta - TABLE_2.beta)))
-
-
-def length_map(key: Key[Array, ""], source: QuarterCarSource, roads: int) -> LengthMap:
-    """All pairs of `LENGTHS`, and each length almost alone: with one a sample longer."""
-    pairs = [(a, b) for a in LENGTHS for b in LENGTHS if a < b] + [(a, a + STEP) for a in LENGTHS]
-    alpha, beta = (jnp.array(side) for side in zip(*pairs))
-    theta = over_keys(estimates_over_lengths, key, roads, source, alpha, beta)
-    return LengthMap(alpha, beta, theta)
+PAIRS = np.array(
+    [(a, b) for a in LENGTHS for b in LENGTHS if a < b] + [(a, a + STEP) for a in LENGTHS]
+)
+"""alpha and beta in seconds: of all lengths, and each length almost alone, with one a sample longer
+(Section 4)."""
+OF_TABLE_2 = int(np.argmin(np.abs(PAIRS - (TABLE_2.alpha, TABLE_2.beta)).sum(axis=1)))
+"""Place of the pair that Table 2 has."""
 
 
 def estimates_over_lengths(
-    key: Key[Array, ""],
-    source: QuarterCarSource,
-    alpha: Float[Array, " pairs"],
-    beta: Float[Array, " pairs"],
+    key: Key[Array, ""], source: QuarterCarSource, pairs: Float[Array, "pairs 2"]
 ) -> Float[Array, "pairs parameters"]:
-    """Parameters on one random road; vmap over keys for many."""
+    """Parameters by each pair of window lengths, on one random road; vmap over keys for many.
+
+    All windows of each pair at once, so that no sampling noise blurs the map.
+    """
     record = identification_record(source, road_keys(key).training).record
     longest = round(max(LENGTHS) * TABLE_2.rate) + 1
 
-    def estimate(pair: tuple[Array, Array]) -> Float[Array, " parameters"]:
-        return by_body(record, RIEC(AllWindows(*pair, longest_samples=longest), Boxcar(2)))
+    def estimate(pair: Float[Array, " 2"]) -> Float[Array, " parameters"]:
+        windows = AllWindows(pair[0], pair[1], longest_samples=longest)
+        return by_body(record, RIEC(windows, Boxcar(2)))
 
-    return jax.lax.map(estimate, (alpha, beta))
+    return jax.lax.map(estimate, pairs)
 
 
 SECOND_MASS = 1.0

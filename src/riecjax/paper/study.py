@@ -6,19 +6,20 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.models.quarter_car import Reconstruction, quarter_car_source
 from riecjax.paper.reproduction import (
+    PAIRS,
     Demonstration,
-    LengthMap,
     RoadResult,
     Trajectories,
     WindowErrorMoments,
     demonstrate,
     errors_over_ramps,
-    length_map,
+    estimates_over_lengths,
     run_road,
     validation_trajectories,
     window_error_moments,
@@ -63,15 +64,16 @@ class Further(NamedTuple):
     """What a whole study has beyond Tables 3 to 5.
 
     **Fields:** its `scale`; `variations` of Section 6; `demonstrations` of Section 2;
-    `window_errors`, for eq. (18); `lengths`, parameters over alpha and beta; `trajectories` of Figs
-    9 and 10; the `damper`'s hysteresis; `ramps`, errors on pot-holes of other shapes.
+    `window_errors`, for eq. (18); `lengths`, parameters over the `PAIRS` of alpha and beta;
+    `trajectories` of Figs 9 and 10; the `damper`'s hysteresis; `ramps`, errors on pot-holes of
+    other shapes.
     """
 
     scale: Scale
     variations: VariedStudy
     demonstrations: Demonstration
     window_errors: WindowErrorMoments
-    lengths: LengthMap
+    lengths: Float[Array, "roads pairs parameters"]
     trajectories: dict[str, Trajectories]
     damper: Hysteresis
     ramps: Float[Array, "ramps roads criteria variants 4"]
@@ -89,17 +91,13 @@ class PaperStudy(NamedTuple):
         return int(np.size(self.roads.contact))
 
 
-Progress = Callable[[str, int, int], None]
-"""Called with what is computed, and the numbers of steps done and in all."""
-
-
 def run_study(
     scale: Scale | int,
     key: Key[Array, ""],
     shapes: Reconstruction,
     *,
     folder: Path | None = None,
-    progress: Progress = lambda what, done, total: None,
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> PaperStudy:
     """Compute it, with the same roads in every part.
 
@@ -107,6 +105,7 @@ def run_study(
 
     - `scale` of the whole study, or a number of roads for the tables alone.
     - `folder`, where finished parts of the variations are kept (see [`run_variations`][]).
+    - `progress`: called with what is computed, and the numbers of steps done and in all.
     """
     source = quarter_car_source(shapes)
 
@@ -129,8 +128,8 @@ def run_study(
     progress("errors of windows", 0, 1)
     errors = window_error_moments(key, few, source)
     damper = over("hysteresis of the damper", hysteresis, scale.studied, source)
-    progress("window lengths", 0, 1)
-    lengths = length_map(key, source, scale.studied)
+    pairs = jnp.asarray(PAIRS)
+    lengths = over("window lengths", estimates_over_lengths, scale.studied, source, pairs)
     progress("trajectories", 0, 1)
     trajectories = validation_trajectories(few, key, source, shapes)
     ramps = errors_over_ramps(few, source, shapes)

@@ -92,6 +92,9 @@ def vary_road(
     return RoadVariations(parameters, errors, trained[:, None] & predicted)
 
 
+MODELS = {"DOLS": slice(0, 1), "RIEC": slice(1, None)}
+
+
 class VariedStudy(NamedTuple):
     """What was found in each case of Table 6, in NumPy's arrays, at `bandwidths` in Hz."""
 
@@ -102,21 +105,17 @@ class VariedStudy(NamedTuple):
         self, case: str, method: str, *names: str
     ) -> Float[np.ndarray, "roads bandwidths names"]:
         """Parameters in SI units, mean over the draws of windows."""
-        values = np.asarray(self.cases[case].parameters)[:, :, _models(method)].mean(axis=2)
+        values = np.asarray(self.cases[case].parameters)[:, :, MODELS[method]].mean(axis=2)
         return values[..., [PARAMETERS.index(name) for name in names]]
 
     def summed_error(
         self, case: str, method: str, where: str
     ) -> Float[np.ndarray, "roads bandwidths"]:
         """p_1 + ... + p_4 in percent, mean over draws; infinite where a simulation was lost."""
-        models = _models(method)
+        models = MODELS[method]
         errors = self.cases[case].errors[:, :, models, INPUTS.index(where)].sum(axis=-1)
         kept = self.cases[case].successful[:, :, models] & np.isfinite(errors)
         return np.where(kept, errors, np.inf).mean(axis=-1)
-
-
-def _models(method: str) -> slice:
-    return slice(0, 1) if method == "DOLS" else slice(1, None)
 
 
 ROADS_TO_A_PART = 4
@@ -138,8 +137,8 @@ def run_variations(
 
     **Arguments:**
 
-    - `folder`: where finished parts are kept, some roads under one mount in each. Those of an
-      interrupted study with the same numbers, key and versions are taken up; others are computed.
+    - `folder`: where finished parts are kept if it can be written, some roads under one mount in
+      each. Those of an interrupted study with the same numbers, key and versions are taken up.
     - `progress`: called with the numbers of finished and of all parts.
     """
     # What a part's numbers depend on.
@@ -151,7 +150,8 @@ def run_variations(
     }
     settings = hashlib.sha256(json.dumps(depends_on).encode()).hexdigest()
     if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
     store = None if folder is None else Store(folder, ".part", MOST_KEPT)
     places = [(case, first) for case in TABLE_6 for first in range(0, roads, ROADS_TO_A_PART)]
     parts: dict[str, list[RoadVariations]] = {case: [] for case in TABLE_6}

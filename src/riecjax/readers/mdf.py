@@ -42,36 +42,27 @@ def _read(file: Path) -> Channels:
         check_column_count(sum(len(group.channels) for group in source.groups))
         count = sum(g.channel_group.cycles_nr * len(g.channels) for g in source.groups)
         check_unpacked(8 * count)
-        return _channels(source)
-
-
-def _channels(source: Any) -> Channels:
-    columns: dict[str, np.ndarray] = {}
-    units: dict[str, str] = {}
-    time_of: dict[str, str] = {}
-    left_out: dict[str, str] = {}
-    names = [channel.name for group in source.groups for channel in group.channels]
-    several = len(source.groups) > 1
-    for place, group in enumerate(source.groups):
-        time = f"time (group {place + 1})" if several else "time"
-        masters = source.masters_db
-        for index, channel in enumerate(group.channels):
-            if index == masters.get(place):
-                continue
-            signal = source.get(group=place, index=index)
-            repeated = names.count(channel.name) > 1 or channel.name == time
-            name = f"{channel.name} (group {place + 1})" if repeated else channel.name
-            samples = np.asarray(signal.samples)
-            if samples.ndim != 1 or samples.dtype.kind not in "fiub":
-                left_out[name] = "it holds no single numbers"
-                continue
-            columns[name] = samples.astype(float)
-            invalid = getattr(signal, "invalidation_bits", None)
-            if invalid is not None:
-                columns[name][np.asarray(invalid, bool)] = np.nan
-            columns[time] = np.asarray(signal.timestamps, float)
-            time_of[name] = time
-            if signal.unit:
-                units[name] = str(signal.unit)
-    notes = [f"channel '{name}' left out: {why}" for name, why in left_out.items()]
-    return Channels(columns, units, time_of, left_out, notes)
+        whole = Channels({})
+        names = [channel.name for group in source.groups for channel in group.channels]
+        for place, group in enumerate(source.groups):
+            time = f"time (group {place + 1})" if len(source.groups) > 1 else "time"
+            for index, channel in enumerate(group.channels):
+                if index == source.masters_db.get(place):
+                    continue
+                signal: Any = source.get(group=place, index=index)
+                is_repeated = names.count(channel.name) > 1 or channel.name == time
+                name = f"{channel.name} (group {place + 1})" if is_repeated else channel.name
+                samples = np.asarray(signal.samples)
+                if samples.ndim != 1 or samples.dtype.kind not in "fiub":
+                    whole.left_out[name] = "it holds no single numbers"
+                    continue
+                whole.columns[name] = samples.astype(float)
+                invalid = getattr(signal, "invalidation_bits", None)
+                if invalid is not None:
+                    whole.columns[name][np.asarray(invalid, bool)] = np.nan
+                whole.columns[time] = np.asarray(signal.timestamps, float)
+                whole.time_of[name] = time
+                if signal.unit:
+                    whole.units[name] = str(signal.unit)
+    whole.notes.extend(f"channel '{name}' left out: {why}" for name, why in whole.left_out.items())
+    return whole

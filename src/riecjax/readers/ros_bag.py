@@ -51,9 +51,23 @@ def _read(file: Path) -> Channels:
                 rows.setdefault(connection.topic, []).append(message)
                 logged.setdefault(connection.topic, []).append(stamp)
         times = {topic: _stamps(rows[topic], logged[topic]) for topic in rows}
-        whole = _channels(rows, times)
-        by_header = [t for t in rows if times[t].tolist() != logged[t]]
-        whole.notes.extend(f"topic '{topic}': time by its headers" for topic in by_header)
+        earliest = min((int(stamps[0]) for stamps in times.values()), default=0)
+        whole = Channels({})
+        for topic, messages in rows.items():
+            columns = gathered(topic, messages)
+            check_column_count(len(whole.columns) + len(columns))
+            time = f"{topic}.log_time" if f"{topic}.time" in columns else f"{topic}.time"
+            whole.columns[time] = (times[topic] - earliest) * 1e-9
+            whole.units[time] = "s"
+            for name, values in columns.items():
+                numbers, why = numbers_of(values)
+                if numbers is None:
+                    whole.left_out[name] = why
+                else:
+                    whole.columns[name] = numbers
+                    whole.time_of[name] = time
+            if times[topic].tolist() != logged[topic]:
+                whole.notes.append(f"topic '{topic}': time by its headers")
         return without_common_group(whole, ".")
 
 
@@ -81,22 +95,3 @@ def _stamps(rows: list[dict[str, Any]], logged: list[int]) -> np.ndarray:
         return log
     ahead = own[0] - log[0]
     return own if abs(ahead) < CLOCKS_AGREE else own - ahead
-
-
-def _channels(rows: dict[str, list[dict[str, Any]]], times: dict[str, np.ndarray]) -> Channels:
-    whole = Channels({})
-    earliest = min((int(stamps[0]) for stamps in times.values()), default=0)
-    for topic, messages in rows.items():
-        columns = gathered(topic, messages)
-        check_column_count(len(whole.columns) + len(columns))
-        time = f"{topic}.log_time" if f"{topic}.time" in columns else f"{topic}.time"
-        whole.columns[time] = (times[topic] - earliest) * 1e-9
-        whole.units[time] = "s"
-        for name, values in columns.items():
-            found, why = numbers_of(values)
-            if found is None:
-                whole.left_out[name] = why
-            else:
-                whole.columns[name] = found
-                whole.time_of[name] = time
-    return whole

@@ -21,6 +21,8 @@ from riecjax.records.reading import (
 
 MEMORY_PER_BYTE = 20.0
 """What reading takes for each byte of a file."""
+FILLED = 0.1
+"""Share of a column's cells from which it belongs to the table."""
 FEWEST_ROWS, FEWEST_COLUMNS = 10, 2
 """Of a sheet that may be a recording, where there are several sheets."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
@@ -85,7 +87,11 @@ def _chosen(tables: dict[str, Channels], refused: dict[str, str]) -> Channels:
     if not tables:
         said = "; ".join(f"sheet '{name}': {why}" for name, why in refused.items())
         raise DataError(f"no sheet holds a table of numbers: {said or 'there is no sheet.'}")
-    large = {name: table for name, table in tables.items() if _is_recording(table)} or tables
+    large = {
+        name: table
+        for name, table in tables.items()
+        if sum(values.size >= FEWEST_ROWS for values in table.columns.values()) >= FEWEST_COLUMNS
+    } or tables
     if len(large) > 1:
         # A stroke in a sheet's name would look like a group.
         return joined({name.replace("/", " "): table for name, table in large.items()})
@@ -93,11 +99,6 @@ def _chosen(tables: dict[str, Channels], refused: dict[str, str]) -> Channels:
     if len(tables) + len(refused) > 1:
         table.notes.insert(0, f"sheet '{name}'")
     return table
-
-
-def _is_recording(table: Channels) -> bool:
-    long = [values for values in table.columns.values() if values.size >= FEWEST_ROWS]
-    return len(long) >= FEWEST_COLUMNS
 
 
 def as_text(rows: Iterable[Sequence[object]], decimal: str | None = None) -> str:
@@ -114,18 +115,14 @@ def as_text(rows: Iterable[Sequence[object]], decimal: str | None = None) -> str
             return cell
         return repr(cell).replace(".", ",") if comma else repr(cell)
 
-    first = _margin(cells)
-    return "".join("\t".join(map(shown, row[first:])) + "\n" for row in cells)
-
-
-def _margin(cells: Sequence[Sequence[str | float]]) -> int:
-    """Columns left of the table: empty but for a title."""
-    columns = list(zip(*cells, strict=True))
-    for place, column in enumerate(columns):
+    # Columns left of the table are empty but for a title.
+    margin = 0
+    for place, column in enumerate(zip(*cells, strict=True)):
         filled = [cell for cell in column if cell != ""]
-        if len(filled) > 0.1 * len(column) or not all(isinstance(cell, str) for cell in filled):
-            return place
-    return 0
+        if len(filled) > FILLED * len(column) or not all(isinstance(cell, str) for cell in filled):
+            margin = place
+            break
+    return "".join("\t".join(map(shown, row[margin:])) + "\n" for row in cells)
 
 
 def _text(cell: object) -> str | float:

@@ -109,7 +109,7 @@ def _window_count(text: str) -> int | str:
 WINDOW_COUNT = Kind("N|all", _window_count)
 
 TEST_FUNCTIONS = ("auto", "boxcar", "hat", "bump")
-"""As in `criteria.plain_data`, whose import takes JAX."""
+"""As in `criteria.test_functions`, whose import takes JAX."""
 
 
 def _test_function(text: str) -> str:

@@ -124,7 +124,7 @@ class Option:
         if isinstance(value, str) and value in self.alone:
             yield [value]
         elif self.shape == "named":
-            for name, each in (value or {}).items():
+            for name, each in value.items():  # type: ignore[union-attr]
                 yield [f"{name}={self.kind.write(each)}"]
         elif self.shape == "many":
             for each in value or ():
@@ -377,36 +377,40 @@ class _Flag(str):
 
 def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -> Any:
     """A value as its setting holds it, or the error that says what to write."""
-    if option.shape in ("flag", "switch"):
-        require(name, value, bool, f"{name}=True", error)
+    if value is None:
+        return {} if option.default == {} else None
+    if option.free or value in option.alone:
         return value
-    if option.free or value is None or (isinstance(value, str) and value in option.alone):
-        return {} if value is None and option.default == {} else value
-    leaves: Any = [(f"{name}", value)]
+    shapes: dict[str, tuple[Any, str]] = {
+        "named": (Mapping, f"{name}={{'x': ...}}, by the signal's name"),
+        "many": (list | tuple, f"{name}=('x',), a tuple of names"),
+        "once": (list | tuple if option.count > 1 else object, f"{name}=(1.0, 10.0)"),
+        "flag": (bool, f"{name}=True"),
+        "switch": (bool, f"{name}=False"),
+    }
+    kind, write = shapes[option.shape]
+    require(name, value, kind, write, error)
     if option.shape == "named":
-        require(name, value, Mapping, f"{name}={{'x': ...}}, by the signal's name", error)
         for each in value:
             require(f"a name in {name}", each, str, "names as text, 'x'", error)
-        value = dict(value)
-        leaves = [(f"{name} of '{each}'", held) for each, held in value.items()]
-    elif option.shape == "many":
-        require(name, value, (list, tuple), f"{name}=('x',), a tuple of names", error)
-        value = tuple(value)
-        leaves = [(f"a name in {name}", each) for each in value]
-    elif option.count > 1:
-        require(name, value, (list, tuple), f"{name}=(1.0, 10.0)", error)
-        value = tuple(value)
-        leaves = [(f"an end of {name}", each) for each in value]
-    for what, leaf in leaves:
-        if option.kind.is_number and not hasattr(leaf, "dtype"):
-            require(what, leaf, Real, "a number", error)
-        elif option.kind.choices and isinstance(leaf, str) and leaf not in option.kind.choices:
-            listed = " or ".join(f"'{word}'" for word in option.kind.choices)
-            require(what, leaf, (), listed, error)
-        elif option.kind.name == "text" and option.shape != "once":
-            write = "it as text, 'x'" if option.shape == "named" else "names as text, 'x'"
-            require(what, leaf, str, write, error)
+            _check_leaf(f"{name} of '{each}'", option.kind, value[each], "it as text, 'x'", error)
+        return dict(value)
+    if option.shape == "many" or option.count > 1:
+        for each in value:
+            _check_leaf(f"a name in {name}", option.kind, each, "names as text, 'x'", error)
+        return tuple(value)
+    _check_leaf(name, option.kind, value, "", error)
     return value
+
+
+def _check_leaf(what: str, kind: Kind, value: Any, as_text: str, error: type[RiecjaxError]) -> None:
+    # Numbers of NumPy and JAX are numbers, traced ones too; objects stand in for their names.
+    if kind.is_number and not hasattr(value, "dtype"):
+        require(what, value, Real, "a number", error)
+    elif isinstance(value, str) and kind.choices and value not in kind.choices:
+        require(what, value, (), " or ".join(f"'{word}'" for word in kind.choices), error)
+    elif kind.name == "text" and as_text:
+        require(what, value, str, as_text, error)
 
 
 Keywords = ParamSpec("Keywords")

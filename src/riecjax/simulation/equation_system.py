@@ -75,7 +75,6 @@ from riecjax.errors import ModelError, users_code
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
-from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Quantities
 
 
@@ -560,6 +559,8 @@ class EquationSystem(AbstractSystem):
         if not self.reversing:
             signals = self._solved(self._known_signals(state, inputs))
             return {name: signals[name][0] for name, _ in self.outputs}
+        from riecjax.simulation.reversals import regime_at
+
         regime = regime_at(self, state, inputs)
         signals = self._solved(self._known_signals(regime.seen(state), inputs))
         held = {

@@ -54,7 +54,6 @@ from jaxtyping import Array, Float, Int
 from riecjax.errors import ModelError
 from riecjax.runtime import compiles_loops_whole
 from riecjax.simulation.intersample import curves_of
-from riecjax.simulation.reversals import Regime, cut_step
 from riecjax.simulation.system import AbstractSystem
 
 
@@ -223,6 +222,7 @@ class FixedStep(AbstractMethod):
         reversing: Sequence[bool],
     ) -> Float[Array, " states"]:
         """One step of a system that jumps where one of its velocities reverses."""
+        from riecjax.simulation.reversals import Regime, cut_step
 
         def derivative(regime: Regime, state: Array, inputs: Array) -> Array:
             return jnp.where(regime.stuck, 0.0, system.derivative(regime.seen(state), inputs))

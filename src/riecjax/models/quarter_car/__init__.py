@@ -1,5 +1,5 @@
 """The paper's quarter car: its identification model, and the source model behind it."""
 
-import lazy_loader
+from riecjax.public_names import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = attach(__name__, __file__)

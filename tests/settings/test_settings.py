@@ -1,0 +1,196 @@
+"""A setting is said once: one field is a keyword, an option, a line of a job, and documented."""
+
+import inspect
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import pytest
+
+import riecjax as rx
+from riecjax.cli.command import Given, SettingsCommand, settings_command
+from riecjax.cli.main import COMMANDS, cli
+from riecjax.settings import Contradiction, Job, Read, Settings, many, taking, tree
+from riecjax.settings.kinds import TEXT
+from riecjax.settings.option import Option
+from riecjax.settings.toml import form
+
+VERBS = {
+    rx.read_recording: tree.Reading,
+    rx.check: tree.Check,
+    rx.identify: tree.Identify,
+    rx.assess: tree.Assess,
+    rx.discover: tree.Discover,
+    rx.fleet: rx.fleets.Fleets,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadMore(Read):
+    """How a file is read."""
+
+    skipped: Sequence[str] = many("--skip COLUMN", TEXT)
+    """Columns that are not read."""
+
+
+@taking(ReadMore)
+def read(path: str, settings: ReadMore) -> ReadMore:
+    """What a verb gets."""
+    return settings
+
+
+@settings_command("read", ReadMore, Job, short_help="Read.")
+def command(given: Given) -> None:
+    """Read."""
+
+
+def given_to(of: SettingsCommand, *words: str) -> Given:
+    ctx = click.Context(of)
+    of.parse_args(ctx, list(words))
+    return ctx.params["given"]
+
+
+def test_a_field_is_a_keyword():
+    assert read("a.csv", skipped=["x", "y"]).skipped == ("x", "y")
+    assert "skipped" in inspect.signature(read).parameters
+    with pytest.raises(rx.DataError, match=r"skipped is the text 'x'. Write skipped=\('x',\)"):
+        read("a.csv", skipped="x")
+
+
+def test_a_field_is_an_option_with_its_help():
+    given = given_to(command, "--skip", "x", "--skip", "y")
+    assert given.take(ReadMore) == read("a.csv", skipped=("x", "y"))
+    help = " ".join(command.get_help(click.Context(command)).split())
+    assert "--skip COLUMN Columns that are not read. Repeatable." in help
+
+
+def test_a_field_is_a_line_of_a_job_and_in_provenance(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert '# Columns that are not read. Repeatable.\n# skip = ["COLUMN"]' in "\n".join(
+        form(command.settings, {})
+    )
+    given = given_to(command, "--skip", "x")
+    assert given.as_job()["skip"] == ["x"]
+    text = "\n".join(form(command.settings, given.shown()))
+    assert tomllib.loads(text)["skip"] == ["x"]
+    Path("job.toml").write_text(text)
+    assert given_to(command, "--job", "job.toml").skipped == ("x",)
+    # A further one stands beside what a job says.
+    assert given_to(command, "--job", "job.toml").with_options(["--skip", "y"]) == [
+        *("read", "--job", "job.toml", "--skip", "x", "--skip", "y")
+    ]
+
+
+def test_documentation_shows_fields_as_they_stand():
+    """A reference page shows a class of settings whole: each field, its option and its text."""
+    page = Path(__file__).parents[2] / "docs" / "reference" / "settings.md"
+    shown = page.read_text(encoding="utf-8")
+    for kind in Settings.__subclasses__():
+        if kind.__module__ == tree.__name__ and kind.__name__ != "Fitted":
+            assert f"::: riecjax.settings.{kind.__name__}\n" in shown
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.__name__)
+def test_keywords_of_a_verb_are_fields(verb):
+    fields = {name: option.default for name, option in VERBS[verb].options().items()}
+    parameters = inspect.signature(verb).parameters
+    assert {name: parameters[name].default for name in fields} == fields
+
+
+def commands() -> dict[str, SettingsCommand]:
+    ctx = click.Context(cli)
+    named = {name: cli.get_command(ctx, name) for name in cli.list_commands(ctx)}
+    return {name: one for name, one in named.items() if isinstance(one, SettingsCommand)}
+
+
+EXAMPLES = {
+    "number": "0.25",
+    "share": "0.25",
+    "integer": "3",
+    "N|all": "40",
+    "HZ|auto": "50",
+    "SIGNAL[=HZ]": "x=12",
+    "KIND:SIGNAL[=HZ]": "mode:x=12.5",
+    "LOW:HIGH": "0:2.5",
+    "MEAN±SD": "1.5±0.25",
+    "A,B,...": "t,x",
+}
+OPTIONS = {option.said: option for each in commands().values() for option in each.options.values()}
+
+
+def value_of(option: Option) -> object:
+    """Some value that it takes."""
+    if option.shape in ("flag", "switch"):
+        return not option.default
+    text = (option.kind.choices or (EXAMPLES.get(option.kind.name, "hat"),))[-1]
+    if option.shape == "named":
+        return option.collected((option.parsed(f"x={text}"), option.parsed(f"y={text}")))
+    if option.shape == "many":
+        return option.collected((option.parsed(text),))
+    if option.count > 1:
+        return (option.parsed(text),) * option.count
+    return option.parsed(text)
+
+
+@pytest.mark.parametrize("said", OPTIONS)
+def test_a_value_is_the_same_as_words_in_a_job_and_in_python(said):
+    option = OPTIONS[said]
+    value = value_of(option)
+    assert option.of_plain(option.plain(value)) == value
+    words = option.words(value)
+    if option.flag:
+        assert words[0] in option.flag.split("/")
+    if option.shape in ("many", "named"):
+        texts = [text for (text,) in option.texts(value)]
+        assert option.collected(tuple(map(option.parsed, texts))) == value
+
+
+def test_every_command_says_what_each_option_is_for():
+    assert {*commands()} == {*COMMANDS, "fleet", "reproduce"}
+    for name, one in commands().items():
+        for field, kind in one.settings.items():
+            assert kind.help(field) or not one.options[field].flag, f"{name} --{field}"
+
+
+@pytest.mark.parametrize(
+    ("settings", "keywords", "typed"),
+    [
+        (
+            lambda: tree.Fit(band=(1.0, 2.0), alpha=0.1, beta=0.2),
+            "band sets the same lengths as alpha and beta: leave out one of them.",
+            "--band sets the same lengths as --alpha and --beta: leave out one of them.",
+        ),
+        (
+            lambda: tree.Refine(loss="huber"),
+            "loss goes with refine='output-error'.",
+            "--loss goes with --refine output-error.",
+        ),
+        (
+            lambda: tree.Assess(per_record=("k",), validate_on=[1]),
+            "per_record gives a parameter no value on the recordings of validate_on: use one of",
+            "--per-record gives a parameter no value on the recordings of --validate: use one of",
+        ),
+    ],
+)
+def test_settings_that_contradict_are_named_as_they_were_given(settings, keywords, typed):
+    with pytest.raises(Contradiction) as error:
+        settings()
+    assert str(error.value).startswith(keywords)
+    assert error.value.typed().startswith(typed)
+
+
+def test_a_keyword_that_is_none_is_answered_with_those_there_are():
+    with pytest.raises(TypeError, match=r"^read_record\(\) has no keyword 'names'.*rename, scale"):
+        rx.read_record("a.csv", names=("x",))  # pyright: ignore[reportCallIssue]
+    with pytest.raises(TypeError, match=r"no keyword 'per_recrod'; the nearest is 'per_record'"):
+        rx.identify(None, (), per_recrod=("k",))  # pyright: ignore
+
+
+@pytest.mark.parametrize("name", ["bootstrap", "sandwich", "naive"])
+def test_names_stand_for_objects(name):
+    from riecjax.uncertainty.intervals import intervals_of
+
+    objects = {"bootstrap": rx.BlockBootstrap, "sandwich": rx.Sandwich, "naive": rx.Naive}
+    assert isinstance(intervals_of(name), objects[name])
