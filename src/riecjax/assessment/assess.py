@@ -6,7 +6,7 @@ beforehand whether there is an answer.
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from jaxtyping import Array
 
@@ -190,7 +190,7 @@ def assess_summary(
     lengths: Summary | None = None,
     findings: Sequence[Finding] = (),
     known: Mapping[str, float | Array] | None = None,
-    intervals: AbstractIntervals | None = None,
+    intervals: Literal["bootstrap", "sandwich", "naive"] | AbstractIntervals | None = None,
 ) -> "Assessment":
     """As [`assess`][riecjax.assess], without what needs samples: tests of residuals, refinement
     and simulation (not under jit).
