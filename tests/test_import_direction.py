@@ -10,7 +10,6 @@ import pytest
 import riecjax
 
 CORE = (
-    "settings",
     "records",
     "equations",
     "criteria",
@@ -39,12 +38,13 @@ BASE = (
     "memory",
     "public_names",
     "runtime",
+    "settings",
     "shows",
     "standard_output",
     "tails",
     "whole_files",
 )
-"""Modules beside the packages that all may import, and that import none of these."""
+"""What stands beside the stages: all may import it, and it imports none of them but for types."""
 PLACE_OF_RIM = re.compile(rf"(riecjax)?\.({'|'.join(RIM)})\b")
 ROOT = Path(riecjax.__file__).parent
 MODULES = sorted(
@@ -75,10 +75,20 @@ def read(module: Path) -> str:
     return (ROOT / module).read_text(encoding="utf-8")
 
 
-def imported_names(source: str, module: Path) -> Iterator[str]:
-    """Full names of everything that a module imports from this package, for types too."""
+def imported_names(source: str, module: Path, *, for_types: bool = True) -> Iterator[str]:
+    """Full names of everything that a module imports from this package."""
     package = ("riecjax", *module.parent.parts)
-    for node in ast.walk(ast.parse(source)):
+    tree = ast.parse(source)
+    guards = [node for node in ast.walk(tree) if isinstance(node, ast.If)]
+    guarded = {
+        id(node)
+        for guard in guards
+        if ast.unparse(guard.test) == "TYPE_CHECKING"
+        for node in ast.walk(guard)
+    }
+    for node in ast.walk(tree):
+        if id(node) in guarded and not for_types:
+            continue
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -107,9 +117,15 @@ def violations(source: str, module: Path) -> list[str]:
     where it is defined."""
     stage = module.parts[0]
     allowed = {*(CORE[: CORE.index(stage) + 1] if stage in CORE else ()), *BASE}
-    names = imported_names(source, module)
-    wrong = [name for name in names if not {*PUBLIC.get(name, name).split(".")[1:2]} & allowed]
+    # What settings are of is known to types alone.
+    names = imported_names(source, module, for_types=stage != "settings")
+    wrong = [name for name in names if place_of(name) not in allowed]
+    wrong += [name for name in imported_names(source, module) if place_of(name) in RIM]
     return wrong + list(strings_naming_the_rim(source, module))
+
+
+def place_of(name: str) -> str:
+    return ".".join(PUBLIC.get(name, name).split(".")[1:2])
 
 
 def private_imports(source: str, module: Path) -> list[str]:
@@ -118,18 +134,18 @@ def private_imports(source: str, module: Path) -> list[str]:
     return [
         name
         for name in imported_names(source, module)
-        if not (name.startswith(own) or name == "riecjax" or name in PUBLIC)
+        if not (name.startswith(own) or name in ("riecjax", *PUBLIC))
         and not (f"{name}.".startswith(shared) and "._" not in name)
     ]
 
 
 def test_every_folder_is_a_stage_or_of_the_rim_and_every_module_beside_them_is_known():
-    assert {module.parts[0] for module in MODULES if module.parent.parts} <= {*CORE, *RIM}
+    assert {m.parts[0] for m in MODULES if m.parent.parts} <= {*CORE, *RIM, "settings"}
     beside = {module.stem for module in MODULES if not module.parent.parts}
     assert beside - {"__init__", "__main__"} <= {*BASE}
 
 
-@pytest.mark.parametrize("package", [*CORE, "beside them"])
+@pytest.mark.parametrize("package", [*CORE, "settings", "beside them"])
 def test_the_core_imports_from_its_own_or_an_earlier_stage_and_nothing_of_the_rim(package):
     modules = [m for m in MODULES if (m.parts[0] if m.parent.parts else "beside them") == package]
     modules = [m for m in modules if m.parent.parts or m.stem not in ("__init__", "__main__")]
@@ -175,7 +191,12 @@ def test_a_module_beside_the_packages_imports_none_and_only_one_knows_the_group_
     group = "from riecjax.errors import DataError\nentry_points(group='riecjax.readers')"
     assert not violations(group, Path("extensions.py"))
     assert violations(group, Path("shows.py"))
-    assert violations("from riecjax.records.record import Record", Path("shows.py"))
+    stage = "from riecjax.records.record import Record"
+    assert violations(stage, Path("shows.py"))
+    for_types = f"if TYPE_CHECKING:\n    {stage}"
+    assert violations(for_types, Path("shows.py"))
+    assert not violations(for_types, Path("settings/tree.py"))
+    assert violations(for_types.replace("records", "fleets"), Path("settings/tree.py"))
 
 
 @pytest.mark.parametrize(

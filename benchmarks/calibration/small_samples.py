@@ -194,7 +194,10 @@ def cell(kind: str, blocks: int, uneven: bool, seeds: int) -> dict[str, Any]:
     found = jax.tree.map(np.asarray, found, is_leaf=eqx.is_array)
     assert (found.block_count == blocks).all()
     off = found.theta - TRUTH
-    reach = {name: reach_of(uncertainty) for name, uncertainty in found.uncertainty.items()}
+    reach = {}  # how far 95 % intervals reach below and above estimates
+    for name, uncertainty in found.uncertainty.items():
+        error = np.sqrt(np.diagonal(uncertainty.covariance, axis1=1, axis2=2))
+        reach[name] = tuple(side * error for side in uncertainty.reach(0.95))
     plain = np.median(sum(reach["plain_sandwich"]), axis=0)
     report: dict[str, Any] = {"small_sample": share(found.uncertainty["identify"].few_blocks)}
     for name, (below, above) in reach.items():
@@ -207,13 +210,6 @@ def cell(kind: str, blocks: int, uneven: bool, seeds: int) -> dict[str, Any]:
             "width_to_plain_sandwich": dict(zip(PARAMETERS, times.tolist())),
         }
     return report
-
-
-def reach_of(uncertainty: Uncertainty) -> tuple[np.ndarray, np.ndarray]:
-    """How far 95 % intervals reach below and above estimates, shape `(seeds, p)`."""
-    error = np.sqrt(np.diagonal(uncertainty.covariance, axis1=1, axis2=2))
-    below, above = uncertainty.reach(0.95)
-    return below * error, above * error
 
 
 def share(true: np.ndarray) -> dict[str, float]:

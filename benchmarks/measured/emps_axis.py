@@ -17,7 +17,8 @@ from riecjax.records.record import Signals
 
 KP, KV = 160.18, 243.45
 """Gains of the controller in 1/s and V s/m."""
-STEPS = rx.FixedStep(4)
+RISE = {"excess": 0.1, "vs": 0.02, "width": 1e-4}
+"""A start for the refinement: a tenth more friction near rest."""
 
 
 @eqx.filter_jit
@@ -43,18 +44,15 @@ def sampled_control(
         commanded = gain * KV * (KP * (goal - q) - (q - before_last) / (2 * step))
         applied = waiting if delay else commanded
         held = rx.Record({"force": jnp.stack([applied, applied])}, step)
-        ahead = rx.simulate(axis, held, method=STEPS, initial_state={"q": q, "dq": dq}).record
+        ahead = rx.simulate(
+            axis, held, method=rx.FixedStep(4), initial_state={"q": q, "dq": dq}
+        ).record
         moved = (ahead["q"][1], ahead["dq"][1], q, last, commanded)
         return moved, (q, dq, ahead["ddq"][0], applied)
 
     rest = jnp.zeros_like(start)
     _, found = jax.lax.scan(sample, (start, rest, start, start, rest), reference["qg"])
     return dict(zip(("q", "dq", "ddq", "force"), found))
-
-
-def stribeck_rise(velocity: Array, excess: Array, width: Array) -> Array:
-    """Friction above the Coulomb level, as a share of it: excess e^-(velocity / width)^2."""
-    return excess * jnp.exp(-((velocity / width) ** 2))
 
 
 class StribeckBalance(rx.refinement.AbstractBalance):
@@ -99,7 +97,7 @@ class StribeckBalance(rx.refinement.AbstractBalance):
         forward = v > 0
         viscous = jnp.where(forward, self.Fv_pos, self.Fv_neg)
         coulomb = jnp.where(forward, self.Fc_pos, self.Fc_neg)
-        level = coulomb * (1 + stribeck_rise(v, self.excess, self.vs))
+        level = coulomb * (1 + self.excess * jnp.exp(-((v / self.vs) ** 2)))
         return viscous * v + level * jnp.tanh(v / self.width) - signals["force"]
 
 
@@ -128,7 +126,7 @@ class StribeckAxis(RisingAxis):
 
     def levels(self, velocity: Array) -> tuple[Array, Array]:
         """Both times 1 + excess e^-(v/vs)^2."""
-        factor = 1 + stribeck_rise(velocity, self.excess, self.vs)
+        factor = 1 + self.excess * jnp.exp(-((velocity / self.vs) ** 2))
         return factor * self.Fc_pos, factor * self.Fc_neg
 
 
@@ -142,8 +140,3 @@ def stribeck_balance(start: Mapping[str, Array | float]) -> StribeckBalance:
     """The balance with these values."""
     fields = {field: jnp.asarray(start[field]) for field in StribeckBalance.units}
     return StribeckBalance(**fields)
-
-
-def without_rise(axis: Mapping[str, Array | float]) -> dict[str, Array | float]:
-    """A start for the refinement: asymmetric friction, with a tenth more near rest."""
-    return {**axis, "excess": 0.1, "vs": 0.02, "width": 1e-4}

@@ -14,11 +14,11 @@ import scipy.io
 import scipy.signal
 
 from benchmarks.measured.emps_axis import (
+    RISE,
     StribeckAxis,
     sampled_control,
     stribeck_axis,
     stribeck_balance,
-    without_rise,
 )
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
@@ -96,7 +96,7 @@ def refined_axis(rig: Rig, windows: AllWindows) -> tuple[Refined, StribeckAxis]:
     sampled loop needs no width, and the data hardly tell one.
     """
     raw = Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
-    start = without_rise(ASYMMETRIC)
+    start = {**ASYMMETRIC, **RISE}
     known = {"width": start.pop("width")}
     refined = refine(
         stribeck_balance({**start, **known}),

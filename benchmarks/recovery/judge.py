@@ -148,14 +148,6 @@ def distance(answer: Answer, sound: Answer) -> tuple[float, str, bool]:
     return far[which][1], which, far[which][0]
 
 
-def names_the_fault(finding: Finding, fault: str, machine: Machine) -> bool:
-    """Whether a finding has the fault's code, and its signal among those that it is about."""
-    one = FAULTS[fault]
-    signal = getattr(machine, one.on) if one.on else ""
-    about = not (signal and finding.signals) or signal in finding.signals
-    return finding.code in one.codes and about
-
-
 def judged(
     fault: str, machine: Machine, severity: str, seed: int, noise: float, folder: Path
 ) -> tuple[Outcome, Answer]:
@@ -169,12 +161,15 @@ def judged(
     plain = answered(machine, files, _untreated()) if treated else answer
     moved, which, harmed = (0.0, "", True) if plain.error else distance(plain, sound)
     harmed |= any(plain.errors.get(n, 0.0) < NARROWER * e for n, e in sound.errors.items())
-    naming = [f for f in new if names_the_fault(f, fault, machine)]
+    kind = FAULTS[fault]
+    signal = getattr(machine, kind.on) if kind.on else ""
+    of_kind = [f for f in new if f.code in kind.codes]
+    naming = [f for f in of_kind if not (signal and f.signals) or signal in f.signals]
     remedy = next((f.remedy for f in (*naming, *new) if f.remedy), ())
     last = answered(machine, files, remedy) if remedy else answer
     corrected = bool(remedy) or (plain != answer and not answer.error)
     after = None if last.error or not corrected else distance(last, sound)[0]
-    refusal = any(re.search(rf"\b{code}\b", answer.error) for code in FAULTS[fault].codes)
+    refusal = any(re.search(rf"\b{code}\b", answer.error) for code in kind.codes)
     outcome = Outcome(
         fault,
         machine.name,

@@ -115,8 +115,12 @@ def judged(status: int, out: str, err: str) -> tuple[str, str]:
     document = json.loads(out, parse_constant=_refuse)
     if document["warnings"]:
         return "warned", ", ".join(sorted({w["code"] for w in document["warnings"]}))
-    off = [_off(name, document["parameters"][name]) for name in TRUTH]
-    return ("WRONG", "; ".join(filter(None, off))) if any(off) else ("right", "")
+    off = []
+    for name, truth in TRUTH.items():
+        value, error = (document["parameters"][name][key] for key in ("value", "std_error"))
+        if abs(value - truth) > max(CLOSE * abs(truth), STANDARD_ERRORS * (error or 0.0)):
+            off.append(f"{name} = {value:.5g} +- {error:.2g}, not {truth:g}")
+    return ("WRONG", "; ".join(off)) if off else ("right", "")
 
 
 def _one_line(status: int, out: str, said: list[str]) -> bool:
@@ -135,14 +139,6 @@ def _one_line(status: int, out: str, said: list[str]) -> bool:
 
 def _refuse(constant: str) -> None:
     raise ValueError(f"{constant} is no JSON")
-
-
-def _off(name: str, found: dict[str, Any]) -> str:
-    """In words, a parameter that is further off than it may be."""
-    far = abs(found["value"] - TRUTH[name])
-    if far <= max(CLOSE * abs(TRUTH[name]), STANDARD_ERRORS * (found["std_error"] or 0.0)):
-        return ""
-    return f"{name} = {found['value']:.5g} +- {found['std_error']:.2g}, not {TRUTH[name]:g}"
 
 
 class Fuzzed(NamedTuple):
@@ -171,13 +167,7 @@ def run_case(kind: str, seed: int, number: int, names: list[str], quick: bool) -
         return case, outcome(case, QUICK if quick else ())
 
 
-_RIGS: list[Any] = []
-
-
-def _rigs() -> Any:
-    if not _RIGS:
-        _RIGS.append(rigs())
-    return _RIGS[0]
+_rigs = functools.cache(rigs)
 
 
 def fuzzed(

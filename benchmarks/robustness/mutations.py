@@ -134,15 +134,6 @@ def clean(columns, rng):
     return list(columns.items())
 
 
-def truncated_rows(columns, rng):
-    """To one of a few lengths, each of which compiles anew."""
-    return _rows(columns, slice(int(rng.choice([0, 1, 2, 5, 40, 99, 150, 3000]))))
-
-
-def shuffled_rows(columns, rng):
-    return _rows(columns, rng.permutation(COUNT))
-
-
 def shuffled_signals(columns, rng):
     """Rows in any order beside a time that was sorted again."""
     order = rng.permutation(COUNT)
@@ -199,36 +190,12 @@ def many_nan(columns, rng):
     return _changed(columns, name, rng.random(COUNT) < share, np.nan)
 
 
-def nan_in_time(columns, rng):
-    return _changed(columns, "t", _place(rng, int(rng.integers(1, 4))), np.nan)
-
-
 def text_entry(columns, rng):
     name = str(rng.choice(list(columns)))
     values = _texts(columns[name]).astype(object)
     some = rng.choice(COUNT, int(rng.choice([1, 3, 100])), replace=False)
     values[some] = str(rng.choice(["ERR", "-", "over range", "#REF!", "1,5", "12:30"]))
     return _with(columns, name, values.astype(str))
-
-
-def text_column(columns, rng):
-    name = str(rng.choice(list(columns)))
-    return _with(columns, name, np.full(COUNT, "on"))
-
-
-def numbers_as_text(columns, rng):
-    name = str(rng.choice(list(columns)))
-    return _with(columns, name, _texts(columns[name]))
-
-
-def whole_numbers(columns, rng):
-    name = _pick(columns, rng)
-    return _with(columns, name, np.round(columns[name]).astype(np.int32))
-
-
-def half_precision(columns, rng):
-    name = str(rng.choice(list(columns)))
-    return _with(columns, name, columns[name].astype(np.float16).astype(np.float32))
 
 
 def wrapped(columns, rng):
@@ -258,14 +225,6 @@ def changed_stamp(columns, rng):
     at = _place(rng)
     by = 10.0 ** rng.uniform(-2.5, 4) * rng.choice([-1, 1])
     return _changed(columns, "t", at, columns["t"][at] + by)
-
-
-def still_time(columns, rng):
-    return _with(columns, "t", np.full(COUNT, 5.0))
-
-
-def coarse_time(columns, rng):
-    return _with(columns, "t", np.round(columns["t"], int(rng.choice([0, 1, 2]))))
 
 
 def reversed_rows(columns, rng):
@@ -338,17 +297,48 @@ def mixed(columns, rng):
     return list(columns.items())
 
 
-COLUMN_MUTATIONS = (
-    clean, truncated_rows, shuffled_rows, shuffled_signals, swapped_blocks,
-    repeated_rows, repeated_block, swapped_columns, dropped_column, duplicated_column,
-    renamed_column, many_nan, nan_in_time, text_entry, text_column, numbers_as_text,
-    whole_numbers, half_precision, wrapped, huge, infinite,
-    scaled_time, changed_stamp, still_time, coarse_time, reversed_rows,
-    spliced, offset_jump, huge_spikes, extreme_scale, silent, hostile_names, mixed,
-)  # fmt: skip
+def _named(*mutations: Callable[..., Any]) -> dict[str, Callable[..., Any]]:
+    return {mutation.__name__.replace("_", " "): mutation for mutation in mutations}
+
+
+def _any(change: Callable[[np.ndarray], np.ndarray], *, signal: bool = False) -> Any:
+    """Of the values of any one column, or of a signal."""
+
+    def mutation(columns, rng):
+        name = _pick(columns, rng) if signal else str(rng.choice(list(columns)))
+        return _with(columns, name, change(columns[name]))
+
+    return mutation
+
+
+COLUMN_MUTATIONS = {
+    **_named(clean),
+    # To one of a few lengths, each of which compiles anew.
+    "truncated rows": lambda columns, rng: _rows(
+        columns, slice(int(rng.choice([0, 1, 2, 5, 40, 99, 150, 3000])))
+    ),
+    "shuffled rows": lambda columns, rng: _rows(columns, rng.permutation(COUNT)),
+    **_named(shuffled_signals, swapped_blocks, repeated_rows, repeated_block, swapped_columns),
+    **_named(dropped_column, duplicated_column, renamed_column, many_nan),
+    "nan in time": lambda columns, rng: _changed(
+        columns, "t", _place(rng, int(rng.integers(1, 4))), np.nan
+    ),
+    **_named(text_entry),
+    "text column": _any(lambda values: np.full(COUNT, "on")),
+    "numbers as text": _any(_texts),
+    "whole numbers": _any(lambda values: np.round(values).astype(np.int32), signal=True),
+    "half precision": _any(lambda values: values.astype(np.float16).astype(np.float32)),
+    **_named(wrapped, huge, infinite, scaled_time, changed_stamp),
+    "still time": lambda columns, rng: _with(columns, "t", np.full(COUNT, 5.0)),
+    "coarse time": lambda columns, rng: _with(
+        columns, "t", np.round(columns["t"], int(rng.choice([0, 1, 2])))
+    ),
+    **_named(reversed_rows, spliced, offset_jump, huge_spikes, extreme_scale),
+    **_named(silent, hostile_names, mixed),
+}
 NEED_VELOCITY = (scaled_time,)
 """Whose marks only a second signal of the same motion bears."""
-MIXABLE = tuple(m for m in COLUMN_MUTATIONS if m not in (clean, mixed, *NEED_VELOCITY))
+MIXABLE = tuple(m for m in COLUMN_MUTATIONS.values() if m not in (clean, mixed, *NEED_VELOCITY))
 
 
 # Mutations of files.
@@ -356,16 +346,9 @@ MIXABLE = tuple(m for m in COLUMN_MUTATIONS if m not in (clean, mixed, *NEED_VEL
 Bytes = Callable[[str, bytes, np.random.Generator], tuple[str, bytes]]
 
 
-def truncated_bytes(file, content, rng):
-    return file, content[: int(len(content) * rng.uniform(0, 1))]
-
-
-def flipped_bit(file, content, rng):
-    return file, _flipped(content, rng, 1)
-
-
-def flipped_bits(file, content, rng):
-    return file, _flipped(content, rng, int(rng.integers(2, 60)))
+def _kept(change: Callable[[bytes, np.random.Generator], bytes]) -> Bytes:
+    """The name of the file stays."""
+    return lambda file, content, rng: (file, change(content, rng))
 
 
 def flipped_header(file, content, rng):
@@ -404,34 +387,17 @@ def wrong_ending(file, content, rng):
     return str(rng.choice(endings)), content
 
 
-def garbage(file, content, rng):
-    return file, rng.bytes(int(rng.integers(1, 20_000)))
-
-
-def empty(file, content, rng):
-    return file, b""
-
-
-BYTE_MUTATIONS = (
-    truncated_bytes, flipped_bit, flipped_bits, flipped_header, zeroed_block, lost_block,
-    inserted_bytes, wrong_ending, garbage, empty,
-)  # fmt: skip
+BYTE_MUTATIONS = {
+    "truncated bytes": _kept(lambda whole, rng: whole[: int(len(whole) * rng.uniform(0, 1))]),
+    "flipped bit": _kept(lambda whole, rng: _flipped(whole, rng, 1)),
+    "flipped bits": _kept(lambda whole, rng: _flipped(whole, rng, int(rng.integers(2, 60)))),
+    **_named(flipped_header, zeroed_block, lost_block, inserted_bytes, wrong_ending),
+    "garbage": _kept(lambda _, rng: rng.bytes(int(rng.integers(1, 20_000)))),
+    "empty": _kept(lambda *_: b""),
+}
 
 
 # Mutations of text files.
-
-
-def lost_header(file, content, rng):
-    return file, content.partition(b"\n")[2]
-
-
-def only_header(file, content, rng):
-    return file, content.partition(b"\n")[0] + b"\n" * int(rng.integers(0, 3))
-
-
-def other_encoding(file, content, rng):
-    name = str(rng.choice(["utf-16", "utf-16-le", "utf-32", "cp500", "utf-8-sig"]))
-    return file, content.decode().encode(name)
 
 
 def empty_cells(file, content, rng):
@@ -478,14 +444,16 @@ def repeated_header(file, content, rng):
     return file, b"\n".join([*lines[:at], lines[0], *lines[at:]])
 
 
-def old_line_ends(file, content, rng):
-    return file, content.replace(b"\n", b"\r" if rng.random() < 0.5 else b"\r\n")
-
-
-TEXT_MUTATIONS = (
-    lost_header, only_header, other_encoding, empty_cells, ragged, blank_lines, lost_points,
-    repeated_header, old_line_ends,
-)  # fmt: skip
+ENCODINGS = ["utf-16", "utf-16-le", "utf-32", "cp500", "utf-8-sig"]
+TEXT_MUTATIONS = {
+    "lost header": _kept(lambda text, rng: text.partition(b"\n")[2]),
+    "only header": _kept(lambda t, rng: t.partition(b"\n")[0] + b"\n" * int(rng.integers(0, 3))),
+    "other encoding": _kept(lambda text, rng: text.decode().encode(str(rng.choice(ENCODINGS)))),
+    **_named(empty_cells, ragged, blank_lines, lost_points, repeated_header),
+    "old line ends": _kept(
+        lambda text, rng: text.replace(b"\n", b"\r" if rng.random() < 0.5 else b"\r\n")
+    ),
+}
 
 
 # Files that are large once they are read.
@@ -553,13 +521,10 @@ def linked_objects(rng):
     return str(rng.choice(["a.mat", "a.h5"])), stream.getvalue()
 
 
-LARGE = (million_columns, zip_bomb, parquet_bomb, hdf5_bomb, linked_objects)
+LARGE = _named(million_columns, zip_bomb, parquet_bomb, hdf5_bomb, linked_objects)
 """Made whole, and not of a recording."""
 
-BY_NAME: dict[str, Callable[..., Any]] = {
-    mutation.__name__.replace("_", " "): mutation
-    for mutation in (*COLUMN_MUTATIONS, *TEXT_MUTATIONS, *BYTE_MUTATIONS, *LARGE)
-}
+BY_NAME = {**COLUMN_MUTATIONS, **TEXT_MUTATIONS, **BYTE_MUTATIONS, **LARGE}
 NAMES = tuple(BY_NAME)
 
 
@@ -571,14 +536,14 @@ def mutated(
 ) -> Case:
     """A file after this mutation, of a rig and in one of the formats, both drawn by chance."""
     which, mutation = int(rng.random() < 0.3), BY_NAME[name]
-    if mutation in LARGE:
+    if name in LARGE:
         file, content = mutation(rng)
         return Case(name, file, content, machines[0].options)
-    if mutation in TEXT_MUTATIONS:
+    if name in TEXT_MUTATIONS:
         file, content = mutation("a.csv", _sound("a.csv", which, machines), rng)
         return Case(name, file, content, machines[which].options)
     file = str(rng.choice(list(formats)))
-    if mutation in BYTE_MUTATIONS:
+    if name in BYTE_MUTATIONS:
         file, content = mutation(file, _sound(file, which, machines), rng)
         return Case(name, file, content, machines[which].options)
     rig = machines[0] if mutation in NEED_VELOCITY else machines[which]

@@ -142,14 +142,11 @@ def _seconds(pid: int) -> float:
 def peaks() -> float:
     """Most bytes that this process or the one that reads for it has held since this was asked."""
     readers = [reader.process.pid for reader in child_process._readers]
-    return max(map(_peak, ("self", *readers)))
-
-
-def _peak(pid: object) -> float:
-    """In bytes (Linux); the next peak is counted from here."""
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-        Path(f"/proc/{pid}/clear_refs").write_text("5")
-    except OSError:
-        return 0.0
-    return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+    most = [0.0]
+    for pid in ("self", *readers):
+        with contextlib.suppress(OSError):
+            lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+            # In bytes (Linux); the next peak is counted from here.
+            Path(f"/proc/{pid}/clear_refs").write_text("5")
+            most += [1024.0 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")]
+    return max(most)

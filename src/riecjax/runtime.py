@@ -56,9 +56,17 @@ def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int =
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     flags = os.environ.get("XLA_FLAGS", "")
-    started = _has_started()
+    started = False
+    if "jax" in sys.modules:
+        from jax._src import xla_bridge
+
+        started = xla_bridge.backends_are_initialized()
+    wanted = _FLAGS
     # To compile fast is a wish, which a process that has begun otherwise cannot fulfil.
-    wanted = _FLAGS | _compiling_fast() if once and not started else _FLAGS
+    if once and not started:  # by options that the installed XLA knows
+        installed = tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2])
+        known = [flags for gone, flags in _GONE.items() if installed < gone]
+        wanted = functools.reduce(operator.or_, known, _FLAGS | _ONCE)
     missing = [flag for name, flag in wanted.items() if name not in flags]
     if missing and started:
         raise RuntimeError("start_jax() is too late: call it before the first JAX array is made.")
@@ -89,13 +97,6 @@ def release_memory() -> None:
     # Of glibc; other C libraries have none.
     with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
-
-
-def _compiling_fast() -> dict[str, str]:
-    """Options for code that runs once, of those that the installed XLA knows."""
-    installed = tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2])
-    known = [flags for gone, flags in _GONE.items() if installed < gone]
-    return functools.reduce(operator.or_, known, _ONCE)
 
 
 def compiles_loops_whole() -> bool:
@@ -147,11 +148,3 @@ def processor() -> str:
         told = {line for line in lines if line.startswith(("flags", "Features"))}
         abilities = "".join(sorted(told))
     return f"{platform.machine()}-{zlib.crc32(abilities.encode()):08x}"
-
-
-def _has_started() -> bool:
-    if "jax" not in sys.modules:
-        return False
-    from jax._src import xla_bridge
-
-    return xla_bridge.backends_are_initialized()

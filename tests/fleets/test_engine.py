@@ -103,23 +103,12 @@ def test_a_scheduler_that_does_not_answer_is_said(monkeypatch):
         Cluster(scheduler="tcp://127.0.0.1:9")
 
 
-@pytest.mark.parametrize("failures", [1, 99])
-def test_processes_that_are_killed_while_they_start_are_started_again(failures, monkeypatch):
+def test_processes_that_do_not_start_are_said(monkeypatch):
     import distributed  # which imports what POSIX alone has
 
-    real, tried = distributed.LocalCluster, []
-
-    def failing(**settings):
-        tried.append(settings)
-        if len(tried) <= failures:
-            raise RuntimeError("Nanny failed to start.")
-        return real(**settings)
+    def failing(**_):
+        raise RuntimeError("Nanny failed to start.")
 
     monkeypatch.setattr(distributed, "LocalCluster", failing)
-    if failures > 1:
-        with pytest.raises(DataError, match="processes do not start: Nanny failed"):
-            Cluster(1)
-        assert len(tried) == module.STARTS
-    else:
-        with Cluster(1) as runs:
-            assert answers(runs, squares)[2] == 4
+    with pytest.raises(DataError, match="processes do not start: Nanny failed"):
+        Cluster(1)

@@ -203,7 +203,7 @@ def test_of_a_file_with_several_recordings_parts_are_asked_for(folder, tmp_path)
     assert len(fleet(MODEL, tmp_path, workers=0).recordings) == 2
     with pytest.raises(DataError, match="run7"):
         fleet(MODEL, tmp_path, workers=0, parts=["run7"])
-    with pytest.raises(ModelError, match="parts="):
+    with pytest.raises(DataError, match="parts="):
         fleet(MODEL, tmp_path, workers=0, parts="run1")
 
 
@@ -319,7 +319,7 @@ def test_sums_are_not_read_in_another_way_and_no_other_run_replaces_them(by_vehi
     _, out = by_vehicle
     before = (out / "summaries.parquet").read_bytes()
     given = {"stop": 2.0, "cutoffs": {"x": 10.0}, "every": 1, "noise": "auto"}
-    with pytest.raises(DataError, match="cannot heed stop, cutoffs, parts"):
+    with pytest.raises(DataError, match="cannot heed parts, stop, cutoffs"):
         fleet(MODEL, out / "summaries.parquet", workers=0, parts=["a"], **given)
     with pytest.raises(DataError, match=r"holds sums by another model.*delete its summaries"):
         fleet(MODEL, folder, by="vehicle", workers=0, out=out, stop=2.0)
@@ -329,6 +329,9 @@ def test_sums_are_not_read_in_another_way_and_no_other_run_replaces_them(by_vehi
 def test_what_makes_no_answer_possible_is_said_before_anything_is_summed(folder, tmp_path):
     told = []
     settings = {"workers": 0, "progress": lambda *said: told.append(said)}
+    for wrong in ({"by": "a,,b"}, {"span": -1.0}, {"workers": -1}):
+        with pytest.raises(ModelError, match=f"{next(iter(wrong))} "):
+            fleet(MODEL, folder, **{**settings, **wrong})
     with pytest.raises(ModelError, match="kk"):
         fleet(MODEL, folder, known={"kk": 20.0}, **settings)
     (tmp_path / "a.csv").write_text("nothing")

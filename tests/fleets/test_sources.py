@@ -86,8 +86,9 @@ def test_a_store_is_looked_at_and_a_file_of_it_brought_here():
 
 def test_rows_of_a_data_set_are_taken_across_its_files(folder):
     (week,) = find_sources([folder / "week.parquet"])
+    (whole,) = recordings_of(week, [], {})
     for low, high in ((0, 12), (3, 5), (7, 9), (4, 8), (11, 12)):
-        with rows_at_hand(Piece(week), low, high, {}) as file:
+        with rows_at_hand(whole, low, high, {}) as file:
             found = parquet.read_table(file)["x"].to_numpy()
         np.testing.assert_array_equal(found, (np.arange(12) % 4)[low:high])
 
@@ -112,7 +113,7 @@ def test_rows_that_agree_in_a_column_are_recordings(tmp_path):
 def test_stretches_hold_every_start_once_and_the_last_is_no_stump():
     source = Source("a", ("a",), (), "", 0)
     for rows in (10, 149, 150, 151, 460, 1000):
-        every = list(stretches(Piece(source, 0, rows, 0, rows, ends=(rows,)), 100, 7))
+        every = list(stretches(Piece(source, 0, rows, 0, rows, files=(("a", 0, rows),)), 100, 7))
         assert [p.first for p in every] == [0, *(p.stop for p in every[:-1])]
         assert every[-1].stop == rows
         assert all(p.stop - p.first == 100 for p in every[:-1])
@@ -129,7 +130,7 @@ def test_a_stretch_takes_along_only_the_files_that_it_reads(tmp_path):
     (whole,) = recordings_of(source, [], {})
     rows = int(counts.sum())
     every = list(stretches(whole, 3000, 50))
-    assert max(len(piece.source.urls) for piece in every) < 20
+    assert max(len(piece.files) for piece in every) < 20
     values = np.concatenate([np.arange(count) for count in counts])
     for piece in every:
         low, high = piece.reach(50)

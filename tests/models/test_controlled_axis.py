@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.integrate
 from benchmarks.measured.emps_axis import (
+    RISE,
     sampled_control,
     stribeck_axis,
     stribeck_balance,
-    without_rise,
 )
 
 import riecjax as rx
@@ -89,8 +89,7 @@ def test_motion_is_that_of_scipy_between_stops():
 
 
 def test_the_balance_is_the_axis_equation_of_motion():
-    start = without_rise({**RISING, "excess": 0.0})
-    made = stribeck_balance({**start, **SHAPE})
+    made = stribeck_balance({**RISING, **RISE, **SHAPE})
     v = jnp.array([-0.3, -0.01, 0.01, 0.3])
     left = made.force({"dq": v, "force": jnp.zeros(4)})  # pyright: ignore[reportArgumentType]
     level = np.where(v > 0, 20.0, 21.0) * (1 - 0.2 * np.exp(-((v / 0.02) ** 2)))

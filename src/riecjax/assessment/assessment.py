@@ -60,7 +60,7 @@ class Refinement(NamedTuple):
 
     - `refined`; `None` where `refine="auto"` found nothing that could be one.
     - `declined`: why its values are not the answer, of `refine="auto"`; empty where they are.
-    - `whiteness` of what is left, of output error over windows that do not overlap.
+    - `whiteness` of what is left, of output error.
     - `simulations`, before and after, on held-out parts and further recordings, or if there are
       none, and the refinement was asked for, on those that were fitted (`on_fitted`).
     """

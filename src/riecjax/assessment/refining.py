@@ -189,7 +189,9 @@ def _by_itself(
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
         by = _objective(asked, estimate, horizon)
-        if (work := _work(asked, estimate, by)) > MOST_WORK:
+        own = tuple(asked.settings["per_record"])
+        specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
+        if (work := by.misfit(specified).work) > MOST_WORK:
             return Refinement(
                 declined=f"a search would take {work:.2g} steps x states x tangents, more than "
                 f"{MOST_WORK:.0g}; {ASK}"
@@ -204,12 +206,6 @@ def _by_itself(
         return found
     except EXPECTED as error:
         return Refinement(declined=f"no output error can be formed: {str(error).rstrip('.')}")
-
-
-def _work(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> int:
-    own = tuple(asked.settings["per_record"])
-    specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
-    return by.misfit(specified).work
 
 
 def _left_out(estimate: Estimate) -> str:

@@ -274,11 +274,23 @@ def noise_moments(
     """
     closed = white() if noisy.white or noisy.curved else None
     if closed is None:
-        *each, curved = _by_probes(noisy, products)
+        taps = {"": {"": jnp.ones(1)}}
+
+        def probed(movement: Movement) -> Array:
+            return _probed({"": movement}, taps, "", noisy.columns, products)
+
+        each = [probed(movement) for movement in noisy.white.values()]
+        every = [times * probed(movement) for times, movement in noisy.curved]
+        curved = sum(every, start=jnp.zeros(()))
     else:
         *each, curved = closed
     found = dict(zip(noisy.white, each))
-    kernels = _coloured_kernels(noise, list(noisy.coloured))
+    # Kernels of the signals' coloured noise, which has unit size in each.
+    kernels, read = {}, list(noisy.coloured)
+    for name in read:
+        own = {s: t for s, t in noise.kernels[name].items() if not is_white(noise, s, read)}
+        size = jnp.sqrt(sum(jnp.sum(jnp.asarray(t) ** 2) for t in own.values()))
+        kernels[name] = {s: t / jnp.where(size > 0, size, 1.0) for s, t in own.items()}
     for source in sorted({source for taps in kernels.values() for source in taps}):
         found[source] = _probed(noisy.coloured, kernels, source, noisy.columns, products)
     nothing = jnp.zeros_like(next(iter(found.values())))
@@ -300,30 +312,6 @@ def in_closed_form(
     nothing = jnp.zeros((blocks.number, size, size), noisy.columns.values.dtype)
     curved = (times * _weighted(m, weights, blocks, size) for times, m in noisy.curved)
     return [*found, sum(curved, start=nothing)]
-
-
-def _by_probes(
-    noisy: NoisyColumns, products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]]
-) -> list[Float[Array, "*bins blocks columns columns"]]:
-    """The same without a closed form."""
-    taps = {"": {"": jnp.ones(1)}}
-
-    def probed(movement: Movement) -> Array:
-        return _probed({"": movement}, taps, "", noisy.columns, products)
-
-    found = [probed(movement) for movement in noisy.white.values()]
-    curved = [times * probed(movement) for times, movement in noisy.curved]
-    return [*found, sum(curved, start=jnp.zeros(()))]
-
-
-def _coloured_kernels(noise: Noise, read: list[str]) -> dict[str, dict[str, Array]]:
-    """Kernels of the signals' coloured noise, which has unit size in each."""
-    found = {}
-    for name in read:
-        taps = {s: t for s, t in noise.kernels[name].items() if not is_white(noise, s, read)}
-        size = jnp.sqrt(sum(jnp.sum(jnp.asarray(t) ** 2) for t in taps.values()))
-        found[name] = {s: t / jnp.where(size > 0, size, 1.0) for s, t in taps.items()}
-    return found
 
 
 def _weighted(
@@ -419,19 +407,15 @@ def _probed(
     def once(signs: Array) -> Array:
         values = jnp.zeros_like(like.values)
         for name in sorted(own.keys() & movements.keys()):
-            noise = _filtered(signs.astype(values.dtype), own[name], reach, n)
+            # White noise, which begins `reach` samples earlier, through the kernel.
+            size = signs.shape[0] + own[name].shape[-1]
+            spectrum = jnp.fft.rfft(signs.astype(values.dtype), size) * jnp.fft.rfft(
+                own[name], size
+            )
+            first = reach + own[name].shape[-1] // 2
+            noise = jnp.fft.irfft(spectrum, size)[first : first + n]
             values = values + movements[name].scaled(noise).columns(like).values
         return products(Columns(values, like.present, like.time_step, like.parameters))
 
     place = np.arange(n + 2 * reach) % SIGNS.shape[1]
     return jnp.mean(jax.lax.map(once, jnp.asarray(SIGNS[:, place])), axis=0)
-
-
-def _filtered(
-    signs: Float[Array, " m"], taps: Float[Array, " taps"], reach: int, n: int
-) -> Float[Array, " n"]:
-    """n samples of white noise, which begins `reach` samples earlier, through a kernel."""
-    size = signs.shape[0] + taps.shape[-1]
-    spectrum = jnp.fft.rfft(signs, size) * jnp.fft.rfft(taps, size)
-    first = reach + taps.shape[-1] // 2
-    return jnp.fft.irfft(spectrum, size)[first : first + n]

@@ -93,7 +93,13 @@ def running_integral(
     order = min(order, 2 * (samples.shape[1] // 2))
     if order > 2:
         higher = _interval_integrals(samples, order, unpadded)
-        areas = higher if present is None else jnp.where(_intact(present, order), higher, areas)
+        if present is None:
+            areas = higher
+        else:  # where every sample of an interval's polynomial is present
+            n = present.shape[0]
+            absent = jnp.pad(jnp.cumsum(~present), (1, 0))
+            first = np.clip(np.arange(n - 1) - (order // 2 - 1), 0, n - order)
+            areas = jnp.where((absent[first + order] == absent[first])[None, :], higher, areas)
     return jnp.pad(running_sum(areas), ((0, 0), (1, 0)))
 
 
@@ -127,14 +133,6 @@ def _interval_integrals(
     behind = jnp.stack(last, 1)
     areas = jnp.concatenate([jnp.stack(first, 1), middle, behind], axis=1)
     return jax.lax.dynamic_update_slice_in_dim(areas, behind, end - 1 - reach, axis=1)
-
-
-def _intact(present: Bool[Array, " n"], order: int) -> Bool[Array, "1 n-1"]:
-    """Where every sample of an interval's polynomial is present."""
-    n, reach = present.shape[0], order // 2 - 1
-    absent = jnp.pad(jnp.cumsum(~present), (1, 0))
-    first = np.clip(np.arange(n - 1) - reach, 0, n - order)
-    return (absent[first + order] == absent[first])[None, :]
 
 
 def unpadded_mean(

@@ -660,9 +660,33 @@ class Sums:
                 continue
             strongest = max(rough, key=lambda one: _without(search, chosen, one))
             beside = [one for one in chosen if one.simple or one.family in near]
-            for family in self._kin(strongest.family):
-                self._narrow(stage, found, family, beside)
+            # Of laws with a memory all of the same signal: rough widths tell none from the others.
+            law, families = self.shape(strongest.family), [strongest.family]
+            if law.remember is not None:
+                shapes = [each for each in self.candidates if isinstance(each, Shaped)]
+                families = [s.name for s in shapes if s.remember is not None and s.of == law.of]
+            for family in families:
+                self.narrow(stage, found, family, beside)
                 near.add(family)
+
+    def narrow(
+        self, stage: int, found: Mapping[str, float], family: str, beside: Sequence[Offer]
+    ) -> None:
+        """Move the widths of a law to where it leaves least."""
+        for _ in range(CLOSER):
+            search = self.search(stage, found)
+            each = [search.left([*beside, o]) for o in search.every if o.family == family]
+            left = np.array([np.inf if one is None else one.motion.sum() for one in each])
+            best = int(np.argmin(left))
+            at_best = each[best]
+            if at_best is None:
+                return
+            near = left[max(best - 1, 0) : best + 2] - left[best]
+            if np.all(near < ALIKE * self.least * at_best.samples.sum()):
+                return
+            closer = self.shape(family).closer(best)
+            self.candidates = [closer if one.name == family else one for one in self.candidates]
+            self.sum_up()
 
     def width_error(self, search: Search, chosen: Sequence[Offer], one: Offer) -> float:
         """Standard error of a law's width; nan where it lies at the end of what was tried.
@@ -691,34 +715,6 @@ class Sums:
         slopes = ((above - at) * low / high + (at - below) * high / low) / (low + high)
         bend = 2 * np.sum((above - at) / high - (at - below) / low) / (low + high)
         return float(np.sqrt(np.sum(slopes**2)) / bend) if bend > 0 else float("nan")
-
-    def _kin(self, family: str) -> list[str]:
-        """A law, and of laws with a memory all of the same signal: rough widths tell none of them
-        from the others."""
-        one = self.shape(family)
-        if one.remember is None:
-            return [family]
-        shapes = [each for each in self.candidates if isinstance(each, Shaped)]
-        return [s.name for s in shapes if s.remember is not None and s.of == one.of]
-
-    def _narrow(
-        self, stage: int, found: Mapping[str, float], family: str, beside: Sequence[Offer]
-    ) -> None:
-        """Move the widths of a law to where it leaves least."""
-        for _ in range(CLOSER):
-            search = self.search(stage, found)
-            each = [search.left([*beside, o]) for o in search.every if o.family == family]
-            left = np.array([np.inf if one is None else one.motion.sum() for one in each])
-            best = int(np.argmin(left))
-            at_best = each[best]
-            if at_best is None:
-                return
-            near = left[max(best - 1, 0) : best + 2] - left[best]
-            if np.all(near < ALIKE * self.least * at_best.samples.sum()):
-                return
-            closer = self.shape(family).closer(best)
-            self.candidates = [closer if one.name == family else one for one in self.candidates]
-            self.sum_up()
 
 
 def _without(search: Search, chosen: Sequence[Offer], one: Offer) -> float:

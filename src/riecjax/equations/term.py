@@ -257,16 +257,6 @@ class RoofFunctions(AbstractBasis):
         """`1`, `2`, ... in the order of the break points."""
         return tuple(str(i + 1) for i in range(self.break_points.shape[0]))
 
-    def _segment(self, x: Array) -> tuple[Array, Array]:
-        """The segment that x lies on (the nearest one outside) and its share along it."""
-        points = self.break_points
-        last = points.shape[0] - 2
-        # Comparing with the inner points vectorises where a binary search does not.
-        inside = [(x >= points[i]).astype(jnp.int32) for i in range(1, last + 1)]
-        below = sum(inside, start=jnp.zeros(jnp.shape(x), jnp.int32))
-        share = (x - points[below]) / (points[below + 1] - points[below])
-        return below, share
-
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "points n"]:
         """R_i(x) for every i."""
         # Each roof looks at x by itself: to look up the segment of x takes four times as long.
@@ -283,7 +273,13 @@ class RoofFunctions(AbstractBasis):
 
     def interpolate(self, values: Float[Array, " points"], x: Array) -> Array:
         """`sum values_i R_i(x)`, without forming the functions; x of any shape."""
-        below, share = self._segment(x)
+        # The segment that x lies on (the nearest one outside), and its share along it.
+        points = self.break_points
+        last = points.shape[0] - 2
+        # Comparing with the inner points vectorises where a binary search does not.
+        inside = [(x >= points[i]).astype(jnp.int32) for i in range(1, last + 1)]
+        below = sum(inside, start=jnp.zeros(jnp.shape(x), jnp.int32))
+        share = (x - points[below]) / (points[below + 1] - points[below])
         return values[below] * (1 - share) + values[below + 1] * share
 
 

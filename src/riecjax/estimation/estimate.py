@@ -173,12 +173,12 @@ class AbstractEstimate(Saved, eqx.Module):
         """
         host = on_host(self)
         if not self.batch_shape:
-            return host._findings()
+            return list(host._findings())
         first: dict[str, Finding] = {}
         concerned: dict[str, int] = {}
         for place in np.ndindex(self.batch_shape):
             at = ", ".join(map(str, place))
-            said = host.member(*place)._findings()
+            said = list(host.member(*place)._findings())
             for finding in said:
                 message = f"first in member {at}: {finding.message}"
                 first.setdefault(finding.code, finding._replace(message=message))
@@ -190,7 +190,7 @@ class AbstractEstimate(Saved, eqx.Module):
             for code, finding in first.items()
         ]
 
-    def _findings(self) -> list[Finding]:
+    def _findings(self) -> Iterator[Finding]:
         """Of one estimate."""
         raise NotImplementedError
 
@@ -424,26 +424,91 @@ class Estimate(AbstractEstimate):
         finite = namespace(self.theta).isfinite(self.theta).all(axis=-1)
         return finite & (self.rank == len(self.parameters))
 
-    def _findings(self) -> list[Finding]:
+    def _findings(self) -> Iterator[Finding]:
+        yield from self.doubts
         if lost := list(self._without_answer()):
-            return [*self.doubts, *lost, *self._coverage(), *self._precision()]
-        return [
-            *self.doubts,
-            *self._conditioning(),
-            *self.few_blocks(),
-            *self.leaning(),
-            *self._wide_intervals(),
-            *self._lags(),
-            *self.negative_values(),
-            *self._residuals(),
-            *self._shrinking(),
-            *self.disagreement(),
-            *self._coverage(),
-            *self._few_windows(),
-            *self._snapped(),
-            *self.rarely_excited(),
-            *self._precision(),
-        ]
+            yield from (*lost, *self._coverage(), *self._precision())
+            return
+        if float(self.condition_number) > gram_condition_limit(self.theta.dtype):
+            yield Finding(
+                "ill_conditioned",
+                f"the regressors are nearly collinear (condition number "
+                f"{float(self.condition_number):.2g}); the least certain combination is "
+                f"{self.weakest_combination()}.",
+            )
+        yield from (*self.few_blocks(), *self.leaning())
+        sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
+        ends = self.interval_by_name()
+        for name, size in zip(self.parameters, sizes):
+            low, high = ends[name]
+            # A parameter near zero is well determined if its term could not matter.
+            matters = (high - low) / 2 * float(size) > MATTERING_SHARE
+            if high - low > 2 * abs(float(self[name])) and matters:
+                yield Finding(
+                    "interval_wider_than_estimate",
+                    f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
+                    f"hardly determine it.",
+                    parameters=(name,),
+                )
+        # Springs in series whose lag c / K is not told from none, and with it K from infinity.
+        for name, error in zip(self.parameters, self.standard_errors):
+            value = float(self[name])
+            if is_stiffness_name(name) and abs(value) < TOLD_LAG * float(error):
+                yield Finding(
+                    "series_spring_not_carried",
+                    f"the lag behind {name} is {abs(value) / float(error):.2g} standard errors "
+                    f"away from none: any stiffer spring would do, whatever the interval says. "
+                    f"Leave it out.",
+                    parameters=(name,),
+                )
+        yield from self.negative_values()
+        for name, equation in self.equations.items():
+            if (share := float(equation.relative_rms)) > LARGE_RESIDUAL:
+                yield Finding(
+                    "large_residual",
+                    f"{name}: the model leaves {100 * share:.0f} % of the signal unexplained, so "
+                    f"it is wrong in some important way.",
+                    parameters=equation.parameters,
+                )
+        # Equations without a known term that move their coefficients by more than chance.
+        errors, values = dict(zip(self.parameters, self.standard_errors)), self.values
+        for name, equation in self.equations.items():
+            share = float(equation.shrinkage)
+            chance = [float(errors[n] / abs(values[n])) for n in equation.parameters if values[n]]
+            if share > np.clip(min(chance, default=0.0), LEAST_SHRINKAGE, NOTABLE_SHRINKAGE):
+                yield Finding(
+                    "no_known_term",
+                    f"{name}: no term of it is known, so that its residual pulls "
+                    f"{', '.join(equation.parameters)} towards zero, by about {100 * share:.2g} %. "
+                    f"Solve it after the equations that set their scale (riecjax.staged); where "
+                    f"those do not determine them, hold one at a known value (on the command "
+                    f"line: --set NAME=VALUE).",
+                    parameters=equation.parameters,
+                )
+        yield from (*self.disagreement(), *self._coverage())
+        # What moments leave of data that fit to their rounding says nothing of errors.
+        rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
+        told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
+        few = np.asarray(self.effective_windows) < FEWEST_WINDOWS
+        names, listed = self._where(few & told, self.effective_windows)
+        if names:
+            yield Finding(
+                "few_effective_windows",
+                f"errors of overlapping windows are correlated: all of them tell as much as so "
+                f"many independent ones of {listed}. With fewer than {FEWEST_WINDOWS} an interval "
+                f"is rough. Record for longer.",
+                parameters=names,
+            )
+        if self.summary is not None and self.summary.asked is not None:
+            alpha, beta = self.summary.asked
+            low, high = self.summary.lengths_of(self.summary.band)
+            yield Finding(
+                "band_snapped",
+                f"windows of {alpha:.4g} to {beta:.4g} s were asked for; sums are kept by bins of "
+                f"length, and those from {low:.4g} to {high:.4g} s were taken. Summarise anew with "
+                f"these as alpha and beta for exactly that band.",
+            )
+        yield from (*self.rarely_excited(), *self._precision())
 
     def _without_answer(self) -> Iterator[Finding]:
         """What `identify` refuses where it can look at values; of a batch it is found here."""
@@ -467,70 +532,6 @@ class Estimate(AbstractEstimate):
                 parameters=stage.parameters,
             )
 
-    def _conditioning(self) -> Iterator[Finding]:
-        if float(self.condition_number) > gram_condition_limit(self.theta.dtype):
-            yield Finding(
-                "ill_conditioned",
-                f"the regressors are nearly collinear (condition number "
-                f"{float(self.condition_number):.2g}); the least certain combination is "
-                f"{self.weakest_combination()}.",
-            )
-
-    def _wide_intervals(self) -> Iterator[Finding]:
-        sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
-        ends = self.interval_by_name()
-        for name, size in zip(self.parameters, sizes):
-            low, high = ends[name]
-            # A parameter near zero is well determined if its term could not matter.
-            matters = (high - low) / 2 * float(size) > MATTERING_SHARE
-            if high - low > 2 * abs(float(self[name])) and matters:
-                yield Finding(
-                    "interval_wider_than_estimate",
-                    f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
-                    f"hardly determine it.",
-                    parameters=(name,),
-                )
-
-    def _lags(self) -> Iterator[Finding]:
-        """Springs in series whose lag c / K is not told from none, and with it K from infinity."""
-        for name, error in zip(self.parameters, self.standard_errors):
-            value = float(self[name])
-            if is_stiffness_name(name) and abs(value) < TOLD_LAG * float(error):
-                yield Finding(
-                    "series_spring_not_carried",
-                    f"the lag behind {name} is {abs(value) / float(error):.2g} standard errors "
-                    f"away from none: any stiffer spring would do, whatever the interval says. "
-                    f"Leave it out.",
-                    parameters=(name,),
-                )
-
-    def _residuals(self) -> Iterator[Finding]:
-        for name, equation in self.equations.items():
-            if (share := float(equation.relative_rms)) > LARGE_RESIDUAL:
-                yield Finding(
-                    "large_residual",
-                    f"{name}: the model leaves {100 * share:.0f} % of the signal unexplained, so "
-                    f"it is wrong in some important way.",
-                    parameters=equation.parameters,
-                )
-
-    def _shrinking(self) -> Iterator[Finding]:
-        """Equations without a known term that move their coefficients by more than chance."""
-        errors, values = dict(zip(self.parameters, self.standard_errors)), self.values
-        for name, equation in self.equations.items():
-            share = float(equation.shrinkage)
-            chance = [float(errors[n] / abs(values[n])) for n in equation.parameters if values[n]]
-            if share > np.clip(min(chance, default=0.0), LEAST_SHRINKAGE, NOTABLE_SHRINKAGE):
-                yield Finding(
-                    "no_known_term",
-                    f"{name}: no term of it is known, so that its residual pulls "
-                    f"{', '.join(equation.parameters)} towards zero, by about {100 * share:.2g} %. "
-                    f"Solve it after the equations that set their scale (riecjax.staged); where "
-                    f"those do not determine them, hold one at a known value (on the command "
-                    f"line: --set NAME=VALUE).",
-                    parameters=equation.parameters,
-                )
-
     def _coverage(self) -> Iterator[Finding]:
         for label, stage, offered in zip(self.stage_names, self.stages, self.rows_offered):
             lost = 1 - float(stage.count) / float(offered)
@@ -546,32 +547,6 @@ class Estimate(AbstractEstimate):
                 f"the records hold only {int(self.block_count)} blocks of "
                 f"{float(self.block_length):.3g} s that may be taken as independent; intervals are "
                 f"rough. Record for longer or choose a smaller beta.",
-            )
-
-    def _few_windows(self) -> Iterator[Finding]:
-        # What moments leave of data that fit to their rounding says nothing of errors.
-        rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
-        told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
-        few = np.asarray(self.effective_windows) < FEWEST_WINDOWS
-        names, listed = self._where(few & told, self.effective_windows)
-        if names:
-            yield Finding(
-                "few_effective_windows",
-                f"errors of overlapping windows are correlated: all of them tell as much as so "
-                f"many independent ones of {listed}. With fewer than {FEWEST_WINDOWS} an interval "
-                f"is rough. Record for longer.",
-                parameters=names,
-            )
-
-    def _snapped(self) -> Iterator[Finding]:
-        if self.summary is not None and self.summary.asked is not None:
-            alpha, beta = self.summary.asked
-            low, high = self.summary.lengths_of(self.summary.band)
-            yield Finding(
-                "band_snapped",
-                f"windows of {alpha:.4g} to {beta:.4g} s were asked for; sums are kept by bins of "
-                f"length, and those from {low:.4g} to {high:.4g} s were taken. Summarise anew with "
-                f"these as alpha and beta for exactly that band.",
             )
 
     def _precision(self) -> Iterator[Finding]:

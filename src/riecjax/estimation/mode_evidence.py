@@ -6,7 +6,7 @@ noise. A mode that is not there explains nothing of a fold but by chance, wherev
 put it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,9 +17,9 @@ from jaxtyping import Array, Float
 
 from riecjax.compilation import kept_jit
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_elements import Expanded, HiddenMode, ModeParameters, mode_frequency
+from riecjax.equations.hidden_elements import Expanded, ModeParameters, mode_frequency
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.errors import IdentifiabilityError, ModelError
+from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.hidden_modes import (
     ZOOMS,
@@ -29,11 +29,9 @@ from riecjax.estimation.hidden_modes import (
     mode_map,
     polished,
 )
-from riecjax.estimation.identify import identify
 from riecjax.estimation.mode_windows import find_modes, search_band
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, on_host
-from riecjax.records.record import Records
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import NormalEquations
 
@@ -116,17 +114,17 @@ class ModeEvidence(Drawn):
 
     def findings(self) -> list[Finding]:
         """Warnings if nothing speaks for the mode, or little, and of modes found elsewhere."""
-        return [*self._not_carried(), *self._elsewhere()]
-
-    def _elsewhere(self) -> Iterator[Finding]:
-        for names, asked, found in self.strays:
-            yield Finding(
+        elsewhere = [
+            Finding(
                 "mode_elsewhere",
                 f"{self.stage}: no mode near {asked:.4g} Hz: the search for {names.mass} ended at "
                 f"{found:.3g} Hz. If the record carries both, ask for both (on the command line: "
                 f"--add-mode {self.on}={asked:.4g} --add-mode {self.on}={found:.3g}).",
                 parameters=tuple(names),
             )
+            for names, asked, found in self.strays
+        ]
+        return [*self._not_carried(), *elsewhere]
 
     def _not_carried(self) -> list[Finding]:
         if self.carried:
@@ -187,9 +185,20 @@ def mode_evidence(
             positive = min(mass, stiffness, damping) > 0
             oscillates = positive and damping**2 < 4 * mass * stiffness
             on = procedure.mode_named(own[-1]).on
-            shape = _shape(own[-1], estimate)
+            # Frequency and damping ratio, with errors by their logarithms' slopes:
+            # log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
+            carried = {name: jnp.asarray(estimate[name]) for name in own[-1]}
+            places = [estimate.parameters.index(name) for name in own[-1]]
+            size = np.array([float(carried[name]) for name in own[-1]])
+            relative = np.asarray(estimate.covariance)[np.ix_(places, places)] / np.outer(
+                size, size
+            )
+            slopes = np.array([[-0.5, 0.5, 0.0], [-0.5, -0.5, 1.0]])
+            errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, relative, slopes))
+            pairs = zip(mode_frequency(carried, own[-1]), errors)
+            at, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in pairs)
             evidence.append(
-                ModeEvidence(own[-1], label, on, *shape, oscillates, *raw, lengths, strays)
+                ModeEvidence(own[-1], label, on, at, ratio, oscillates, *raw, lengths, strays)
             )
         known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}
     return evidence
@@ -213,24 +222,6 @@ def _seen(
     for found in (stray.found for stray in strays if stray.parameters == names):
         low, high = np.minimum(low, found / NEAR), np.maximum(high, found * NEAR)
     return low, high
-
-
-def _shape(
-    names: ModeParameters, estimate: Estimate
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Frequency and damping ratio, with errors that their logarithms' slopes make of those found.
-
-    log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
-    """
-    values = {name: jnp.asarray(estimate[name]) for name in names}
-    found = mode_frequency(values, names)
-    at = [estimate.parameters.index(name) for name in names]
-    size = np.array([float(values[name]) for name in names])
-    relative = np.asarray(estimate.covariance)[np.ix_(at, at)] / np.outer(size, size)
-    slopes = np.array([[-0.5, 0.5, 0.0], [-0.5, -0.5, 1.0]])
-    errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, relative, slopes))
-    frequency, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in zip(found, errors))
-    return frequency, ratio
 
 
 @kept_jit
@@ -289,53 +280,3 @@ def _in_folds(sums: NormalEquations) -> Float[Array, "folds columns columns"]:
     before = jnp.cumsum(flat.count) - 0.5 * flat.count
     place = jnp.clip(FOLDS * before / jnp.sum(flat.count), 0, FOLDS - 1).astype(int)
     return jax.ops.segment_sum(flat.clean, place, num_segments=FOLDS)
-
-
-# How many hidden modes recordings carry: one more as long as it is carried.
-
-MOST = 2
-"""Modes that are tried unless more are asked for: each takes two more derivatives of the motion."""
-
-
-class CarriedModes(NamedTuple):
-    """Hidden modes that recordings carry.
-
-    **Fields:** `procedure` with as many modes as are carried, and its `estimate`; `evidence` for
-    each mode that was tried, of which the last may not be carried.
-    """
-
-    procedure: Procedure
-    estimate: Estimate
-    evidence: tuple[ModeEvidence, ...]
-
-
-def carried_modes(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
-    on: str,
-    *,
-    most: int = MOST,
-    known: Mapping[str, float | Array] | None = None,
-) -> CarriedModes:
-    """Add hidden modes on one body as long as they predict time that they were not found from.
-
-    **Arguments:** `on`, the body's velocity, see [`HiddenMode`][riecjax.HiddenMode]; `most` modes
-    to try; `model`, `records` and `known` as for [`identify`][riecjax.identify].
-
-    **Raises:** as [`identify`][riecjax.identify] of the model without modes.
-    """
-    procedure = as_procedure(model)
-    estimate, evidence = identify(procedure, records, known=known or {}), []
-    for _ in range(most):
-        further = procedure.with_modes(HiddenMode(on))
-        try:
-            tried = identify(further, records, known=known or {})
-        except IdentifiabilityError:
-            break  # it cannot be told from those that are there
-        names = ModeParameters.of(len(procedure.modes))
-        new = next(one for one in mode_evidence(further, tried) if one.parameters == names)
-        evidence.append(new)
-        if not new.carried:
-            break
-        procedure, estimate = further, tried
-    return CarriedModes(procedure, estimate, tuple(evidence))

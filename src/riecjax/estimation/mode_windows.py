@@ -6,7 +6,6 @@ stage's equations are linearised, and from then on they are as any others.
 """
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -66,7 +65,21 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
     stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
     signal that tells of an element never moves.
     """
-    _require_whole_elements(procedure, given)
+    for number, _ in enumerate(procedure.modes):
+        names = ModeParameters.of(number)
+        held = [name for name in names if name in given]
+        if held and len(held) < 3:
+            raise ModelError(
+                f"of a hidden mode all of {', '.join(names)} are known or none; got "
+                f"{', '.join(held)}."
+            )
+    for number, spring in enumerate(procedure.springs):
+        coefficient, stiffness = SpringParameters.of(number, spring)
+        if stiffness in given and coefficient not in given:
+            raise ModelError(
+                f"of a spring in series {stiffness} is known only where {coefficient} is; leave "
+                f"it out, or give both."
+            )
     known = {name: jnp.asarray(value) for name, value in given.items()}
     found, shown = FoundModes([], [], [], [], [], jnp.array(True)), jnp.array(True)
     equations, sources = summary.equations(), summary.noise_by_source()
@@ -83,8 +96,15 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
             asked = (where, wanted)
             used, at, band, there = _in_best_windows(expanded, summary, i, known, asked, rank)
             shown = shown & there
-            if looked_at:
-                _require_motion(procedure.equation_names[i], equations[i], at)
+            # Sums that are not finite themselves are for the fit to refuse.
+            finite = looked_at and all(bool(np.isfinite(e.moments).all()) for e in equations[i])
+            if finite and not bool(np.isfinite(at).all()):
+                raise IdentifiabilityError(
+                    f"{', '.join(procedure.equation_names[i])}: nothing in the record tells of the "
+                    f"hidden element, as a signal that it acts on never moves. Check that signal's "
+                    f"channel, or excite it.",
+                    "not_excited",
+                )
         # What no later equation with an element asks for is left to the fit.
         later = [e for stage in procedure.expanded[i:] for e in stage if e.elements]
         if set(stage.linear) & {name for e in later for name in e.all_parameters}:
@@ -211,22 +231,6 @@ def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " 
     return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
 
 
-def _require_motion(
-    names: tuple[str, ...], equations: list[NormalEquations], at: Float[Array, " shapes"]
-) -> None:
-    """That a search which found nothing at all is said to lack what it searches in.
-
-    Sums that are not finite themselves are for the fit to refuse.
-    """
-    finite = all(bool(jnp.all(jnp.isfinite(one.moments))) for one in equations)
-    if finite and not bool(jnp.all(jnp.isfinite(at))):
-        raise IdentifiabilityError(
-            f"{', '.join(names)}: nothing in the record tells of the hidden element, as a signal "
-            f"that it acts on never moves. Check that signal's channel, or excite it.",
-            "not_excited",
-        )
-
-
 def search_band(
     procedure: Procedure, summary: Summary, names: HiddenParameters
 ) -> tuple[Leaf, Leaf]:
@@ -248,24 +252,6 @@ def search_band(
     # which shows below its corner, to a sixth of a sample.
     highest = 1 / (8 * step) if isinstance(names, ModeParameters) else 1 / step
     return 0.5 / windows.beta, highest
-
-
-def _require_whole_elements(procedure: Procedure, known: Mapping[str, object]) -> None:
-    for number, _ in enumerate(procedure.modes):
-        names = ModeParameters.of(number)
-        held = [name for name in names if name in known]
-        if held and len(held) < 3:
-            raise ModelError(
-                f"of a hidden mode all of {', '.join(names)} are known or none; got "
-                f"{', '.join(held)}."
-            )
-    for number, spring in enumerate(procedure.springs):
-        coefficient, stiffness = SpringParameters.of(number, spring)
-        if stiffness in known and coefficient not in known:
-            raise ModelError(
-                f"of a spring in series {stiffness} is known only where {coefficient} is; leave "
-                f"it out, or give both."
-            )
 
 
 # Sums of a model's own parameters, of which hidden elements make it depend nonlinearly on some.

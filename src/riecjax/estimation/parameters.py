@@ -127,7 +127,14 @@ def plan_parameters(
     """
     require_settings(None, known, per_record)
     sharing = Sharing(procedure.parameters, per_record, record_count)
-    given = _given_values(procedure, sharing, known or {})
+    # Values held fixed, by name over all records: the equations' own and the user's.
+    names = {*procedure.parameters, *sharing.parameters}
+    if unknown := [name for name in known or {} if name not in names]:
+        listed = ", ".join(sharing.parameters)
+        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
+    require_numbers(known or {})
+    held = {**sharing.values(procedure.known), **sharing.values(known or {})}
+    given = {name: jnp.asarray(value, jnp.result_type(float)) for name, value in held.items()}
     # A stage finds what no record has been given, and no earlier stage has found.
     stages = [
         (label, tuple(name for name in sharing.everywhere(names) if name not in given))
@@ -149,23 +156,6 @@ def require_settings(key: object, known: object, per_record: object) -> None:
     require("per_record", per_record, kinds, write)
     for name in per_record if isinstance(per_record, kinds) else ():
         require("a name in per_record", name, str, write)
-
-
-def _given_values(
-    procedure: Procedure, sharing: Sharing, known: Mapping[str, float | Array]
-) -> dict[str, Array]:
-    """Values held fixed, by name over all records: the equations' own and the user's.
-
-    **Raises:** `ModelError` for a name that the model does not have, and for what is no finite
-    number.
-    """
-    names = {*procedure.parameters, *sharing.parameters}
-    if unknown := [name for name in known if name not in names]:
-        listed = ", ".join(sharing.parameters)
-        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
-    require_numbers(known)
-    merged = {**sharing.values(procedure.known), **sharing.values(known)}
-    return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in merged.items()}
 
 
 def require_numbers(known: Mapping[str, Any]) -> None:

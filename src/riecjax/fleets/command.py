@@ -52,7 +52,7 @@ def command(given: Given) -> None:
     model = given.model()
     began = time.monotonic()
     with _Told() as told:
-        asked = replace(asked, out=given.out, progress=told.progress, on_start=told.dashboard)
+        asked = replace(asked, out=given.out, progress=told.progress)
         found = fleet(model, given.files, **asked.keywords())
     emit(
         fleet_document(found, given.arguments, time.monotonic() - began),
@@ -76,22 +76,18 @@ class _Told:
         what, rate = map(progress.TextColumn, ("{task.description}", "{task.fields[rate]}"))
         how_far = (progress.BarColumn(), progress.MofNCompleteColumn())
         columns = (what, *how_far, rate, progress.TimeRemainingColumn())
-        self._bar = progress.Progress(*columns, console=self._console, transient=True)
+        is_silent = not self._console.is_terminal
+        self._bar = progress.Progress(
+            *columns, console=self._console, transient=True, disable=is_silent
+        )
         self._task, self._what, self._tenth, self._began = None, "", 0, 0.0
 
     def __enter__(self) -> "_Told":
-        if self._console.is_terminal:
-            self._bar.start()
+        self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._console.is_terminal:
-            self._bar.stop()
-
-    def dashboard(self, address: str) -> None:
-        """Say where Dask shows what it does."""
-        if self._console.is_terminal:
-            self._bar.console.print(f"Dask's dashboard: {address}", highlight=False)
+        self._bar.stop()
 
     def progress(self, what: str, done: int, total: int, samples: int) -> None:
         """Show how far it is."""
@@ -100,9 +96,9 @@ class _Told:
             self._task = self._bar.add_task(what, total=total, rate="")
         passed = max(time.monotonic() - self._began, 1e-3)
         rate = f"{samples / passed / 1e3:,.0f} thousand samples/s" if samples else ""
-        if self._console.is_terminal and self._task is not None:
-            self._bar.update(self._task, completed=done, total=total, rate=rate)
-        elif total and 10 * done // total > self._tenth:
+        assert self._task is not None
+        self._bar.update(self._task, completed=done, total=total, rate=rate)
+        if not self._console.is_terminal and total and 10 * done // total > self._tenth:
             self._tenth = 10 * done // total
             said = f"riecjax: {what}: {done} of {total}{f', {rate}' if rate else ''}"
             self._console.print(said, markup=False, highlight=False, soft_wrap=True)

@@ -7,10 +7,8 @@
 # time, so that neither the scheduler's memory nor the answers that wait grow with their number.
 
 import contextlib
-import importlib.util
 import itertools
 import logging
-import os
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -38,8 +36,6 @@ AHEAD = 4
 """Tasks for each worker that are handed over."""
 TOGETHER, LARGEST = 16, 2**22
 """Items of a task at most, and bytes of them: enough to take longer than to hand it over."""
-STARTS = 3
-"""Times that starting this machine's processes is tried."""
 WAITS = 30.0
 """Seconds to wait for a scheduler that does not answer, and for processes to come back."""
 
@@ -74,8 +70,6 @@ def batches(items: Iterable[Item], size: Callable[[Item], int], most: int) -> It
 class Here(contextlib.AbstractContextManager):
     """This process, one task after the other."""
 
-    dashboard = ""
-
     def each(
         self, task: Task[Item], asked: bytes, items: Iterable[Item], size: Callable[[Item], int]
     ) -> Iterator[tuple[list[Item], Any]]:
@@ -94,14 +88,30 @@ class Cluster(contextlib.AbstractContextManager):
 
         **Raises:** `DataError` where the scheduler does not answer.
         """
+        import dask.config
         import distributed
 
         self._scheduler, self._processes = scheduler, None
         with contextlib.ExitStack() as opened:
-            opened.enter_context(_settings())
+            # What Dask logs of lost workers is told by the tasks that they cost.
+            log = logging.getLogger("distributed")
+            opened.callback(log.setLevel, log.level)
+            log.setLevel(logging.CRITICAL)
+            opened.enter_context(dask.config.set(SETTINGS))
             try:
                 if scheduler is None:
-                    self._processes = _started(opened, workers or cores())
+                    folder = tempfile.TemporaryDirectory(prefix="riecjax-")
+                    self._processes = opened.enter_context(
+                        distributed.LocalCluster(
+                            n_workers=workers,
+                            threads_per_worker=1,
+                            processes=True,
+                            dashboard_address=None,
+                            host="127.0.0.1",
+                            local_directory=opened.enter_context(folder),
+                            silence_logs=logging.CRITICAL,
+                        )
+                    )
                 self._client = opened.enter_context(
                     distributed.Client(
                         scheduler or self._processes,
@@ -120,7 +130,6 @@ class Cluster(contextlib.AbstractContextManager):
                 ) from None
             self._open = opened.pop_all()
         self.workers = max(len(self._client.scheduler_info()["workers"]), 1)
-        self.dashboard = self._client.dashboard_link if _has_bokeh() else ""
 
     def each(
         self, task: Task[Item], asked: bytes, items: Iterable[Item], size: Callable[[Item], int]
@@ -205,50 +214,3 @@ Engine = Here | Cluster
 def engine(workers: int | None, scheduler: str | None) -> Engine:
     """Where tasks run: `workers` processes, none of them for this one; or a scheduler's workers."""
     return Here() if scheduler is None and workers == 0 else Cluster(workers, scheduler)
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _has_bokeh() -> bool:
-    return importlib.util.find_spec("bokeh") is not None
-
-
-@contextlib.contextmanager
-def _settings() -> Iterator[None]:
-    """Dask's for this run. What it logs of lost workers is told by the tasks that they cost."""
-    import dask.config
-
-    log = logging.getLogger("distributed")
-    before = log.level
-    log.setLevel(logging.CRITICAL)
-    try:
-        with dask.config.set(SETTINGS):
-            yield
-    finally:
-        log.setLevel(before)
-
-
-def _started(opened: contextlib.ExitStack, workers: int) -> Any:
-    """Processes of this machine, which end with the stack."""
-    import distributed
-
-    settings = {
-        "n_workers": workers,
-        "threads_per_worker": 1,
-        "processes": True,
-        "dashboard_address": "127.0.0.1:0" if _has_bokeh() else None,
-        "host": "127.0.0.1",
-        "local_directory": opened.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-")),
-        "silence_logs": logging.CRITICAL,
-    }
-    # A process that is killed while it starts takes the others with it.
-    for tries_left in reversed(range(STARTS)):
-        try:
-            return opened.enter_context(distributed.LocalCluster(**settings))
-        except RuntimeError:
-            if not tries_left:
-                raise
-    return None

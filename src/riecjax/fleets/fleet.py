@@ -4,11 +4,11 @@ import contextlib
 import dataclasses
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from riecjax import DOLS, BlockBootstrap, DataError, Equation, ModelError, Summary
-from riecjax.criteria import AbstractCriterion, criterion_for
+from riecjax import BlockBootstrap, DataError, Equation, ModelError, Summary
+from riecjax.criteria import criterion_for
 from riecjax.equations import HasProcedure, Procedure
 from riecjax.errors import require
 from riecjax.estimation import plan_parameters
@@ -18,19 +18,15 @@ from riecjax.fleets.groups import Entry, estimated, grouped, named
 from riecjax.fleets.kept import ESTIMATES, SumStore, is_result, is_table, read_rows, write_batches
 from riecjax.fleets.order import Order
 from riecjax.fleets.report import Fleet
-from riecjax.fleets.settings import Fleets
+from riecjax.fleets.settings import Fleets, Progress
 from riecjax.fleets.sources import Piece, Source, find_sources
 from riecjax.fleets.spread import changes, spreads
 from riecjax.fleets.sums import DONE, Row, lost, sum_up
 from riecjax.models import as_model
-from riecjax.settings import Reading
-from riecjax.settings.option import taking
+from riecjax.settings import Reading, taking
 from riecjax.whole_files import no_folder
 
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
-
-Progress = Callable[[str, int, int, int], None]
-"""Told what is being done, how much of it is, of how much, and how many samples that were."""
 
 
 @taking(Fleets)
@@ -64,50 +60,38 @@ def fleet(
     require_packages("fleet")
     require("patterns", patterns, str | os.PathLike | list | tuple, PATTERNS)
     listed = [patterns] if isinstance(patterns, str | os.PathLike) else [*patterns]
-    for pattern in listed:
+    for pattern in listed or [None]:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
-    model, seed = as_model(model), settings.seed
-    criterion = criterion_for(settings, model.build_procedure(), model.band, ())
-    usual = settings.intervals in (None, "bootstrap")
-    asked = Order(
-        model,
-        criterion or DOLS(),
-        reading=settings.reading,
-        by=settings.keys,
-        storage=settings.storage or {},
-        at_rest=settings.at_rest,
-        known=settings.known,
-        intervals=BlockBootstrap(seed=seed) if usual else settings.intervals,
-        span=settings.span,
-    )
     tell: Progress = settings.progress or (lambda *_: None)
+    if settings.intervals in (None, "bootstrap"):
+        settings = dataclasses.replace(settings, intervals=BlockBootstrap(seed=settings.seed))
+    settings = dataclasses.replace(settings, progress=None, storage=settings.storage or {})
+    asked = Order(as_model(model), settings)
     with contextlib.ExitStack() as stack:
         folder = Path(
             settings.out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))
         )
 
         def look() -> list[Source]:
-            return find_sources(listed, asked.storage, lambda path: is_result(folder, path))
+            return find_sources(listed, settings.storage, lambda path: is_result(folder, path))
 
         table, sources = Path(listed[0]), []
         if has_table := len(listed) == 1 and is_table(table):
-            order = _order_of(table, asked, criterion)
+            order = _order_of(table, asked)
         else:
             sources = look()
-            order = asked.fitted(sources, criterion)
-            plan_parameters(order.procedure, 1, order.known, ())
+            order = asked.fitted(sources)
+            plan_parameters(order.procedure, 1, settings.known, ())
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise DataError(no_folder(folder, error)) from None
         store = None if has_table else SumStore(folder, order)
         runs = stack.enter_context(engine(settings.workers, settings.scheduler))
-        if settings.on_start is not None and runs.dashboard:
-            settings.on_start(runs.dashboard)
         changed: list[str] = []
         if store is not None:
             pieces = [*order.pieces_of(sources)]
-            _sum(order, pieces, store, runs, settings.strict, tell)
+            _sum(order, pieces, store, runs, tell)
             table = store.finish([piece.identity for piece in pieces])
             later = [piece for piece in order.pieces_of(look()) if piece.identity not in store]
             changed = sorted({piece.source.name for piece in later})
@@ -132,23 +116,25 @@ def fleet(
     return found
 
 
-def _order_of(table: Path, asked: Order, criterion: AbstractCriterion | None) -> Order:
+def _order_of(table: Path, asked: Order) -> Order:
     """The order with what the recordings of an earlier run were summed by.
 
     **Raises:** `DataError` for settings by which no sample can be read again; `ModelError` for sums
     of another model, or by another criterion than is asked for.
     """
-    if said := [name for name in asked.reading.options() if asked.reading.says(name)]:
+    settings = asked.settings
+    if unheeded := [name for name in Reading.options() if settings.says(name)]:
         raise DataError(
             f"{table.name} holds sums, of which no sample is read again: it cannot heed "
-            f"{', '.join(said)}. Leave that out, or give the recordings."
+            f"{', '.join(unheeded)}. Leave that out, or give the recordings."
         )
     row = next((row for row in read_rows(table) if row.status == DONE), None)
     if row is None:
         raise DataError(f"{table.name}: no recording of it could be summed.")
     summary = Summary.from_bytes(row.sums)
-    order = dataclasses.replace(asked, criterion=summary.criterion, reading=Reading())
+    order = dataclasses.replace(asked, criterion=summary.criterion)
     summary.require_model(order.procedure)
+    criterion = criterion_for(settings, order.procedure, order.model.band, ())
     if criterion is not None and criterion.describe() != summary.criterion.describe():
         raise ModelError(
             f"{table.name} holds sums by {summary.criterion.describe()}; for another criterion sum "
@@ -162,7 +148,6 @@ def _sum(
     pieces: Sequence[Piece],
     store: SumStore,
     runs: Engine,
-    strict: bool,
     tell: Progress,
 ) -> None:
     """Keep the rows of all pieces, of which those that are kept already are not summed again.
@@ -179,7 +164,9 @@ def _sum(
         for some, rows in runs.each(sum_up, order.packed, missing, lambda p: p.source.size):
             if isinstance(rows, Lost):
                 rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
-            if strict and (reason := next((r.status for r in rows if r.status != DONE), "")):
+            if order.settings.strict and (
+                reason := next((r.status for r in rows if r.status != DONE), "")
+            ):
                 raise DataError(reason)
             store.add(rows)
             done += len(some)
@@ -203,7 +190,7 @@ def _estimate(
     count = len({name for name, row in pairs if row.status == DONE})
     done, entries, over_time = 0, [], []
     tell("estimating", 0, count, 0)
-    groups = grouped(pairs, whole, order.by, order.span is not None)
+    groups = grouped(pairs, whole, order.settings.keys, order.settings.span is not None)
     for some, answers in runs.each(estimated, order.packed, groups, lambda group: group.size):
         if isinstance(answers, Lost):
             answers = [[Entry(group.name, 0.0, 0.0, status=answers.why)] for group in some]

@@ -149,10 +149,10 @@ def _entries(order: Order, group: Group) -> Iterator[Entry]:
         yield from _answers(order, (group.name, 0.0, end), sums, lengths, findings)
         return
     # Stretches of about so many seconds, of two blocks at the least.
-    assert order.span is not None
+    assert order.settings.span is not None
     (recording,), (row,) = sums.recordings, group.rows
     seconds, count = float(recording.block_seconds), int(recording.blocks)
-    each = max(round(order.span / seconds), 2)
+    each = max(round(order.settings.span / seconds), 2)
     first = 0
     while first < count:
         last = count if count - first <= 1.5 * each else first + each
@@ -177,8 +177,8 @@ def _answers(
             procedure=order.procedure,
             lengths=lengths[0] if lengths else None,
             findings=findings,
-            known=order.known,
-            intervals=order.intervals,
+            known=order.settings.known,
+            intervals=order.settings.intervals,
         )
         estimate, levels = assessment.estimate, assessment.verdict.parameters
         ends, units = estimate.interval_by_name(), dict(estimate.units)

@@ -135,9 +135,7 @@ def read_rows(file: Path) -> Iterator[Row]:
 
 
 def is_table(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is that of a file of rows."""
-    if not os.fspath(path).endswith(".parquet") or not os.path.isfile(path):
-        return False
+    """Whether a path is that of a file of rows, also of another schema."""
     try:
         with _opened(path):
             return True

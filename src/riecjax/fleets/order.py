@@ -7,21 +7,20 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from riecjax import BlockBootstrap, Model, Recording, read_recordings
-from riecjax.criteria import AbstractCriterion
-from riecjax.equations import AtRest, Procedure, with_rests
+from riecjax import DOLS, Model, Recording, read_recordings
+from riecjax.criteria import AbstractCriterion, criterion_for
+from riecjax.equations import Procedure, with_rests
 from riecjax.errors import DataError, ModelError, reason_of
+from riecjax.fleets.settings import Fleets
 from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, rows_at_hand, stretches
 from riecjax.runtime import collect_seldom, start_jax
-from riecjax.settings import Reading
 from riecjax.summaries import Outline, default_criterion, stretch_starts
 from riecjax.validation import LONGER, sweep_edges
 
@@ -45,43 +44,34 @@ STRETCH = 2**20
 class Order:
     """How each recording is read, summed and grouped, and each group estimated.
 
-    **Fields:** `model`; `criterion`, fitted to what was recorded; `edges` of bins of window lengths
-    in seconds that drift is looked for over, `None` for none; `reading`, how they are read and
-    prepared; `by`, `"file"`, `"folder"`, or names of columns or keys; `starts` of a stretch of a
-    long recording, whose windows have `window` samples at most; `storage`, what fsspec is told;
-    `at_rest`; `known` values; `intervals`; `span` in seconds, of estimates over time, `None` for
-    none.
+    **Fields:** `model`; `settings`; `criterion`, fitted to what was recorded; `edges` of bins of
+    window lengths in seconds that drift is looked for over, `None` for none; `starts` of a stretch
+    of a long recording, whose windows have `window` samples at most.
     """
 
     model: Model
-    criterion: AbstractCriterion
+    settings: Fleets
+    criterion: AbstractCriterion = field(default_factory=DOLS)
     edges: np.ndarray | None = None
-    reading: Reading = field(default_factory=Reading)
-    by: Sequence[str] = ("file",)
     starts: int = 0
     window: int = 0
-    storage: Mapping[str, Any] = field(default_factory=dict)
-    at_rest: AtRest | None = None
-    known: Mapping[str, Any] = field(default_factory=dict)
-    intervals: Any = field(default_factory=BlockBootstrap)
-    span: float | None = None
 
     def recordings_in(self, file: Path) -> list[Recording]:
         """What a file holds, or those of its parts that are asked for.
 
         **Raises:** `DataError`, also for a part that it lacks.
         """
-        return read_recordings(file, **{**self.reading.keywords(), "model": self.model})
+        return read_recordings(file, **{**self.settings.reading.keywords(), "model": self.model})
 
     @functools.cached_property
     def procedure(self) -> Procedure:
         """The model's equations, built once."""
-        return with_rests(self.model.build_procedure(), self.at_rest)
+        return with_rests(self.model.build_procedure(), self.settings.at_rest)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """What recordings are grouped by beside their paths."""
-        return () if self.by[0] in WHOLE_PATHS else tuple(self.by)
+        return () if self.settings.keys[0] in WHOLE_PATHS else self.settings.keys
 
     def columns_in(self, source: Source) -> tuple[str, ...]:
         """What of it only the columns of a source say."""
@@ -103,9 +93,9 @@ class Order:
             "equations": Outline.of(self.procedure.linear).fingerprint,
             "criterion": self.criterion.describe(),
             "edges": None if self.edges is None else self.edges.tolist(),
-            "reading": self.reading.plain(),
+            "reading": self.settings.reading.plain(),
             "columns": self.columns,
-            "at_rest": self.at_rest,
+            "at_rest": self.settings.at_rest,
         }
         written = json.dumps(settings, sort_keys=True, default=repr)
         return hashlib.sha256(written.encode()).hexdigest()
@@ -127,23 +117,20 @@ class Order:
             for module in users_modules:
                 cloudpickle.unregister_pickle_by_value(module)
 
-    def fitted(self, sources: Sequence[Source], criterion: AbstractCriterion | None) -> "Order":
+    def fitted(self, sources: Sequence[Source]) -> "Order":
         """The same with what the first recording that can be read says of how all are sampled.
-
-        **Arguments:** `criterion`; the model's default for that recording, if it is `None`.
 
         **Raises:** what the first recording fails by, where none of the first can be read;
         `ModelError` for a criterion that draws windows.
         """
-        if criterion is not None and criterion.needs_key:
+        first = self._first(sources)
+        criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
+        criterion = criterion or default_criterion(self.model, first, self.settings.noise)
+        if criterion.needs_key:
             raise ModelError(
                 "a fleet sums all windows: give rx.RIEC(rx.AllWindows(alpha, beta)) (on the "
                 "command line: without --windows)."
             )
-        first = self._first(sources)
-        if criterion is None:
-            noise = self.reading.noise
-            criterion = default_criterion(self.model, first, noise)
         edges, step = None, float(first.record.time_step)
         if criterion.in_closed_form and not self.procedure.has_hidden:
             windows = criterion.windows
@@ -168,11 +155,11 @@ class Order:
             # What is wrong with one recording is told by its row.
             try:
                 if source.is_long or (source.is_parquet and columns):
-                    piece = recordings_of(source, columns, self.storage)[0]
+                    piece = recordings_of(source, columns, self.settings.storage)[0]
                     high = min(piece.high, piece.low + LOOKED_AT)
-                    opening = rows_at_hand(piece, piece.low, high, self.storage)
+                    opening = rows_at_hand(piece, piece.low, high, self.settings.storage)
                 else:
-                    opening = at_hand(source, self.storage)
+                    opening = at_hand(source, self.settings.storage)
                 with opening as file:
                     return self.recordings_in(file)[0]
             except Exception as error:
@@ -190,7 +177,9 @@ class Order:
             if source.is_long:
                 # Whoever sums it says why not.
                 with contextlib.suppress(Exception):
-                    recordings = recordings_of(source, self.columns_in(source), self.storage)
+                    recordings = recordings_of(
+                        source, self.columns_in(source), self.settings.storage
+                    )
             for recording in recordings:
                 if recording.stop:
                     yield from stretches(recording, self.starts, self.window)

@@ -9,13 +9,28 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.errors import DataError
+from riecjax import Model
+from riecjax.criteria import AbstractCriterion
+from riecjax.extensions import require_packages
 from riecjax.fleets.groups import Entry
 from riecjax.fleets.spread import ALARMS, RATE, Change, Spread
 from riecjax.fleets.sums import DONE, Row
-from riecjax.models.model import Model
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting import (
+    SCHEMA,
+    Document,
+    Page,
+    Section,
+    Table,
+    View,
+    finite,
+    in_rich,
+    number,
+    print_table,
+    probability,
+    say,
+    versions,
+)
+from riecjax.reporting.charts import (
     BLUE,
     GREY,
     LARGE,
@@ -30,16 +45,6 @@ from riecjax.reporting.charts.chart import (
     in_rows,
     labelled,
 )
-from riecjax.reporting.document import (
-    SCHEMA,
-    Document,
-    finite,
-    number,
-    probability,
-    versions,
-)
-from riecjax.reporting.page import Page, Section
-from riecjax.reporting.tables import Table, View, in_rich, print_table, say
 from riecjax.shows import Shown
 
 LISTED = 50
@@ -47,9 +52,11 @@ LISTED = 50
 SHOWN = 10
 """The same that a terminal shows."""
 NAMED = 3
-"""Groups that a sentence names."""
+"""Groups and parameters that a sentence names."""
 COURSES = 4
 """Recordings whose courses are drawn: those that change first."""
+NUMBERS = ("mean", "std_error", "between", "within", "share", "p_value", "centre")
+"""What is told of a spread."""
 FINEST, HOUR = 1e-3, 3600
 """Seconds of what takes no time, and of an hour."""
 
@@ -101,84 +108,77 @@ class Fleet(Shown):
 
         **Raises:** `DataError` without pandas.
         """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise DataError(
-                'frames need pandas; install it by pip install "riecjax[frames]".'
-            ) from None
+        require_packages("frame")
+        import pandas as pd
+
         return pd.DataFrame([*self.entries, *self.over_time], columns=list(Entry._fields))
 
     def view(self) -> View:
         """What is printed of it."""
         document = fleet_document(self)
-        tables = [spread_table(document), differing_table(document), left_out_table(document)]
-        return View(document["sentence"], tables)
+        tables = tables_of(document, LISTED)
+        return View(document["sentence"], [tables[n] for n in ("spreads", "differing", "left out")])
 
 
-def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0.0) -> Document:
+def fleet_document(fleet: Fleet, command: Sequence[str] = (), seconds: float = 0.0) -> Document:
     """The document that `--json` prints and results.json holds, whatever the fleet's size.
 
     **Arguments:** `command`: the arguments of `riecjax` that made it; `seconds` that it took.
     """
-    answered = [entry for entry in found.entries if entry.status == DONE]
-    groups = {entry.group for entry in answered}
-    summed = [row for row in found.recordings if row.status == DONE]
+    answered = [entry for entry in fleet.entries if entry.status == DONE]
+    groups = sorted({entry.group for entry in answered})
+    summed = [row for row in fleet.recordings if row.status == DONE]
     findings = [(row, json.loads(row.findings)) for row in summed]
     codes = Counter(code for _, some in findings for code in {f["code"] for f in some})
     of_groups = {(e.group, code) for e in answered for code in e.findings.split(",") if code}
-    listed = sorted(groups)[:LISTED]
     # First what puts most in doubt.
     amiss = sorted(
         ((row, some, max(some, key=lambda f: f["doubt"])) for row, some in findings if some),
         key=lambda each: (-each[2]["doubt"], -len(each[1]), each[0].name),
     )
+
+    def spread_entry(spread: Spread) -> Document:
+        verdicts = (str(e.verdict) for e in answered if e.parameter == spread.parameter)
+        return {
+            "unit": spread.unit,
+            **{name: finite(getattr(spread, name)) for name in NUMBERS},
+            "groups": spread.groups,
+            "verdicts": dict(Counter(verdicts).most_common()),
+            "differing": [group._asdict() for group in spread.differing[:LISTED]],
+            "differing_count": len(spread.differing),
+        }
+
     return {
         "schema": SCHEMA,
-        "model": found.model.name,
-        "by": list(found.by),
-        "criterion": found.criterion.describe(),
-        "sentence": sentence(found),
+        "model": fleet.model.name,
+        "by": list(fleet.by),
+        "criterion": fleet.criterion.describe(),
+        "sentence": sentence(fleet),
         "groups": len(groups),
         "recordings": {
             "summed": _count(summed),
-            "left_out": len(found.failures),
-            "samples": found.samples,
+            "left_out": len(fleet.failures),
+            "samples": fleet.samples,
             "seconds": sum(row.seconds for row in summed),
         },
-        "parameters": {
-            spread.parameter: {
-                "unit": spread.unit,
-                **{name: finite(getattr(spread, name)) for name in NUMBERS},
-                "groups": spread.groups,
-                "verdicts": dict(
-                    Counter(
-                        str(e.verdict) for e in answered if e.parameter == spread.parameter
-                    ).most_common()
-                ),
-                "differing": [group._asdict() for group in spread.differing[:LISTED]],
-                "differing_count": len(spread.differing),
-            }
-            for spread in found.spreads
-        },
-        "changes": [change._asdict() for change in found.changes[:LISTED]],
-        "changes_count": len(found.changes),
-        "estimates": [e._asdict() for e in answered if e.group in listed],
+        "parameters": {spread.parameter: spread_entry(spread) for spread in fleet.spreads},
+        "changes": [change._asdict() for change in fleet.changes[:LISTED]],
+        "changes_count": len(fleet.changes),
+        "estimates": [e._asdict() for e in answered if e.group in groups[:LISTED]],
         "findings": dict(codes.most_common()),
         "group_findings": dict(Counter(code for _, code in of_groups).most_common()),
-        "left_out": [{"recording": r.whole_name, "why": r.status} for r in found.failures[:LISTED]],
-        "changed": [*found.changed[:LISTED]],
-        "unanswered": [{"group": e.group, "why": e.status} for e in found.unanswered[:LISTED]],
+        "left_out": [{"recording": r.whole_name, "why": r.status} for r in fleet.failures[:LISTED]],
+        "changed": [*fleet.changed[:LISTED]],
+        "unanswered": [{"group": e.group, "why": e.status} for e in fleet.unanswered[:LISTED]],
         "worst": [
             {
                 "recording": row.whole_name,
                 "codes": list(dict.fromkeys(f["code"] for f in some)),
-                "doubt": worst["doubt"],
-                "message": worst["message"],
+                **{name: worst[name] for name in ("doubt", "message")},
             }
             for row, some, worst in amiss[:LISTED]
         ],
-        "rate": found.rate,
+        "rate": fleet.rate,
         "warnings": [],
         "provenance": {
             "versions": versions(),
@@ -188,173 +188,150 @@ def fleet_document(found: Fleet, command: Sequence[str] = (), seconds: float = 0
     }
 
 
-NUMBERS = ("mean", "std_error", "between", "within", "share", "p_value", "centre")
-
-
 def _count(rows: Iterable[Row]) -> int:
     """Recordings, of which a long one has many rows."""
     return len({(row.name, row.part) for row in rows})
 
 
-def sentence(found: Fleet) -> str:
+def sentence(fleet: Fleet) -> str:
     """What was found, in a sentence or two of plain English."""
-    groups = len({entry.group for entry in found.entries if entry.status == DONE})
-    summed = _count(row for row in found.recordings if row.status == DONE)
-    several = f"{groups} group{'s' if groups != 1 else ''}"
-    head = several if groups == summed else f"{several} of {summed} recordings"
-    standing = [one for one in found.spreads if one.differing]
-    standing.sort(key=lambda one: -max(abs(group.away) for group in one.differing))
-    if not found.spreads:
-        said = f"{head}: too few to compare."
-    elif not standing:
-        said = f"{head}: none differs from the rest by more than chance."
+    groups = len({entry.group for entry in fleet.entries if entry.status == DONE})
+    summed = _count(row for row in fleet.recordings if row.status == DONE)
+    head = f"{groups} group{'s' * (groups != 1)}"
+    head += f" of {summed} recordings" * (groups != summed)
+    differing = [spread for spread in fleet.spreads if spread.differing]
+    differing.sort(key=lambda spread: -max(abs(group.away) for group in spread.differing))
+    if not fleet.spreads:
+        text = f"{head}: too few to compare."
+    elif not differing:
+        text = f"{head}: none differs from the rest by more than chance."
     else:
         clauses = []
-        for spread in standing[:NAMED]:
+        for spread in differing[:NAMED]:
             first = spread.differing[:NAMED]
             listed = ", ".join(f"{group.group} ({100 * group.away:+.2g} %)" for group in first)
             more = len(spread.differing) - len(first)
-            further = f" and {more} more" if more else ""
-            clauses.append(f"{spread.parameter} differs in {listed}{further}")
-        said = f"{head}: {'; '.join(clauses)}."
-    if found.changes:
-        count = len({change.group for change in found.changes})
-        names = sorted({change.parameter for change in found.changes})
-        said += f" Over time {', '.join(names)} changed in {count} recording{'s' * (count > 1)}."
-    if lost := len(found.unanswered):
-        said += f" {lost} group{'s have' if lost > 1 else ' has'} no answer."
-    if lost := len(found.failures):
-        said += f" {lost} recording{'s were' if lost > 1 else ' was'} left out."
-    if lost := len(found.changed):
-        said += (
-            f" {lost} recording{'s' * (lost > 1)} went on changing while summed "
-            f"({found.changed[0]}{', ...' * (lost > 1)}): run it again once nothing writes there."
+            clauses.append(
+                f"{spread.parameter} differs in {listed}{f' and {more} more' * bool(more)}"
+            )
+        text = f"{head}: {'; '.join(clauses)}."
+    if count := len({change.group for change in fleet.changes}):
+        names = ", ".join(sorted({change.parameter for change in fleet.changes}))
+        text += f" Over time {names} changed in {count} recording{'s' * (count > 1)}."
+    if count := len(fleet.unanswered):
+        text += f" {count} group{'s have' if count > 1 else ' has'} no answer."
+    if count := len(fleet.failures):
+        text += f" {count} recording{'s were' if count > 1 else ' was'} left out."
+    if count := len(fleet.changed):
+        text += (
+            f" {count} recording{'s' * (count > 1)} went on changing while summed "
+            f"({fleet.changed[0]}{', ...' * (count > 1)}): run it again once nothing writes there."
         )
-    return said
+    return text
 
 
-def spread_table(document: Document) -> Table:
-    """Each parameter over the groups."""
-    rows = [
+def tables_of(document: Document, most: int) -> dict[str, Table]:
+    """Tables of a document by what they are of; lists are cut short after so many rows."""
+    spreads = document["parameters"]
+
+    def further(whole: int, rows: Sequence[object]) -> str:
+        return f" {whole - len(rows)} more: estimates.parquet." if whole > len(rows) else ""
+
+    estimates = [
         [
-            name,
-            one["unit"],
-            str(one["groups"]),
-            number(one["mean"]),
-            number(one["std_error"], 2),
-            number(one["between"], 2),
-            number(one["within"], 2),
-            f"{100 * one['share']:.0f} %",
-            probability(one["p_value"]),
-            str(one["differing_count"]),
+            *(e[name] for name in ("group", "parameter", "unit")),
+            *(number(e[name]) for name in ("value", "low95", "high95")),
+            e["verdict"],
         ]
-        for name, one in document["parameters"].items()
+        for e in document["estimates"]
     ]
-    header = (
-        *("parameter", "unit", "groups", "mean", "std error", "between", "within"),
-        *("share between", "p", "differ"),
-    )
-    note = (
-        "Between: standard deviation of groups beyond chance; within: the typical standard error "
-        "of a group; share between: of all variance; p: of so much spread by chance."
-    )
-    return Table(header, rows, "Parameters over groups", note)
-
-
-def estimates_table(document: Document, most: int = LISTED) -> Table:
-    """Each group's own values, of no more than so many rows."""
-    rows = [
+    over_groups = [
         [
-            one["group"],
-            one["parameter"],
-            one["unit"],
-            *(number(one[name]) for name in ("value", "low95", "high95")),
-            one["verdict"],
+            *(name, spread["unit"], str(spread["groups"]), number(spread["mean"])),
+            *(number(spread[each], 2) for each in ("std_error", "between", "within")),
+            *(f"{100 * spread['share']:.0f} %", probability(spread["p_value"])),
+            str(spread["differing_count"]),
         ]
-        for one in document["estimates"]
+        for name, spread in spreads.items()
     ]
-    header = ("group", "parameter", "unit", "value", "low 95 %", "high 95 %", "verdict")
-    return Table(header, rows if len(rows) <= most else [], "Parameters of each group")
-
-
-def differing_table(document: Document, most: int = LISTED) -> Table:
-    """Groups that differ from the rest."""
-    rows = [
+    differing = [
         [
-            group["group"],
-            name,
-            number(group["value"]),
-            number(one["centre"]),
-            f"{100 * group['away']:+.2g} %",
-            probability(group["adjusted"]),
+            *(group["group"], name, number(group["value"]), number(spread["centre"])),
+            *(f"{100 * group['away']:+.2g} %", probability(group["adjusted"])),
         ]
-        for name, one in document["parameters"].items()
-        for group in one["differing"][:most]
+        for name, spread in spreads.items()
+        for group in spread["differing"][:most]
     ]
-    header = ("group", "parameter", "value", "most have", "away", "adjusted p")
-    note = (
-        f"Of groups that are called different, {100 * document['rate']:.0f} % are not, on average."
-    )
-    whole = sum(one["differing_count"] for one in document["parameters"].values())
-    note += _further(whole - len(rows))
-    return Table(header, rows, "Groups that differ from the rest", note)
-
-
-def changes_table(document: Document, most: int = LISTED) -> Table:
-    """Steps of parameters over time."""
-    rows = [
+    changes = [
         [
-            change["group"],
-            change["parameter"],
-            number(change["time"], 4),
-            number(change["before"]),
-            number(change["after"]),
+            *(change["group"], change["parameter"], number(change["time"], 4)),
+            *(number(change[side]) for side in ("before", "after")),
         ]
         for change in document["changes"][:most]
     ]
-    header = ("recording", "parameter", "at / s", "before", "after")
-    note = f"In {100 * ALARMS:.0f} % of courses without a step one is found."
-    note += _further(document["changes_count"] - len(rows))
-    return Table(header, rows, "Changes over time", note)
-
-
-def _further(count: int) -> str:
-    return f" {count} more: estimates.parquet." if count else ""
-
-
-def left_out_table(document: Document, most: int = LISTED) -> Table:
-    """Recordings that are in no group, groups that have no answer, and why."""
-    rows = [[one["recording"], one["why"]] for one in document["left_out"][:most]]
-    rows += [[one["group"], one["why"]] for one in document["unanswered"][:most]]
-    return Table(("recording or group", "why"), rows, "Without an answer", numeric=False)
-
-
-def worst_table(document: Document, most: int = LISTED) -> Table:
-    """Recordings with something amiss, the worst first."""
-    rows = [
+    left_out = [[each["recording"], each["why"]] for each in document["left_out"][:most]]
+    left_out += [[each["group"], each["why"]] for each in document["unanswered"][:most]]
+    worst = [
         [
-            one["recording"],
-            ", ".join(one["codes"]),
-            f"{100 * one['doubt']:.2g} %" if one["doubt"] else "",
-            one["message"],
+            *(each["recording"], ", ".join(each["codes"])),
+            *(f"{100 * each['doubt']:.2g} %" if each["doubt"] else "", each["message"]),
         ]
-        for one in document["worst"][:most]
+        for each in document["worst"][:most]
     ]
-    header = ("recording", "findings", "doubt", "the worst of them")
-    return Table(header, rows, "Recordings with something amiss", numeric=False)
+    counts = document["findings"], document["group_findings"]
+    findings = [[c, *(str(of.get(c, 0)) for of in counts)] for c in {**counts[0], **counts[1]}]
+    return {
+        "estimates": Table(
+            ("group", "parameter", "unit", "value", "low 95 %", "high 95 %", "verdict"),
+            estimates if len(estimates) <= LISTED else [],
+            "Parameters of each group",
+        ),
+        "spreads": Table(
+            (
+                *("parameter", "unit", "groups", "mean", "std error", "between", "within"),
+                *("share between", "p", "differ"),
+            ),
+            over_groups,
+            "Parameters over groups",
+            "Between: standard deviation of groups beyond chance; within: the typical standard "
+            "error of a group; share between: of all variance; p: of so much spread by chance.",
+        ),
+        "differing": Table(
+            ("group", "parameter", "value", "most have", "away", "adjusted p"),
+            differing,
+            "Groups that differ from the rest",
+            f"Of groups that are called different, {100 * document['rate']:.0f} % are not, on "
+            f"average."
+            + further(sum(spread["differing_count"] for spread in spreads.values()), differing),
+        ),
+        "changes": Table(
+            ("recording", "parameter", "at / s", "before", "after"),
+            changes,
+            "Changes over time",
+            f"In {100 * ALARMS:.0f} % of courses without a step one is found."
+            + further(document["changes_count"], changes),
+        ),
+        "left out": Table(
+            ("recording or group", "why"), left_out, "Without an answer", numeric=False
+        ),
+        "worst": Table(
+            ("recording", "findings", "doubt", "the worst of them"),
+            worst,
+            "Recordings with something amiss",
+            numeric=False,
+        ),
+        "findings": Table(
+            ("finding", "recordings", "groups"), findings, "What is amiss, and how often"
+        ),
+    }
 
 
 def print_fleet(document: Document, console: Console) -> None:
     """The sentence and the tables, the longest cut short."""
     say(console, document["sentence"], wrapped=False)
-    for table in (
-        estimates_table(document),
-        spread_table(document),
-        differing_table(document, SHOWN),
-        changes_table(document, SHOWN),
-        left_out_table(document, SHOWN),
-    ):
-        if table.rows:
+    tables = tables_of(document, SHOWN)
+    for name in ("estimates", "spreads", "differing", "changes", "left out"):
+        if (table := tables[name]).rows:
             say(console, "")
             say(console, table.caption, style="bold")
             print_table(in_rich(table), console)
@@ -434,20 +411,18 @@ def _over_time(found: Fleet, parameter: str, names: Sequence[str]) -> Panel:
 
 def fleet_page(document: Document) -> Page:
     """The page of a fleet's document."""
-    counts = document["recordings"]
+    counts, tables = document["recordings"], tables_of(document, LISTED)
     lead = (
         f"{document['groups']} groups by {', '.join(document['by'])}; {counts['summed']} "
         f"recordings of {counts['samples']} samples, {counts['seconds'] / HOUR:.3g} hours."
     )
-    of_recordings, of_groups = document["findings"], document["group_findings"]
-    codes = dict.fromkeys([*of_recordings, *of_groups])
-    rows = [[code, *(str(of.get(code, 0)) for of in (of_recordings, of_groups))] for code in codes]
-    findings = Table(("finding", "recordings", "groups"), rows, "What is amiss, and how often")
-    over_groups = (spread_table(document), estimates_table(document), differing_table(document))
-    recordings = (left_out_table(document), worst_table(document), findings)
+    over_groups, recordings = (
+        [tables[name] for name in names]
+        for names in (("spreads", "estimates", "differing"), ("left out", "worst", "findings"))
+    )
     sections = (
         Section("Parameters over groups", tables=over_groups, charts=("groups",)),
-        Section("Parameters over time", tables=[changes_table(document)], charts=("courses",)),
+        Section("Parameters over time", tables=[tables["changes"]], charts=("courses",)),
         Section("Recordings", tables=recordings),
     )
     answer = Section("Answer", [document["sentence"]])

@@ -1,10 +1,12 @@
 """Settings of a fleet: what is estimated together, how all recordings are read, and by whom."""
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from riecjax.errors import ModelError
 from riecjax.settings import (
     POSITIVE,
     TEXT,
@@ -43,7 +45,13 @@ class Groups(Settings):
     """End at the first recording that cannot be summed."""
 
     def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.Contradiction]."""
+        """**Raises:** [`Contradiction`][riecjax.Contradiction]; `ModelError` for numbers that are none."""
+        if not self.keys or not all(isinstance(key, str) and key for key in self.keys):
+            raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
+        if self.span is not None and not 0 < self.span < math.inf:
+            raise ModelError(f"span is a positive number of seconds; got {self.span!r}.")
+        if self.workers is not None and self.workers < 0:
+            raise ModelError(f"workers is a number of processes, 0 for none; got {self.workers!r}.")
         if self.workers is not None and self.scheduler is not None:
             raise Contradiction(
                 "{workers} are of this machine, {scheduler} has its own: give one.", self.options()
@@ -63,8 +71,7 @@ class Fleets(Groups, Seed, Uncertainty, Known, Fit, Prepare, Read):
     **Fields:** also `allow_duplicates`: count recordings of a group that hold the same samples
     each; `out`: folder for `summaries.parquet` and `estimates.parquet`, `None` keeps nothing;
     `storage`: what fsspec is to know of the store; `progress`: called with what is being done, how
-    much of it is, of how much, and samples; `on_start`: called with the address of Dask's
-    dashboard, if it has one.
+    much of it is, of how much, and samples.
     """
 
     allow_duplicates: bool = flag("--allow-duplicates")
@@ -72,7 +79,6 @@ class Fleets(Groups, Seed, Uncertainty, Known, Fit, Prepare, Read):
     out: str | os.PathLike[str] | None = None
     storage: Mapping[str, Any] | None = None
     progress: Progress | None = None
-    on_start: Callable[[str], None] | None = None
 
     def require_sense(self) -> None:
         """**Raises:** as those that it is made of."""

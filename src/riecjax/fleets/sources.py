@@ -5,7 +5,6 @@ order of their names, are one recording. Folders called `key=value`, as Hive par
 keys of all that lies beneath.
 """
 
-import bisect
 import contextlib
 import hashlib
 import itertools
@@ -18,6 +17,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
+
+import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.records.reading import endings
@@ -195,8 +196,8 @@ class Piece(NamedTuple):
 
     **Fields:** `source`; windows start in rows from `first` to before `stop`, which is 0 for a
     source as a whole; `low` and `high`, first row of the recording and one beyond its last;
-    `keys`, what columns hold in all of these rows; `before`, rows of the recording in files before
-    the source's first, and `ends`, rows up to the end of each of its files, where they are known.
+    `keys`, what columns hold in all of these rows; `files`, URLs with the first row of each and one
+    beyond its last, in order.
     """
 
     source: Source
@@ -205,8 +206,7 @@ class Piece(NamedTuple):
     low: int = 0
     high: int = 0
     keys: Keys = ()
-    before: int = 0
-    ends: tuple[int, ...] = ()
+    files: tuple[tuple[str, int, int], ...] = ()
 
     @property
     def identity(self) -> str:
@@ -228,15 +228,6 @@ class Piece(NamedTuple):
         """First row to read, and one beyond the last, for windows of so many samples."""
         return max(self.first - BESIDE, self.low), min(self.stop + window + BESIDE, self.high)
 
-    def within(self, window: int) -> "Piece":
-        """The same with only those files that it reads: of weeks in thousands the others would be
-        sent along with each piece, and opened."""
-        low, high = self.reach(window)
-        first, last = bisect.bisect_right(self.ends, low), bisect.bisect_left(self.ends, high)
-        source = self.source._replace(urls=self.source.urls[first : last + 1])
-        before = self.ends[first - 1] if first else self.before
-        return self._replace(source=source, before=before, ends=self.ends[first : last + 1])
-
 
 def stretches(piece: Piece, starts: int, window: int) -> Iterator[Piece]:
     """A recording's rows in pieces of so many starts; the last may have half as many more.
@@ -244,10 +235,13 @@ def stretches(piece: Piece, starts: int, window: int) -> Iterator[Piece]:
     **Arguments:** `window`, samples of the longest one.
     """
     first = piece.first
-    while piece.stop - first > 1.5 * starts:
-        yield piece._replace(first=first, stop=first + starts).within(window)
-        first += starts
-    yield piece._replace(first=first).within(window)
+    while first < piece.stop:
+        last = first + starts if piece.stop - first > 1.5 * starts else piece.stop
+        stretch = piece._replace(first=first, stop=last, source=piece.source._replace(urls=()))
+        # Of weeks in thousands of files the others would be sent along with each piece.
+        low, high = stretch.reach(window)
+        yield stretch._replace(files=tuple(f for f in piece.files if f[1] < high and f[2] > low))
+        first = last
 
 
 def recordings_of(
@@ -258,9 +252,10 @@ def recordings_of(
     **Raises:** `DataError` where a column is in none of its files; `OSError`.
     """
     pieces: list[Piece] = []
-    ends: list[int] = []
+    files = []
     stop = 0
     for url in source.urls:
+        begin = stop
         with _parquet(url, storage) as file:
             if missing := {*columns} - {*file.schema_arrow.names}:
                 raise DataError(f"there is no column '{min(missing)}' to group by.")
@@ -270,10 +265,10 @@ def recordings_of(
                     pieces[-1] = pieces[-1]._replace(stop=stop, high=stop)
                 else:
                     pieces.append(Piece(source, first, stop, first, stop, keys))
-            ends.append(stop)
+        files.append((url, begin, stop))
     if not pieces:
         raise DataError("it holds no rows.")
-    return [piece._replace(ends=tuple(ends)) for piece in pieces]
+    return [piece._replace(files=tuple(files)) for piece in pieces]
 
 
 def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:
@@ -296,22 +291,17 @@ def rows_at_hand(piece: Piece, low: int, high: int, storage: Mapping[str, Any]) 
     from pyarrow import concat_tables, parquet
 
     tables: list[Any] = []
-    begin = piece.before
-    for url in piece.source.urls:
+    for url, begin, stop in piece.files:
+        if begin >= high or stop <= low:
+            continue
         with _parquet(url, storage) as file:
             # Only groups of rows are read that hold some.
-            wanted, start = [], begin
-            for number in range(file.metadata.num_row_groups):
-                end = begin + file.metadata.row_group(number).num_rows
-                if begin < high and end > low:
-                    start = start if wanted else begin
-                    wanted.append(number)
-                begin = end
-            if wanted:
-                first = max(low - start, 0)
-                tables.append(file.read_row_groups(wanted).slice(first, high - start - first))
-        if begin >= high:
-            break
+            counts = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+            edges = begin + np.cumsum([0, *counts])
+            wanted = np.flatnonzero((edges[:-1] < high) & (edges[1:] > low))
+            first = max(low - int(edges[wanted[0]]), 0)
+            length = high - int(edges[wanted[0]]) - first
+            tables.append(file.read_row_groups(wanted.tolist()).slice(first, length))
     with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
         here = (Path(folder) / Path(piece.source.name).name).with_suffix(".parquet")
         parquet.write_table(concat_tables(tables), here, compression="none", use_dictionary=False)

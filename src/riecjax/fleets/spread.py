@@ -32,14 +32,14 @@ def has_error(entry: Entry) -> bool:
     """Whether an entry has a value with an interval of some width, to be held against others."""
     ends = entry.low95, entry.value, entry.high95
     known = entry.status == DONE and all(end is not None and np.isfinite(end) for end in ends)
-    return known and errors_of([entry])[0] > 0
+    return known and _values_of([entry])[1][0] > 0
 
 
-def errors_of(entries: Sequence[Entry]) -> Float[np.ndarray, " n"]:
-    """Standard errors of normal laws whose intervals are as wide as these entries': with few blocks
-    of time an interval is wider than its standard error tells."""
-    widths = np.array([(entry.high95 or 0.0) - (entry.low95 or 0.0) for entry in entries], float)
-    return widths / (2 * scipy.stats.norm.isf(0.025))
+def _values_of(entries: Sequence[Entry]) -> Float[np.ndarray, "2 n"]:
+    """Values, and standard errors of normal laws whose intervals are as wide: with few blocks of
+    time an interval is wider than its standard error tells."""
+    values, low, high = np.array([(e.value, e.low95, e.high95) for e in entries], float).T
+    return np.stack([values, (high - low) / (2 * scipy.stats.norm.isf(0.025))])
 
 
 class Differing(NamedTuple):
@@ -81,29 +81,52 @@ def spreads(entries: Iterable[Entry], rate: float = RATE) -> list[Spread]:
     **Arguments:** `rate` of false discoveries among groups that are called different, over all
     parameters together.
     """
+    from statsmodels.stats.meta_analysis import combine_effects
+
     by_name: dict[str, list[Entry]] = {}
     for entry in entries:
         if entry.parameter and entry.verdict != "do not use" and has_error(entry):
             by_name.setdefault(entry.parameter, []).append(entry)
-    some = {name: every for name, every in by_name.items() if len(every) >= FEWEST}
-    judged = {name: _judged(every) for name, every in some.items()}
-    if not judged:
+    compared = [every for every in by_name.values() if len(every) >= FEWEST]
+    if not compared:
         return []
-    adjusted = iter(
-        scipy.stats.false_discovery_control(np.concatenate([p for _, p in judged.values()]))
-    )
-    return [
-        _spread(every, judged[name], [next(adjusted) for _ in every], rate)
-        for name, every in some.items()
-    ]
+    centres, p_values = zip(*(_judged(*_values_of(every)) for every in compared))
+    adjusted = scipy.stats.false_discovery_control(np.concatenate(p_values))
+    found = []
+    for every, centre, chances in zip(compared, centres, p_values):
+        (values, errors), first = _values_of(every), every[0]
+        # Where all are equal, shares of no variance are asked for.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            effects: Any = combine_effects(values, errors**2, method_re="iterated")
+        own, adjusted = adjusted[: len(every)], adjusted[len(every) :]
+        differing = [
+            Differing(entry.group, value, value / centre - 1, p, q)
+            for entry, value, p, q in zip(every, values, chances, own)
+            if q <= rate
+        ]
+        found.append(
+            Spread(
+                parameter=first.parameter or "",
+                unit=first.unit or "",
+                groups=len(every),
+                mean=float(effects.mean_effect_re),
+                std_error=float(effects.sd_eff_w_re),
+                between=float(np.sqrt(max(effects.tau2, 0.0))),
+                within=float(np.median(errors)),
+                share=float(max(effects.i2, 0.0)),
+                p_value=float(effects.test_homogeneity().pvalue),
+                centre=centre,
+                differing=tuple(sorted(differing, key=lambda group: group.p_value)),
+            )
+        )
+    return found
 
 
-def _judged(every: Sequence[Entry]) -> tuple[float, Float[np.ndarray, " n"]]:
+def _judged(
+    values: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"]
+) -> tuple[float, Float[np.ndarray, " n"]]:
     """Centre of most groups, and the probability of each group's distance by chance."""
-    values, errors = np.array([entry.value for entry in every], float), errors_of(every)
-    half = scipy.stats.chi2.median(1)
-
-    ranked = np.argsort(values)
+    half, ranked = scipy.stats.chi2.median(1), np.argsort(values)
 
     def centre(between: float) -> float:
         """The weighted median, between two values where half of the weight lies on either side."""
@@ -115,8 +138,7 @@ def _judged(every: Sequence[Entry]) -> tuple[float, Float[np.ndarray, " n"]]:
         squares = (values - centre(between)) ** 2 / (errors**2 + between)
         return float(np.median(squares)) - half
 
-    most = float(np.ptp(values)) ** 2 / half
-    between = 0.0
+    most, between = float(np.ptp(values)) ** 2 / half, 0.0
     if excess(0.0) > 0 and most > 0:
         root = scipy.optimize.root_scalar(excess, bracket=(0.0, 4 * most), xtol=1e-12 * most)
         between = float(root.root)
@@ -125,40 +147,6 @@ def _judged(every: Sequence[Entry]) -> tuple[float, Float[np.ndarray, " n"]]:
     of_centre = 0.5 * np.pi / np.sum(1 / total)
     away = np.abs(values - centre(between)) / np.sqrt(total + of_centre)
     return centre(between), 2 * scipy.stats.norm.sf(away)
-
-
-def _spread(
-    every: Sequence[Entry],
-    judged: tuple[float, Float[np.ndarray, " n"]],
-    adjusted: Sequence[float],
-    rate: float,
-) -> Spread:
-    from statsmodels.stats.meta_analysis import combine_effects
-
-    values, errors = np.array([entry.value for entry in every], float), errors_of(every)
-    # Where all are equal, shares of no variance are asked for.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found: Any = combine_effects(values, errors**2, method_re="iterated")
-    centre, p_values = judged
-    differing = [
-        Differing(entry.group, value, value / centre - 1, p, q)
-        for entry, value, p, q in zip(every, values, p_values, adjusted)
-        if q <= rate
-    ]
-    first = every[0]
-    return Spread(
-        first.parameter or "",
-        first.unit or "",
-        len(every),
-        float(found.mean_effect_re),
-        float(found.sd_eff_w_re),
-        float(np.sqrt(max(found.tau2, 0.0))),
-        float(np.median(errors)),
-        float(max(found.i2, 0.0)),
-        float(found.test_homogeneity().pvalue),
-        centre,
-        tuple(sorted(differing, key=lambda one: one.p_value)),
-    )
 
 
 # Values of spans, each with its error s, are constant but for steps. In units of their errors that
@@ -184,36 +172,28 @@ class Change(NamedTuple):
 
 def changes(entries: Iterable[Entry]) -> list[Change]:
     """Steps of all courses, by group and parameter."""
+    import ruptures
+
     courses: dict[tuple[str, str], list[Entry]] = {}
     for entry in entries:
         if entry.parameter is not None and has_error(entry):
             courses.setdefault((entry.group, entry.parameter), []).append(entry)
-    return [step for course in courses.values() for step in _steps(course)]
-
-
-def _steps(course: list[Entry]) -> list[Change]:
-    if len(course) < FEWEST:
-        return []
-    ordered = sorted(course, key=lambda entry: entry.start)
-    values = np.array([entry.value for entry in ordered], float)
-    errors = errors_of(ordered)
-    import ruptures
-
-    # Values are taken from their mean: of what they have in common no digit is lost.
-    shifted = values - values.mean()
-    signal = np.column_stack([shifted / errors, 1 / errors])
-    penalty = scipy.stats.chi2.isf(ALARMS / len(ordered), 1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        ends = ruptures.Pelt(model="linear", min_size=2, jump=1).fit(signal).predict(penalty)
-    levels = [
-        float(np.average(values[a:b], weights=errors[a:b] ** -2))
-        for a, b in zip([0, *ends[:-1]], ends)
-    ]
-    first = ordered[0]
-    return [
-        Change(
-            first.group, first.parameter or "", first.unit or "", ordered[end].start, before, after
-        )
-        for end, before, after in zip(ends[:-1], levels, levels[1:])
-    ]
+    steps = []
+    for (group, parameter), course in courses.items():
+        if len(course) < FEWEST:
+            continue
+        course.sort(key=lambda entry: entry.start)
+        values, errors = _values_of(course)
+        # Values are taken from their mean: of what they have in common no digit is lost.
+        signal = np.column_stack([(values - values.mean()) / errors, 1 / errors])
+        penalty = scipy.stats.chi2.isf(ALARMS / len(course), 1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            ends = ruptures.Pelt(model="linear", min_size=2, jump=1).fit(signal).predict(penalty)
+        levels = [
+            float(np.average(values[a:b], weights=errors[a:b] ** -2))
+            for a, b in zip([0, *ends[:-1]], ends)
+        ]
+        unit, times = course[0].unit or "", [course[end].start for end in ends[:-1]]
+        steps += [Change(group, parameter, unit, *step) for step in zip(times, levels, levels[1:])]
+    return steps

@@ -74,10 +74,10 @@ def rows_of(order: Order, piece: Piece) -> list[Row]:
             add(piece.part, _row_of_stretch, piece)
             release_memory()
         elif source.is_parquet and columns:
-            for run in recordings_of(source, columns, order.storage):
+            for run in recordings_of(source, columns, order.settings.storage):
                 add(run.part, _row_of_stretch, run)
         else:
-            with at_hand(source, order.storage) as file:
+            with at_hand(source, order.settings.storage) as file:
                 for recording in order.recordings_in(file):
                     add(recording.part, _row, piece, recording)
     except Exception as error:
@@ -95,7 +95,7 @@ def lost(piece: Piece, why: str, part: str = "") -> Row:
 def _row_of_stretch(order: Order, piece: Piece) -> Row:
     """The row of some rows of a source."""
     low, high = piece.reach(order.window)
-    with rows_at_hand(piece, low, high, order.storage) as file:
+    with rows_at_hand(piece, low, high, order.settings.storage) as file:
         (recording,) = order.recordings_in(file)
     if recording.record.sample_count != high - low:
         raise DataError(
@@ -124,7 +124,7 @@ def _row(
         recording,
         order.criterion,
         bins=order.edges,
-        at_rest=order.at_rest,
+        at_rest=order.settings.at_rest,
         starts=starts,
     )
     (sums,), (digest,) = summary.recordings, summary.digests

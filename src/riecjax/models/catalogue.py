@@ -348,13 +348,11 @@ def _neighbours(path: Path) -> Iterator[None]:
         with contextlib.suppress(ValueError):  # the file may have removed it
             sys.path.remove(str(folder))
         new = [name for name in sys.modules if name not in before]
-        beside = {name for name in new if _lies_in(sys.modules[name], folder)}
+        beside = set()  # whose file, or a package's folder, lies directly in this folder
+        for name, module in ((name, sys.modules[name]) for name in new):
+            places = [*getattr(module, "__path__", ()), getattr(module, "__file__", None)]
+            if any(Path(place).parent == folder for place in places if place):
+                beside.add(name)
         for name in new:
             if name.partition(".")[0] in beside:
                 del sys.modules[name]
-
-
-def _lies_in(module: ModuleType, folder: Path) -> bool:
-    """Whether a module's file, or a package's folder, lies directly in a folder."""
-    places = [*getattr(module, "__path__", ()), getattr(module, "__file__", None)]
-    return any(Path(place).parent == folder for place in places if place)

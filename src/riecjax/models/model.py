@@ -124,7 +124,6 @@ class Model(Shown):
         self,
         added: Mapping[str, Sequence[AbstractTerm]],
         memories: Sequence[Memory] = (),
-        values: Mapping[str, float] | None = None,
         meanings: Mapping[str, str] | None = None,
     ) -> Model:
         """The same model with further terms, see [`Procedure.with_terms`][].
@@ -133,8 +132,8 @@ class Model(Shown):
         before hidden elements are added.
 
         **Arguments:** `added`, terms by the name of their equation; `memories`, states that they
-        read and recordings lack, see [`Procedure.with_memories`][]; `values` of parameters to
-        simulate with; `meanings` of those that are added.
+        read and recordings lack, see [`Procedure.with_memories`][]; `meanings` of parameters that
+        are added.
 
         **Raises:** as [`Procedure.with_terms`][].
         """
@@ -152,7 +151,7 @@ class Model(Shown):
         return replace(
             self,
             procedure=lambda: procedure,
-            parameters=_with_defaults(own, values),
+            parameters=tuple(own),
             system=None,
             own_simulation_parameters=(),
             written=(),

@@ -178,7 +178,11 @@ class Linearised(eqx.Module):
         """
         p, columns = self.prior.shape[0], self.moments.shape[-1]
         if self.moments.shape[0] == 1 and columns > 1 + p:
-            whole, work, damped = self._initial_as_parameters().step(damping)
+            # Of one window, initial states are as any parameter.
+            none = jnp.zeros(columns - 1 - p, self.moments.dtype)
+            prior, slope = (jnp.append(held, none) for held in (self.prior, self.prior_slope))
+            joined = Linearised(self.moments, prior, slope, self.lowest, self.highest, self.aside)
+            whole, work, damped = joined.step(damping)
             return Point(whole.parameters[:p], whole.parameters[None, p:]), work, damped
         gram = self.moments[:, 1:, 1:]
         gradient = self.gradient()
@@ -206,12 +210,6 @@ class Linearised(eqx.Module):
         work = -gradient.parameters @ parameters - jnp.sum(gradient.initial * initial)
         size = sizes @ parameters**2 + jnp.sum(initial_sizes * initial**2)
         return Point(parameters, initial), work, damping * size
-
-    def _initial_as_parameters(self) -> "Linearised":
-        """The same problem of one window, whose initial states are as any parameter."""
-        none = jnp.zeros(self.moments.shape[-1] - 1 - self.prior.shape[0], self.moments.dtype)
-        prior, slope = (jnp.concatenate([held, none]) for held in (self.prior, self.prior_slope))
-        return Linearised(self.moments, prior, slope, self.lowest, self.highest, self.aside)
 
     def factors(self) -> Float[Array, "windows columns columns"]:
         """Residual (first column) and Jacobian of each window, in as many rows as columns."""

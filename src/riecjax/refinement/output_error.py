@@ -55,11 +55,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
-from riecjax.criteria.windows import RandomWindows
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still, is_concrete, is_number
@@ -116,19 +115,7 @@ def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows 
 class AbstractShooting(eqx.Module):
     """How a recording is cut into windows to simulate."""
 
-    @property
-    def needs_key(self) -> bool:
-        """Whether windows are drawn at random."""
-        return False
-
-    @property
-    def overlap(self) -> bool:
-        """Whether windows may share samples."""
-        return False
-
-    def shots(
-        self, record: Record, inputs: Sequence[str], key: Key[Array, ""] | None, *, joined: bool
-    ) -> Shots:
+    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
         """The windows of one recording, unbroken in its inputs.
 
         With `joined`, a window begins on the sample at which its neighbour ends; a start that is
@@ -147,14 +134,7 @@ class AbstractShooting(eqx.Module):
 class WholeRecord(AbstractShooting):
     """Each unbroken stretch of a recording at once: single shooting, the output-error fit."""
 
-    def shots(
-        self,
-        record: Record,
-        inputs: Sequence[str],
-        key: Key[Array, ""] | None = None,
-        *,
-        joined: bool = False,
-    ) -> Shots:
+    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
         """One window for each unbroken stretch."""
         cut = _tiles(record, inputs, record.sample_count, joined)
         return dataclasses.replace(cut, longest=shared_length(cut.longest))
@@ -186,14 +166,7 @@ class Tiles(AbstractShooting):
         ):
             raise ModelError("tiles need a positive length.")
 
-    def shots(
-        self,
-        record: Record,
-        inputs: Sequence[str],
-        key: Key[Array, ""] | None = None,
-        *,
-        joined: bool = False,
-    ) -> Shots:
+    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
         """Tiles of each unbroken stretch; the last of a stretch may be shorter."""
         if self.samples is not None:
             return _tiles(record, inputs, self.samples + 1, joined)
@@ -203,54 +176,6 @@ class Tiles(AbstractShooting):
     def describe(self) -> dict[str, object]:
         """Name and length."""
         return {"windows": "tiles", "seconds": self.seconds, "samples": self.samples}
-
-
-class RandomShots(AbstractShooting):
-    """Windows of random start and length: randomised multiple shooting.
-
-    **Arguments:** `windows`, as the integral criterion draws them, on samples.
-    """
-
-    windows: RandomWindows
-
-    @property
-    def needs_key(self) -> bool:
-        """True."""
-        return True
-
-    @property
-    def overlap(self) -> bool:
-        """True."""
-        return True
-
-    def shots(
-        self,
-        record: Record,
-        inputs: Sequence[str],
-        key: Key[Array, ""] | None,
-        *,
-        joined: bool = False,
-    ) -> Shots:
-        """The drawn windows; those that a gap breaks are emptied but for one sample."""
-        if key is None:
-            raise ModelError("random windows need a key: key=jax.random.key(seed).")
-        if self.windows.between_samples:
-            raise ModelError("a simulation starts on a sample (between_samples=False).")
-        self.windows.check(record.sample_count, record.time_step)
-        step = _seconds_of_a_sample(record)
-        longest = min(round(float(self.windows.beta) / step) + 1, record.sample_count)
-        drawn = self.windows.draw(key, record.sample_count, record.time_step)
-        length = drawn.stop - drawn.start + 1
-        present = record.present(inputs)
-        if present is not None:
-            absent = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(~present)])
-            unbroken = absent[drawn.stop + 1] == absent[drawn.start]
-            length = jnp.where(unbroken, length, 1)
-        return Shots(drawn.start, length, longest)
-
-    def describe(self) -> dict[str, object]:
-        """Name and settings."""
-        return {"shooting": "random", **self.windows.describe()}
 
 
 def _seconds_of_a_sample(record: Record) -> float:
@@ -357,15 +282,14 @@ class Compared(NamedTuple):
     """What of the windows is compared, and how they begin.
 
     **Fields:** `channels` and `every`, of how many samples one, as of [`OutputError`][]; `given`,
-    values of initial states; `joined` as of `AbstractShooting.shots`, and `overlap`; which inputs
-    are `smooth`, `None` to keep no bends.
+    values of initial states; `joined` as of `AbstractShooting.shots`; which inputs are `smooth`,
+    `None` to keep no bends.
     """
 
     channels: tuple[str, ...]
     given: dict[str, Any]
     every: int
     joined: bool
-    overlap: bool
     smooth: tuple[bool, ...] | None
 
 
@@ -420,7 +344,7 @@ def _recorded(
     shots: Shots,
     compared: Compared,
 ) -> Recorded:
-    channels, given, every, joined, overlap, smooth = compared
+    channels, given, every, joined, smooth = compared
     position = shots.samples[:, ::every]
     held = jnp.arange(record.sample_count) < sample_count
     initial = states[shots.first]
@@ -428,13 +352,11 @@ def _recorded(
         place = system.state_names.index(name)
         initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
     # An initial state that is taken from the record leaves no error there.
-    counts = shots.inside[:, ::every] & (shots.length > 1)[:, None]
+    counts = shots.inside[:, ::every]
     counts = counts.at[:, 0].set(counts[:, 0] & (not joined))
     masks = (record.present((name,)) for name in channels)
     everywhere = jnp.ones(record.sample_count, bool)
     present = [(everywhere if mask is None else mask)[position] for mask in masks]
-    # A window that overlaps others is one piece, by where it begins.
-    count = position.shape[1]
     # As many as where the record is filled up, which under jit it is not.
     shared = shared_length(record.sample_count)
     short = -(-shared // SHORT_BLOCKS_OF_ROWS)
@@ -457,7 +379,7 @@ def _recorded(
         short,
         max(-(-shared // short), 2),
         every,
-        count if overlap else min(max(short // every, 1), count),
+        min(max(short // every, 1), position.shape[1]),
     )
 
 
@@ -534,7 +456,7 @@ class OutputMisfit(AbstractMisfit):
 
     `labels` are the channels.
     `threshold` of Huber's loss by channel, in units of sigma; `None` for squares.
-    `longest_window` is 0 unless windows overlap: no residual then counts twice. `most_steps`
+    `longest_window` is 0: no residual counts twice. `most_steps`
     between samples may be taken of a method that the user left open, else 0.
     """
 
@@ -819,7 +741,7 @@ class OutputError(AbstractObjective):
 
     **Arguments:**
 
-    - `shooting`: [`WholeRecord`][], [`Tiles`][] or [`RandomShots`][].
+    - `shooting`: [`WholeRecord`][] or [`Tiles`][].
     - `channels`: signals to compare: states, their derivatives `d<state>`, outputs. By default the
       recorded states, or if there are none, every output that the record holds; but not what was
       computed from others that are compared, such as a velocity differentiated from a position.
@@ -878,11 +800,6 @@ class OutputError(AbstractObjective):
                 f"differentiate the result in reverse."
             )
 
-    @property
-    def needs_key(self) -> bool:
-        """Whether windows are drawn at random."""
-        return self.shooting.needs_key
-
     def parametric(self, model: Any, record: Record) -> AbstractParametric:
         """The system to simulate."""
         return as_parametric_system(model, record)
@@ -915,20 +832,19 @@ class OutputError(AbstractObjective):
         # A missing sample of an input breaks the motion; of a free motion, one of any signal.
         inputs = [system.input_names or tuple(record.arrays) for record in specified.records]
         shots = [
-            self.shooting.shots(record, unbroken, key, joined=joined)
-            for record, unbroken, key in zip(specified.records, inputs, specified.keys)
+            self.shooting.shots(record, unbroken, joined=joined)
+            for record, unbroken in zip(specified.records, inputs)
         ]
         smooth = smooth_inputs(self.intersample, system.input_names)
         # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
         bent = smooth if any(smooth) or (smooth and self.method is None) else None
-        cut = Compared(channels, dict(given), self.every, joined, self.shooting.overlap, bent)
+        cut = Compared(channels, dict(given), self.every, joined, bent)
         recorded, along = cut_records(system, specified.records, shots, cut)
         method, simulated = _method(system, specified.records, recorded, along, self.method)
         units = dict(system.states) | dict(system.outputs)
-        sigma, scale, seconds = _sizes(
+        sigma, scale = _sizes(
             tuple(state_sources(system, specified.records[0]).values()),
             recorded,
-            shots,
             dict(self.sigma or {}),
             channels,
             estimated,
@@ -940,7 +856,7 @@ class OutputError(AbstractObjective):
             known=specified.fixed,
             sigma=sigma,
             scale=scale,
-            longest_window=seconds if self.shooting.overlap else jnp.zeros_like(seconds),
+            longest_window=jnp.zeros_like(scale, shape=()),
             method=method,
             threshold=None
             if self.loss == "squares"
@@ -1078,19 +994,14 @@ def _trajectories(
 def _sizes(
     sources: tuple[str, ...],
     recorded: Sequence[Recorded],
-    shots: Sequence[Shots],
     sigma: dict[str, Any],
     channels: tuple[str, ...],
     estimated: tuple[int, ...],
     simulated: Float[Array, "windows longest states"] | None,
-) -> tuple[Float[Array, " channels"], Float[Array, " s"], Float[Array, ""]]:
-    """What channels are weighed by, the size of estimated states, seconds of the longest window."""
-    seconds = [cut.longest * part.time_step for cut, part in zip(shots, recorded)]
-    return (
-        _sigma(sigma, channels, recorded),
-        _scale(sources, recorded[0], estimated, simulated),
-        jnp.max(jnp.stack(seconds)),
-    )
+) -> tuple[Float[Array, " channels"], Float[Array, " s"]]:
+    """What channels are weighed by, and the size of estimated states."""
+    scale = _scale(sources, recorded[0], estimated, simulated)
+    return _sigma(sigma, channels, recorded), scale
 
 
 def _sigma(

@@ -226,18 +226,7 @@ class Refined(AbstractEstimate):
         ended = (self.member(*place).reason for place in np.ndindex(self.batch_shape))
         return ", ".join(f"{number} x {words}" for words, number in Counter(ended).items())
 
-    def _findings(self) -> list[Finding]:
-        return [
-            *self._of_search(),
-            *self._undetermined(),
-            *self.negative_values(),
-            *self.few_blocks(),
-            *self.leaning(),
-            *self.rarely_excited(),
-            *self.disagreement(),
-        ]
-
-    def _of_search(self) -> Iterator[Finding]:
+    def _findings(self) -> Iterator[Finding]:
         if not bool(self.converged):
             yield Finding(
                 "refinement_not_converged", f"the refinement did not converge: {self.reason}"
@@ -266,8 +255,7 @@ class Refined(AbstractEstimate):
                 f"of the others take it for known.",
                 parameters=tuple(names),
             )
-
-    def _undetermined(self) -> Iterator[Finding]:
+        # What the data hardly determine, or not at all.
         silent = []
         ends = self.interval_by_name()
         for name, reached in zip(self.parameters, self.at_bound):
@@ -295,6 +283,8 @@ class Refined(AbstractEstimate):
                 f"{silent[0]}=VALUE), or compare another signal.",
                 parameters=tuple(silent),
             )
+        yield from (*self.negative_values(), *self.few_blocks(), *self.leaning())
+        yield from (*self.rarely_excited(), *self.disagreement())
 
 
 FURTHER_ROUNDS = 2

@@ -88,7 +88,15 @@ class Comparison(Drawn):
             rows.append([f"left of {equation}", *left, "%"])
         if self.information is not None:
             rows.append(["ΔAIC", *(f"{value:.1f}" for value in self.information), ""])
-        fits = [_fits(document) for document in self.documents.values()]
+        # Of each signal on each recording that was held out.
+        fits = [
+            {
+                f"{name}, {run['on']}": one["fit_percent"]
+                for run in document.get("validation", [])
+                for name, one in run["signals"].items()
+            }
+            for document in self.documents.values()
+        ]
         for on in _all(fits):
             rows.append([f"fit of {on}", *(_number(of.get(on), 1, ".1f") for of in fits), "%"])
         return Table(("parameter", *self.names, "unit"), rows)
@@ -143,15 +151,6 @@ def _residuals(document: Document) -> Mapping[str, Any]:
     if (document.get("refinement") or {}).get("chosen"):
         return {}
     return document.get("residual", {}).get("equations", {})
-
-
-def _fits(document: Document) -> dict[str, float | None]:
-    """Fit of each signal on each recording that was held out."""
-    return {
-        f"{name}, {run['on']}": one["fit_percent"]
-        for run in document.get("validation", [])
-        for name, one in run["signals"].items()
-    }
 
 
 def _why_not_comparable(documents: Sequence[Document]) -> str:

@@ -146,7 +146,12 @@ def load(path: str | os.PathLike[str]) -> Any:
         if _holds_an_estimate(file):
             document, arrays = read_checked(file, NAME, FORMAT, SCHEMA)
             with naming(file, NAME):
-                return _estimate(document, arrays)
+                estimate, place = _unpack(document["estimate"], arrays), "summary/"
+                if document["summary"] is None:
+                    return estimate
+                kept = {n.removeprefix(place): a for n, a in arrays.items() if n.startswith(place)}
+                summary = Summary(**unpacked(document["summary"], kept))
+                return dataclasses.replace(estimate, summary=summary)
     return summaries.load(path)
 
 
@@ -212,19 +217,6 @@ def save(estimate: AbstractEstimate, path: str | os.PathLike[str]) -> None:
         arrays |= {f"summary/{name}": array for name, array in of_summary.items()}
     document["estimate"] = _pack(estimate, NAME, arrays)
     write_checked(path, NAME, document, arrays)
-
-
-def _estimate(document: Document, arrays: dict[str, np.ndarray]) -> Any:
-    found = _unpack(document["estimate"], arrays)
-    if document["summary"] is None:
-        return found
-    of_summary = {
-        name.removeprefix("summary/"): array
-        for name, array in arrays.items()
-        if name.startswith("summary/")
-    }
-    summary = Summary(**unpacked(document["summary"], of_summary))
-    return dataclasses.replace(found, summary=summary)
 
 
 def _pack(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:

@@ -224,7 +224,14 @@ class Summary(Shown, eqx.Module):
         every: dict[str, RecordingSums] = {}
         for one in (self, *others):
             require("what is merged", one, Summary, "summary.merge(other): one after the other")
-            self._require_alike(one)
+            differs = {
+                "other equations or parameters": not self.outline.is_of(one.outline),
+                "another criterion": one.criterion.describe() != self.criterion.describe(),
+                "other bins of window lengths": (one.in_law, one.band) != (self.in_law, self.band)
+                or not np.array_equal(_edges_of(one), _edges_of(self)),
+            }
+            if why := [words for words, differ in differs.items() if differ]:
+                raise ModelError(f"summaries cannot be merged that were made for {why[0]}.")
             for digest, recording in zip(one.digests, one.recordings):
                 if every and UNKNOWN in (digest, *every):
                     raise ModelError(
@@ -499,19 +506,6 @@ class Summary(Shown, eqx.Module):
             raise ModelError(
                 f"this Summary was made for other equations ({named}): make it anew for this model."
             )
-
-    def _require_alike(self, other: "Summary") -> None:
-        why = None
-        if not self.outline.is_of(other.outline):
-            why = "other equations or parameters"
-        elif other.criterion.describe() != self.criterion.describe():
-            why = "another criterion"
-        elif (other.in_law, other.band) != (self.in_law, self.band) or not np.array_equal(
-            _edges_of(other), _edges_of(self)
-        ):
-            why = "other bins of window lengths"
-        if why is not None:
-            raise ModelError(f"summaries cannot be merged that were made for {why}.")
 
 
 def load(path: str | os.PathLike[str]) -> Summary:

@@ -68,7 +68,10 @@ def to_bytes(parts: Mapping[str, Any]) -> bytes:
     document, arrays = packed(parts)
     listed, numbers = [], []
     for name, array in sorted(arrays.items()):
-        halved = _is_symmetric(array)
+        halved = array.ndim > 1 and array.shape[-1] == array.shape[-2] > 1
+        if halved:  # where matrices are, to the bit, their own transposes
+            bits = np.ascontiguousarray(array).view(f"V{array.dtype.itemsize}")
+            halved = bool((bits == bits.swapaxes(-1, -2)).all())
         listed.append((name, array.dtype.str, array.shape, halved))
         kept = array[..., *_upper(array.shape[-1])] if halved else array
         numbers.append(np.ascontiguousarray(kept).tobytes())
@@ -99,14 +102,6 @@ def from_bytes(content: bytes) -> dict[str, Any]:
         return unpacked(document, {name: _native(array) for name, array in arrays.items()})
 
 
-def _is_symmetric(array: np.ndarray) -> bool:
-    """Whether these are matrices that are, to the bit, their own transposes."""
-    if array.ndim < 2 or array.shape[-1] != array.shape[-2] or array.shape[-1] < 2:
-        return False
-    bits = np.ascontiguousarray(array).view(f"V{array.dtype.itemsize}")
-    return bool((bits == bits.swapaxes(-1, -2)).all())
-
-
 def _whole(half: np.ndarray, size: int) -> np.ndarray:
     """Symmetric matrices of which these are the upper halves, row by row."""
     rows, columns = _upper(size)
@@ -116,8 +111,10 @@ def _whole(half: np.ndarray, size: int) -> np.ndarray:
     return found
 
 
-# Looked up for every recording of a fleet, in which all are of a few sizes.
+# Looked up for every recording of a fleet, in which all are of a few sizes; a version takes longer
+# to look up than all else of a small Summary.
 _upper = functools.lru_cache(maxsize=64)(np.triu_indices)
+version_of = functools.cache(version)
 
 
 def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
@@ -134,7 +131,27 @@ def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
     arrays = {_name(place): np.asarray(leaf) for place, leaf in leaves}
     if parts["edges"] is not None:
         arrays[EDGES] = np.asarray(parts["edges"])
-    return _document(parts), arrays
+    outline: Outline = parts["outline"]
+    document = {
+        "format": FORMAT,
+        "schema": SCHEMA,
+        "riecjax": version_of("riecjax"),
+        "dtype": str(recordings[0].stages[0][0].moments.dtype),
+        "stages": outline.stages,
+        "units": outline.units,
+        "fingerprint": outline.fingerprint,
+        "bins": parts["edges"] is not None,
+        **{name: parts[name] for name in ("in_law", "band", "asked")},
+        "criterion": to_plain_data(parts["criterion"]),
+        "recordings": [
+            {
+                "stages": [[_structure(equation) for equation in stage] for stage in one.stages],
+                "noise": {signal: sorted(of) for signal, of in one.noise.kernels.items()},
+            }
+            for one in recordings
+        ],
+    }
+    return document, arrays
 
 
 def write_checked(
@@ -187,37 +204,6 @@ def _path(path: str | os.PathLike[str]) -> Path:
 
 def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path, simple=True, separator="/")
-
-
-@functools.cache
-def _version() -> str:
-    """Of riecjax; to look it up takes longer than all else of a small Summary."""
-    return version("riecjax")
-
-
-def _document(parts: Mapping[str, Any]) -> Document:
-    """What of a Summary's fields is no array, but for the checksum."""
-    outline: Outline = parts["outline"]
-    recordings: tuple[RecordingSums, ...] = parts["recordings"]
-    return {
-        "format": FORMAT,
-        "schema": SCHEMA,
-        "riecjax": _version(),
-        "dtype": str(recordings[0].stages[0][0].moments.dtype),
-        "stages": outline.stages,
-        "units": outline.units,
-        "fingerprint": outline.fingerprint,
-        "bins": parts["edges"] is not None,
-        **{name: parts[name] for name in ("in_law", "band", "asked")},
-        "criterion": to_plain_data(parts["criterion"]),
-        "recordings": [
-            {
-                "stages": [[_structure(equation) for equation in stage] for stage in one.stages],
-                "noise": {signal: sorted(of) for signal, of in one.noise.kernels.items()},
-            }
-            for one in recordings
-        ],
-    }
 
 
 def _structure(equation: EquationSums) -> Document:

@@ -77,7 +77,18 @@ def task(
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
     procedure = with_rests(as_procedure(model), at_rest)
-    _require_no_springs_on_maps(procedure)
+    # No sums tell of springs in series with maps.
+    if maps := [
+        f"'{spring.of}'"
+        for spring in procedure.springs
+        if any(isinstance(spring.element(e), Terms) for e in procedure.equations)
+    ]:
+        raise ModelError(
+            f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
+            f"its parameters: identify it without (on the command line: without --add-spring), and "
+            f"refine it from there, in Python: rx.refine(model, record, "
+            f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
+        )
     recordings = ready(procedure, records, noise)
     if criterion is None:
         of_records = [recording.record for recording in recordings]
@@ -110,23 +121,6 @@ def _require_squares(procedure: Procedure, record: Record, criterion: AbstractCr
                 f"that is a spike, repair it (--outliers repair; in Python "
                 f"rx.records.repair_outliers(record)); else scale the signals to SI units."
             )
-
-
-def _require_no_springs_on_maps(procedure: Procedure) -> None:
-    """Raise `ModelError` for springs in series with maps, of which no sums tell."""
-    maps = [
-        spring.of
-        for spring in procedure.springs
-        if any(isinstance(spring.element(e), Terms) for e in procedure.equations)
-    ]
-    if maps:
-        named = ", ".join(f"'{name}'" for name in maps)
-        raise ModelError(
-            f"a spring in series with the map of {named} makes the model nonlinear in its "
-            f"parameters: identify it without (on the command line: without --add-spring), and "
-            f"refine it from there, in Python: rx.refine(model, record, "
-            f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
-        )
 
 
 def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> None:

@@ -77,43 +77,34 @@ def politis_white(
         return jnp.zeros(influence.shape[-1], influence.dtype)
     lags = jnp.ceil(jnp.sqrt(count)) + SILENT
     lags = jnp.minimum(lags, jnp.max(short.number) - 1).astype(int)
-    covariances = _autocovariances(influence, room)
+    # Sums of products at lags 0 to `room`, of all records. Lag by lag: few enough, and XLA's
+    # Fourier transforms may lock up where several run at once.
+    n, padded = influence.shape[1], jnp.pad(influence, ((0, 0), (0, room), (0, 0)))
+
+    def at_lag(lag: Array) -> Float[Array, " p"]:
+        later = jax.lax.dynamic_slice_in_dim(padded, lag, n, axis=1)
+        return jnp.sum(influence * later, axis=(0, 1))
+
+    covariances = jax.lax.map(at_lag, jnp.arange(room + 1))
     positive = (covariances[0] > 0) & (lags > SILENT)
     scale = jnp.where(positive, covariances[0], 1.0)
     lag = jnp.arange(1, room + 1)[:, None]
     ratios = jnp.where(lag <= lags, covariances[1:] / scale[None, :], 0.0)
     significant = jnp.abs(ratios) >= 2 * jnp.sqrt(jnp.log10(count) / count)
-    reach = 2 * _last_significant(significant & (lag <= lags), lags)
+    significant = significant & (lag <= lags)
+    # The lag, 1 at least, after which `SILENT` in a row are insignificant; else the last one.
+    loud = jnp.pad(jnp.cumsum(significant, axis=0), ((1, 0), (0, 0)))
+    starts = room - SILENT + 1
+    quiet = loud[SILENT : SILENT + starts] == loud[:starts]
+    quiet = quiet & (jnp.arange(starts)[:, None] <= lags - SILENT)
+    last = jnp.max(jnp.where(significant, lag, 0), axis=0)
+    insignificant = jnp.where(jnp.any(quiet, axis=0), jnp.argmax(quiet, axis=0), last)
+    reach = 2 * jnp.maximum(insignificant, 1)
     taper = jnp.clip(2 * (1 - lag / reach[None, :]), 0.0, 1.0)
     slope = 2 * jnp.sum(taper * lag * ratios, axis=0)
     density = 1 + 2 * jnp.sum(taper * ratios, axis=0)
     blocks = jnp.abs(slope / jnp.maximum(density, 0.1)) ** (2 / 3) * count ** (1 / 3)
     return jnp.where(positive, blocks, 0.0) * jnp.mean(short.seconds)
-
-
-def _autocovariances(series: Float[Array, "records n p"], most: int) -> Float[Array, "lags p"]:
-    """Sums of products at lags 0 to `most`, of all records."""
-    n = series.shape[1]
-    padded = jnp.pad(series, ((0, 0), (0, most), (0, 0)))
-
-    # Lag by lag: few enough, and XLA's Fourier transforms may lock up where several run at once.
-    def at_lag(lag: Array) -> Float[Array, " p"]:
-        later = jax.lax.dynamic_slice_in_dim(padded, lag, n, axis=1)
-        return jnp.sum(series * later, axis=(0, 1))
-
-    return jax.lax.map(at_lag, jnp.arange(most + 1))
-
-
-def _last_significant(significant: Array, lags: Int[Array, ""]) -> Int[Array, " p"]:
-    """The lag, 1 at least, after which `SILENT` in a row are insignificant; else the last one."""
-    room = significant.shape[0]
-    loud = jnp.pad(jnp.cumsum(significant, axis=0), ((1, 0), (0, 0)))
-    starts = room - SILENT + 1
-    quiet = loud[SILENT : SILENT + starts] == loud[:starts]
-    quiet = quiet & (jnp.arange(starts)[:, None] <= lags - SILENT)
-    last = jnp.max(jnp.where(significant, jnp.arange(1, room + 1)[:, None], 0), axis=0)
-    found = jnp.where(jnp.any(quiet, axis=0), jnp.argmax(quiet, axis=0), last)
-    return jnp.maximum(found, 1)
 
 
 # Block statistics: scores of blocks of time, the slope of their sum, each block's influence.

@@ -254,7 +254,16 @@ def few_blocks_sandwich(
     inverse = eliminate(whole, jnp.eye(scale.shape[0]))
     each = jax.vmap(lambda *blocks: slope(list(blocks), unknowns))(*stages)
     each = each * (scale[:, None] * scale[None, :])[None]
-    variance = _working_variance(totals, unknowns, values)
+    # Of one row's error, between parameters of one stage; zero between stages.
+    parts = []
+    for i, names in unknowns:
+        at = jnp.stack([jnp.asarray(values[name]) for name in totals[i].parameters])
+        # Exact data leave no more than rounding.
+        rounding = jnp.finfo(at.dtype).eps * totals[i].energy
+        left = jnp.maximum(totals[i].residual_energy(at), rounding)
+        share = left / jnp.maximum(totals[i].count, 1)
+        parts.append(jnp.full((len(names), len(names)), share))
+    variance = jax.scipy.linalg.block_diag(*parts)
     largest = jnp.max(variance)
     largest = jnp.where(largest > 0, largest, 1.0)
     working = each * (variance / largest)[None]
@@ -292,21 +301,6 @@ def few_blocks_sandwich(
     some = scatter > 0
     freedom = jnp.where(some, seen**2 / jnp.where(some, scatter, 1.0), 1.0)
     return FewBlocks(covariance * size[:, None] * size[None, :], jnp.maximum(freedom, 1.0), seen)
-
-
-def _working_variance(
-    totals: list[NormalEquations], unknowns: Unknowns, values: Mapping[str, Array]
-) -> Float[Array, "p p"]:
-    """Variance of one row's error, between parameters of one stage; zero between stages."""
-    parts = []
-    for i, names in unknowns:
-        total = totals[i]
-        at = jnp.stack([jnp.asarray(values[name]) for name in total.parameters])
-        # Exact data leave no more than rounding.
-        rounding = jnp.finfo(at.dtype).eps * total.energy
-        left = jnp.maximum(total.residual_energy(at), rounding) / jnp.maximum(total.count, 1)
-        parts.append(jnp.full((len(names), len(names)), left))
-    return jax.scipy.linalg.block_diag(*parts)
 
 
 def _beside(
@@ -362,11 +356,15 @@ def studentized_replicates(
             for m, s in zip(moments, stages)
         ]
         again = staged_values(totals, unknowns, statistics.known, solved)
-        error = _standard_errors(
-            scores(stages, unknowns, again),
-            weights.reshape(used.shape[0], -1),
-            slope(totals, unknowns),
-        )
+        # Elimination with every block's score on the right would take half as long again.
+        curvature = slope(totals, unknowns)
+        inverse = solve_scaled(curvature, jnp.eye(curvature.shape[0], dtype=curvature.dtype))
+        count = weights.reshape(used.shape[0], -1)
+        score = (scores(stages, unknowns, again) @ inverse.T).reshape(*count.shape, -1)
+        total = jnp.einsum("rb,rbp->rp", count, score)
+        squares = jnp.einsum("rb,rbp->rp", count, score**2)
+        mean = total**2 / jnp.sum(count, axis=1)[:, None]
+        error = jnp.sqrt(jnp.sum(jnp.maximum(squares - mean, 0.0), axis=0))
         moved = as_vector(unknowns, again) - found
         usable = (error > 0) & jnp.isfinite(error) & jnp.isfinite(moved)
         return jnp.where(usable, moved / jnp.where(usable, error, 1.0), jnp.nan)
@@ -394,17 +392,3 @@ def drawn_counts(
     asked = jnp.where(place[None, :] < used[:, None], block, -1).astype(jnp.int8)
     same = asked[:, :, None] == place.astype(np.int8)[None, None, :]
     return jnp.sum(same, axis=1, dtype=jnp.int8).astype(jnp.int32)
-
-
-def _standard_errors(
-    scores: Float[Array, "blocks p"],
-    weights: Float[Array, "records blocks_of_record"],
-    slope: Float[Array, "p p"],
-) -> Float[Array, " p"]:
-    # Elimination with every block's score on the right would take half as long again.
-    inverse = solve_scaled(slope, jnp.eye(slope.shape[0], dtype=slope.dtype))
-    moved = (scores @ inverse.T).reshape(*weights.shape, -1)
-    total = jnp.einsum("rb,rbp->rp", weights, moved)
-    squares = jnp.einsum("rb,rbp->rp", weights, moved**2)
-    drawn = jnp.sum(weights, axis=1)[:, None]
-    return jnp.sqrt(jnp.sum(jnp.maximum(squares - total**2 / drawn, 0.0), axis=0))

@@ -152,38 +152,17 @@ def window_choice(
     longest = min(0.5 / spectrum.resolution for spectrum in spectra)
     shortest = FEWEST_SAMPLES * float(recordings[0].time_step)
     length = np.geomspace(shortest, max(longest, 2 * shortest), LENGTHS)
-    equations = tuple(
-        _of_equation(error, spectrum, length, (alpha, beta), weight)
-        for error, spectrum in zip(whole, spectra)
-    )
+    equations = []
+    for error, spectrum in zip(whole, spectra):
+        squares = weight.gain(spectrum.frequency, length) ** 2
+        mean_square = weight.mean_gain(spectrum.frequency, alpha, beta, power=2)
+        mean = weight.mean_gain(spectrum.frequency, alpha, beta)
+        share, current = spectrum.share(squares), float(spectrum.share(mean_square))
+        equations.append(
+            EquationWindows(error.name, error.unit, spectrum, share, current, mean, mean_square)
+        )
     recommended, reason = _recommend(equations, length)
-    return WindowChoice(length, equations, alpha, beta, recommended, reason)
-
-
-def _of_equation(
-    error: EquationError,
-    spectrum: ErrorSpectrum,
-    length: Float[np.ndarray, " lengths"],
-    law: tuple[float, float],
-    weight: AbstractTestFunction,
-) -> EquationWindows:
-    frequency = spectrum.frequency
-    squares = weight.gain(frequency, length) ** 2
-    mean_square = weight.mean_gain(frequency, *law, power=2)
-
-    def share(gain: np.ndarray) -> np.ndarray:
-        part, whole = spectrum.error @ gain, spectrum.target @ gain
-        return np.sqrt(np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), 0.0))
-
-    return EquationWindows(
-        error.name,
-        error.unit,
-        spectrum,
-        share(squares),
-        float(share(mean_square)),
-        weight.mean_gain(frequency, *law),
-        mean_square,
-    )
+    return WindowChoice(length, tuple(equations), alpha, beta, recommended, reason)
 
 
 def _recommend(

@@ -343,7 +343,12 @@ def _found(
     weight = delays[1] ** -2.0
     steady = float(weight @ (delays[0] - weight @ delays[0] / weight.sum()) ** 2)
     statistic = (steady - left) / max(left / (delays.shape[1] - 3), 1e-12 * steady, 1e-300)
-    return FoundCourse(course, _without_worst(search, sums, at)), statistic
+    # Of all parts but the one that leaves most: a jump within it is not undone.
+    values = _solved(search, sums, at).values
+    energies = [energy(_at(sums, i, float(p)), values, search.reading) for i, p in enumerate(at)]
+    kept = np.flatnonzero(np.arange(at.size) != np.argmax(energies))
+    rest = _solved(search, [[row[i] for i in kept] for row in sums], at[kept])
+    return FoundCourse(course, rest), statistic
 
 
 def _solved(search: Search, sums: list, at: Float[np.ndarray, " parts"]) -> Solved:
@@ -353,14 +358,6 @@ def _solved(search: Search, sums: list, at: Float[np.ndarray, " parts"]) -> Solv
         for stages in zip(*each)
     ]
     return solve(every, search.estimate.known, search.reading)
-
-
-def _without_worst(search: Search, sums: list, at: Float[np.ndarray, " parts"]) -> Solved:
-    """What is found of all parts but the one that leaves most: a jump within it is not undone."""
-    values = _solved(search, sums, at).values
-    left = [energy(_at(sums, i, float(p)), values, search.reading) for i, p in enumerate(at)]
-    kept = np.flatnonzero(np.arange(at.size) != np.argmax(left))
-    return _solved(search, [[row[i] for i in kept] for row in sums], at[kept])
 
 
 def _at(sums: list, part: int, place: float) -> list:

@@ -288,6 +288,11 @@ class ErrorSpectrum(NamedTuple):
         """Hertz from one frequency to the next."""
         return float(self.frequency[1])
 
+    def share(self, gain: Float[np.ndarray, "frequencies *n"]) -> Float[np.ndarray, "*n"]:
+        """Of what passes a gain of powers, the error's r.m.s. relative to the target's."""
+        part, whole = self.error @ gain, self.target @ gain
+        return np.sqrt(np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), 0.0))
+
     @property
     def band(self) -> float:
         """Hertz up to which 99 % of the power common to target and explained part lies.
@@ -498,7 +503,20 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     if count < 2:
         return None
     size = max(BLOCKS_TO_STRETCH, -(-count // MOST_STRETCHES))
-    stretches = [stretch for blocks in records for stretch in _stretches(blocks, size)]
+    stretches: list[_Blocks] = []
+    for blocks in records:  # each record's as equal as possible
+        parts = blocks.start.size // size
+        edges = np.linspace(0, blocks.start.size, parts + 1).astype(int)
+        pairs = itertools.pairwise(edges) if parts else ()
+        stretches += [_Blocks(*(values[a:b] for values in blocks)) for a, b in pairs]
+    # Analysis of variance of the logarithms of the blocks' mean squares. A mean square of nu
+    # degrees of freedom scatters in proportion to its size, its logarithm by about sqrt(2 / nu)
+    # whatever the size, as the analysis presumes; nor does one loud block decide.
+    squares, p_value = [part.error_square for part in stretches], float("nan")
+    largest = max((square.max() for square in squares), default=0.0)
+    if len(squares) >= FEWEST_STRETCHES and largest > min(square.min() for square in squares):
+        logarithms = [np.log(np.maximum(square, SILENT * largest)) for square in squares]
+        p_value = tails.equal_means(logarithms)
     error, target = (
         np.concatenate([getattr(blocks, field) for blocks in records]).mean()
         for field in ("error_square", "target_square")
@@ -516,7 +534,7 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
         target_mean_square=np.array(
             [_share(part.target_square.mean(), target) for part in stretches]
         ),
-        p_value=_p_value([part.error_square for part in stretches]),
+        p_value=p_value,
         correlation=_share(shared / count, error),
         window_share=float(np.mean(lags) * len(sizes) / np.sum(sizes)),
     )
@@ -564,35 +582,13 @@ def _rises(values: np.ndarray, starts: np.ndarray, lags: np.ndarray, length: int
     return _Rises(mean, square)
 
 
-def _stretches(blocks: _Blocks, size: int) -> list[_Blocks]:
-    """A record's blocks in stretches of at least `size`, as equal as possible."""
-    count = blocks.start.size // size
-    edges = np.linspace(0, blocks.start.size, count + 1).astype(int)
-    return [_Blocks(*(v[a:b] for v in blocks)) for a, b in itertools.pairwise(edges) if count]
-
-
-def _p_value(stretches: list[np.ndarray]) -> float:
-    """Analysis of variance of the logarithms of the blocks' mean squares.
-
-    A mean square of nu degrees of freedom scatters in proportion to its size, its logarithm by
-    about sqrt(2 / nu) whatever the size, as the analysis presumes; nor does one loud block decide.
-    """
-    if len(stretches) < FEWEST_STRETCHES:
-        return float("nan")
-    largest = max(square.max() for square in stretches)
-    if largest == min(square.min() for square in stretches):
-        return float("nan")
-    return tails.equal_means([np.log(np.maximum(s, SILENT * largest)) for s in stretches])
-
-
 def _share(part: float, whole: float) -> float:
     return float(part / whole) if whole > 0 else 0.0
 
 
 def _ratio(mean_square: np.ndarray) -> float:
-    if not mean_square.size or not np.max(mean_square) > 0:
-        return 1.0
-    return float(np.max(mean_square) / max(np.min(mean_square), np.finfo(float).tiny))
+    largest = np.max(mean_square, initial=0.0)
+    return float(largest / max(np.min(mean_square), np.finfo(float).tiny)) if largest > 0 else 1.0
 
 
 KNOTS = 9
@@ -841,23 +837,20 @@ class EquationResidual(NamedTuple):
 
     def _add(self) -> str:
         if self.carrying:
-            return f"Beside the mode on {' and '.join(self.carrying)} {self._add_spring()}"
+            late = "a force may follow late: add a spring in series with it"
+            if self.dampers:
+                spring = f"rx.SeriesSpring('{self.dampers[0]}')"
+                late += f" (on the command line: --add-spring {self.dampers[0]}; {spring})"
+            elif self.maps:
+                late += f" (in Python: rx.SeriesSpring('{self.maps[0]}'), and rx.refine)"
+            else:
+                late = "something else is missing: add it"
+            return f"Beside the mode on {' and '.join(self.carrying)} {late}"
         if not self.bodies:
             return "Add the mode"
         return (
             f"Find the mode on {' or '.join(self.bodies)} (on the command line: --add-mode "
             f"{self.bodies[-1]}; rx.HiddenMode('{self.bodies[-1]}'))"
-        )
-
-    def _add_spring(self) -> str:
-        if not self.dampers and not self.maps:
-            return "something else is missing: add it"
-        late = "a force may follow late: add a spring in series with it"
-        if not self.dampers:
-            return f"{late} (in Python: rx.SeriesSpring('{self.maps[0]}'), and rx.refine)"
-        return (
-            f"{late} (on the command line: --add-spring {self.dampers[0]}; "
-            f"rx.SeriesSpring('{self.dampers[0]}'))"
         )
 
     def _following(self) -> Iterator[Finding]:

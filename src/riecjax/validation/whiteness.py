@@ -87,11 +87,8 @@ def whiteness(
 ) -> Whiteness | None:
     """Tests what parameters and initial states leave (not under jit).
 
-    **Returns:** `None` where windows overlap, and the same noise is left more than once, or where
-    a simulation was lost.
+    **Returns:** `None` where a simulation was lost.
     """
-    if float(misfit.longest_window) > 0:
-        return None
     left = [np.asarray(part) for part in misfit.residuals(theta, initial)]
     masks = [np.asarray(part.present) for part in misfit.recorded]
     if not all(np.isfinite(part).all() for part in left):
