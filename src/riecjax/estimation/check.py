@@ -27,7 +27,8 @@ from riecjax.settings.option import taking
 from riecjax.settings.tree import Check as CheckSettings
 from riecjax.shows import Shown
 from riecjax.summaries.summarise import summed
-from riecjax.summaries.summary import Summary, Survey
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.sums import Survey
 from riecjax.summaries.task import ready, signals_read, task
 
 if TYPE_CHECKING:

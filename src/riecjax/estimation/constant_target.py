@@ -40,7 +40,8 @@ from riecjax.equations.term import constant
 from riecjax.estimation.parameters import Sharing
 from riecjax.findings import Finding
 from riecjax.linear_algebra import Factor, factor_of_gram
-from riecjax.summaries.summary import EquationSums, Summary
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.sums import EquationSums
 
 CONSTANT = 0.05
 """Share of a target, rms, that may vary where it counts as constant: of integrals, in the longest

@@ -29,7 +29,8 @@ from riecjax.linear_algebra import solve_scaled
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.stage_sums import sum_of_equations
-from riecjax.summaries.summary import EquationSums, Summary, Survey
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.sums import EquationSums, Survey
 from riecjax.uncertainty.block_statistics import block_influence
 
 Stages = list[list[NormalEquations]]

@@ -35,7 +35,7 @@ from riecjax.records.record import Record, filled_up
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.stage_sums import moments_of_drawn, sum_of_equations
-from riecjax.summaries.summary import EquationSums, RecordingSums, Survey
+from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
 
 PART = 2**17
 """Starts to a part of a long recording."""

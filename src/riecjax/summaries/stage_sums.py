@@ -20,7 +20,7 @@ from riecjax.equations.noisy_columns import Columns, NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations, short_blocks
-from riecjax.summaries.summary import EquationSums, RecordingSums
+from riecjax.summaries.sums import EquationSums, RecordingSums
 
 
 @eqx.filter_jit

@@ -18,7 +18,8 @@ from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import OnePass
 from riecjax.summaries.sensor_choice import with_less_noise
 from riecjax.summaries.stage_sums import traced_sums
-from riecjax.summaries.summary import RecordingSums, Summary
+from riecjax.summaries.summary import Summary
+from riecjax.summaries.sums import RecordingSums
 from riecjax.summaries.task import Task, task
 
 

@@ -3,13 +3,13 @@
 import dataclasses
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float, Int, UInt32
+from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
@@ -21,148 +21,12 @@ from riecjax.records.noise import Noise
 from riecjax.shows import Shown
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
+from riecjax.summaries.sums import EquationSums, RecordingSums
 
 ROOMS = (128, 1024)
 """Blocks of a recording that arrays have room for; there are no more than the last."""
 UNKNOWN = "0" * 64
 """Digest of a recording that was summed by jit."""
-
-
-class Survey(eqx.Module):
-    """What only a check and figures ask for.
-
-    **Fields:**
-
-    - `noise`: mean outer product of what the signals' noise adds to a row, shape
-      `(1 + p, 1 + p)`.
-    - `quadrature`: outer products, summed, of the differences from rows integrated with the highest
-      order, and of these, shape `(2, 1 + p, 1 + p)`; zero where there is no higher order.
-    - `rows`: some of the rows, shape `(rows, 1 + p)`, and `start`, seconds from the recording's
-      first sample to their windows, shape `(rows,)`.
-    - `reach`: for each term with a basis, its prefix, least and largest argument.
-    """
-
-    noise: Float[Leaf, "columns columns"]
-    quadrature: Float[Leaf, "2 columns columns"]
-    rows: Float[Leaf, "rows columns"]
-    start: Float[Leaf, " rows"]
-    reach: dict[str, Float[Leaf, "2"]]
-
-
-class EquationSums(eqx.Module):
-    """Sums over the windows of one equation on one recording.
-
-    **Fields:**
-
-    - `moments`: `[y A]^T [y A]` of windows that start in each short block of time, by bin of
-      window lengths, shape `(bins, blocks, 1 + p, 1 + p)`.
-    - `count`: number of these windows, shape `(bins, blocks)`.
-    - `survey`: `None` unless it was asked for.
-    - `factor`: triangular factor of all rows, shape `(1 + p, 1 + p)`, where rows are so nearly
-      collinear that their moments lose too many digits; else `None`.
-    - `parameters`: names of the p regressors.
-    - `noise`: what of the moments sensor noise adds in expectation, of the same shape, and
-      `noise_of_source`, what each of the noise's sources adds to all blocks, shape
-      `(bins, sources, 1 + p, 1 + p)`; `None` where nothing is known of it.
-    - `constant`: products of the rows of a column that is 1 throughout with its own rows, the
-      target's and the regressors', of shape `(bins, blocks, 2 + p)`: what tells means from motion.
-      `None` where rows were summed under `jit` or `vmap`, or combined afterwards.
-    """
-
-    moments: Float[Leaf, "bins blocks columns columns"]
-    count: Float[Leaf, "bins blocks"]
-    survey: Survey | None
-    factor: Float[Leaf, "columns columns"] | None
-    parameters: tuple[str, ...] = eqx.field(static=True)
-    noise: Float[Leaf, "bins blocks columns columns"] | None = None
-    noise_of_source: Float[Leaf, "bins sources columns columns"] | None = None
-    constant: Float[Leaf, "bins blocks 1+columns"] | None = None
-
-    def each(self, of_sums: Callable[[Leaf], Leaf]) -> "EquationSums":
-        """The same done to all sums by bins and blocks."""
-        names = ("moments", "count", "noise", "constant")
-        leaves = {name: getattr(self, name) for name in names}
-        changed = {n: None if leaf is None else of_sums(leaf) for n, leaf in leaves.items()}
-        return dataclasses.replace(self, **changed)
-
-
-class RecordingSums(eqx.Module):
-    """Sums of all equations on one recording.
-
-    **Fields:**
-
-    - `stages`: equations of each stage of the procedure.
-    - `blocks`: how many short blocks of time hold the recording; arrays may be longer.
-    - `block_seconds`: that each of them lasts.
-    - `offered`: rows there would be of one equation without gaps and masks; NaN if not known.
-    - `samples`, `time_step`: of the recording.
-    - `digest`: SHA-256 of its content and of all settings, zero where it was summed under `jit`.
-    - `noise` of the recording's signals.
-    """
-
-    stages: tuple[tuple[EquationSums, ...], ...]
-    blocks: Int[Leaf, ""]
-    block_seconds: Float[Leaf, ""]
-    offered: Float[Leaf, ""]
-    samples: Int[Leaf, ""]
-    time_step: Float[Leaf, ""]
-    digest: UInt32[Leaf, "8"]
-    noise: Noise = eqx.field(default_factory=Noise)
-
-    def of_blocks(self, index: Int[np.ndarray, " blocks"]) -> "RecordingSums":
-        """The sums of some of the blocks (not under jit)."""
-        if index.size == int(self.blocks):
-            return self
-
-        def of(equation: EquationSums) -> EquationSums:
-            # A factor of all rows has no parts, and what one source adds is spread evenly.
-            share, of_source = index.size / int(self.blocks), equation.noise_of_source
-            return dataclasses.replace(
-                equation.each(lambda leaf: np.asarray(leaf[:, index], order="C")),
-                factor=None,
-                noise_of_source=None if of_source is None else share * of_source,
-            )
-
-        # Rows are not spread evenly over blocks, so that it is not known how many were offered.
-        return dataclasses.replace(
-            self.of_equations(of), blocks=np.asarray(index.size), offered=np.asarray(np.nan)
-        )
-
-    def in_blocks(self, most: int) -> "RecordingSums":
-        """The same in so many blocks of time at most, neighbours added up (not under jit)."""
-        held = int(self.blocks)
-        if held <= most:
-            return self
-        first = -(-np.arange(most) * held // most)
-
-        def of(equation: EquationSums) -> EquationSums:
-            return equation.each(lambda sums: np.add.reduceat(np.asarray(sums), first, axis=1))
-
-        seconds = float(self.blocks) * float(self.block_seconds)
-        return dataclasses.replace(
-            self.of_equations(of),
-            blocks=np.asarray(most),
-            block_seconds=np.asarray(seconds / most),
-        )
-
-    def of_equations(self, of: Callable[[EquationSums], EquationSums]) -> "RecordingSums":
-        """The same done to the sums of every equation."""
-        stages = tuple(tuple(map(of, stage)) for stage in self.stages)
-        return dataclasses.replace(self, stages=stages)
-
-    def scaled(self, factor: float) -> "RecordingSums":
-        """Sums times a factor; triangular factors, whose squares are sums, times its root."""
-        root = namespace(factor).sqrt(factor)
-
-        def of(equation: EquationSums) -> EquationSums:
-            rows, of_source = equation.factor, equation.noise_of_source
-            return dataclasses.replace(
-                equation.each(lambda leaf: leaf * factor),
-                factor=None if rows is None else rows * root,
-                noise_of_source=None if of_source is None else of_source * factor,
-            )
-
-        return dataclasses.replace(self.of_equations(of), offered=self.offered * factor)
 
 
 class Summary(Shown, eqx.Module):

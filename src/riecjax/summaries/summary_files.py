@@ -28,7 +28,7 @@ from riecjax.records.noise import Noise
 from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.writing import write_npz
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.summary import EquationSums, RecordingSums, Survey
+from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
 from riecjax.whole_files import no_file, write_file
 
 DOCUMENT = "summary"
