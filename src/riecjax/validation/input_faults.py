@@ -16,8 +16,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding
-from riecjax.records.derived import line_taken_off
+from riecjax.findings import Finding, line_taken_off
 from riecjax.records.noise import noise_level
 from riecjax.records.record import Record
 from riecjax.validation.equation_errors import EquationError, errors_over_records
