@@ -14,6 +14,7 @@ alone:
 """
 
 import contextlib
+import functools
 import io
 import warnings
 import zipfile
@@ -54,6 +55,7 @@ def force(t: np.ndarray | float) -> np.ndarray | float:
     return sum(size * np.sin(w * t + phase) for w, phase, size in TONES)
 
 
+@functools.cache
 def rigs(seed: int = 0) -> tuple[Rig, Rig]:
     """An oscillator with drag: with its velocity recorded, and with its position only.
 

@@ -35,9 +35,8 @@ from riecjax.leaves import on_host
 from riecjax.models.model import as_model
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Assess
-from riecjax.settings.tree import Check as CheckSettings
+from riecjax.settings import Assess, taking
+from riecjax.settings import Check as CheckSettings
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import ready

@@ -30,7 +30,7 @@ from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, Prior, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refine_with_misfit
-from riecjax.settings.tree import Assess, Refine
+from riecjax.settings import Assess, Refine
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points

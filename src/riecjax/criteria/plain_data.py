@@ -76,7 +76,15 @@ def _read(value: Any) -> Any:
     if "class" in value:
         fields = {name: _read(each) for name, each in value.items() if name not in RESERVED}
         try:
-            return _class_of(value["class"], value["from"])(**fields)
+            # The class of this name, as it was defined last; of several modules', that of its own.
+            name, module = value["class"], value["from"]
+            kinds = {k.__module__: k for k in _subclasses(*FAMILIES) if k.__name__ == name}
+            if module not in kinds and len(kinds) != 1:
+                raise DataError(
+                    f"it was made with {name} of '{module}', a class that is not defined here: "
+                    f"import the module that defines it first."
+                )
+            return kinds.get(module, next(iter(kinds.values())))(**fields)
         except (TypeError, ModelError):
             raise DataError(
                 f"its {value['class']} has other settings than the one of this name here."
@@ -85,17 +93,6 @@ def _read(value: Any) -> Any:
     array = np.array(values, dtype)
     # Constructors take any NumPy array to 64-bit; JAX's pass unchanged.
     return array if array.dtype == np.float64 else jnp.asarray(array)
-
-
-def _class_of(name: str, module: str) -> type:
-    """The class of this name, as it was defined last; of several modules', that of `module`."""
-    found = {kind.__module__: kind for kind in _subclasses(*FAMILIES) if kind.__name__ == name}
-    if module not in found and len(found) != 1:
-        raise DataError(
-            f"it was made with {name} of '{module}', a class that is not defined here: import the "
-            f"module that defines it first."
-        )
-    return found[module] if module in found else next(iter(found.values()))
 
 
 def _subclasses(*kinds: type) -> Iterator[type]:

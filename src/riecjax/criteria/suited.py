@@ -27,8 +27,7 @@ from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record
-from riecjax.settings.option import Contradiction
-from riecjax.settings.tree import Fit
+from riecjax.settings import Contradiction, Fit
 
 LENGTHS = 8
 """Of bumps, evenly spaced: their rows change slowly with the length."""

@@ -39,8 +39,8 @@ from riecjax.models.model import Model, as_model
 from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Discover as DiscoverSettings
+from riecjax.settings import Discover as DiscoverSettings
+from riecjax.settings import taking
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals, intervals_of
 from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause

@@ -23,8 +23,8 @@ from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Check as CheckSettings
+from riecjax.settings import Check as CheckSettings
+from riecjax.settings import taking
 from riecjax.shows import Shown
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary

@@ -30,8 +30,7 @@ from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.record import Records, as_records
 from riecjax.records.recording import as_recordings, explaining_errors
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Identify
+from riecjax.settings import Identify, taking
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary

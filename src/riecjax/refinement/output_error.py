@@ -170,21 +170,17 @@ class Tiles(AbstractShooting):
         """Tiles of each unbroken stretch; the last of a stretch may be shorter."""
         if self.samples is not None:
             return _tiles(record, inputs, self.samples + 1, joined)
-        steps = max(round(float(self.seconds or 0.0) / _seconds_of_a_sample(record)), 1)
+        if not is_concrete(record.time_step):
+            raise ModelError(
+                "the number of samples of a window must be known before tracing: give "
+                "Tiles(samples=...) or keep the record's time step out of jit and vmap."
+            )
+        steps = max(round(float(self.seconds or 0.0) / float(record.time_step)), 1)
         return _tiles(record, inputs, steps + 1, joined)
 
     def describe(self) -> dict[str, object]:
         """Name and length."""
         return {"windows": "tiles", "seconds": self.seconds, "samples": self.samples}
-
-
-def _seconds_of_a_sample(record: Record) -> float:
-    if not is_concrete(record.time_step):
-        raise ModelError(
-            "the number of samples of a window must be known before tracing: give "
-            "Tiles(samples=...) or keep the record's time step out of jit and vmap."
-        )
-    return float(record.time_step)
 
 
 def _tiles(record: Record, inputs: Sequence[str], longest: int, joined: bool) -> Shots:

@@ -10,6 +10,8 @@ import difflib
 import functools
 import inspect
 import itertools
+import json
+import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -232,14 +234,12 @@ def _encodes(text: str) -> bool:
 
 def _number(text: str) -> float | str:
     """The number that is written so and not otherwise, or the text."""
-    for kind in (int, float):
-        try:
-            value = kind(text)
-        except ValueError:
-            continue
-        if number_text(value) == text:
-            return value
-    return text
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return text
+    is_number = type(value) in (int, float) and math.isfinite(value)
+    return value if is_number and number_text(value) == text else text
 
 
 PYTHON_FILE = re.compile(r"(?P<file>.+\.py)(?P<object>:[^:/\\]*)?")
