@@ -6,7 +6,7 @@ beforehand whether there is an answer.
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from jaxtyping import Array
 
@@ -98,8 +98,8 @@ def assess(
     fitted, held = concerned(recordings), []
     if settings.hold_out is not None:
         fitted, held = map(list, zip(*(each.split(settings.hold_out) for each in fitted)))
-    further = settings.validate_on
-    further = concerned(ready(procedure, further)) if len(further) else []  # type: ignore[arg-type]
+    further: Any = settings.validate_on
+    further = concerned(ready(procedure, further)) if further else []
     plan = {"known": settings.known, "per_record": settings.per_record}
     intervals = intervals_of(settings.intervals)
     parts = model, procedure, criterion, fitted, held, further, settings.key, plan, intervals

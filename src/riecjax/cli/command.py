@@ -235,8 +235,10 @@ class Given:
             typed = {k: v for k, v in typed.items() if k not in option.excludes}
         said = [(self.command.options[name], value) for name, value in typed.items()]
         arguments_first = sorted(said, key=lambda each: each[0].flag != "")
-        words = (word for option, value in arguments_first for word in option.words(value))
-        return [str(self.command.name), *words]
+        return [
+            str(self.command.name),
+            *(word for option, value in arguments_first for word in option.words(value)),
+        ]
 
 
 class SettingsCommand(click.Command):

@@ -412,14 +412,14 @@ class Assess(Validate, Uncertainty, Sharing, Known, Refine, Fit):
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
         Fit.require_sense(self)
         Refine.require_sense(self)
-        simulates = self.hold_out is not None or len(self.validate_on) or self.refine == "auto"  # type: ignore[arg-type]
-        if self.horizon is not None and self.refine in (None, "none", "integral") and not simulates:
+        validates = self.hold_out is not None or bool(self.validate_on)
+        if self.horizon is not None and self.refine in (None, "none", "integral") and not validates:
             raise Contradiction(
                 "{horizon} goes with {refine:auto} or {refine:output-error}, or with {hold_out} or "
                 "{validate_on}: nothing else is simulated.",
                 self.options(),
             )
-        if self.per_record and len(self.validate_on):  # type: ignore[arg-type]
+        if self.per_record and self.validate_on:
             raise Contradiction(
                 "{per_record} gives a parameter no value on the recordings of {validate_on}: use "
                 "one of the two.",
