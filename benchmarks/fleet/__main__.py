@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dask.system import CPU_COUNT
 from tests.machines import DRAG_TRUTH, drag_fleet
 
 from benchmarks.fleet.breaks import breaks
@@ -131,10 +130,10 @@ def speed(folder: Path, work: Path) -> dict[str, Any]:
 
 def scaling(folder: Path, work: Path) -> dict[str, Any]:
     """1, 2, 4 and more workers, to one a core: of machines with more than two."""
-    counts = [2**n for n in range(CPU_COUNT.bit_length())]
+    counts = [2**n for n in range(len(os.sched_getaffinity(0)).bit_length())]
     run(folder, work / "compiles", 1)
     return {
-        "cores": CPU_COUNT,
+        "cores": len(os.sched_getaffinity(0)),
         "recordings": sum(1 for _ in folder.rglob("*.parquet")),
         "runs": [run(folder, work / f"scaling{workers}", workers) for workers in counts],
     }
