@@ -381,9 +381,11 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
         return {} if option.default == {} else None
     if option.free or value in option.alone:
         return value
+    named = option.form.rpartition("|")[2].partition("=")[0].lower()
+    one = value if isinstance(value, str) else "x"
     shapes: dict[str, tuple[Any, str]] = {
-        "named": (Mapping, f"{name}={{'x': ...}}, by the signal's name"),
-        "many": (list | tuple, f"{name}=('x',), a tuple of names"),
+        "named": (Mapping, f"{name}={{'x': ...}}, by {named}"),
+        "many": (list | tuple, f"{name}=({one!r},), a tuple"),
         "once": (list | tuple if option.count > 1 else object, f"{name}=(1.0, 10.0)"),
         "flag": (bool, f"{name}=True"),
         "switch": (bool, f"{name}=False"),
