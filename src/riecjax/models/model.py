@@ -216,7 +216,7 @@ class Model(Shown):
             if kind not in added:
                 from riecjax.extensions import element
 
-                others.append((element(kind), signal, hertz))
+                others.append((element(kind, [*added]), signal, hertz))
             elif kind == "mode":
                 added[kind].append((signal, hertz))
             else:
