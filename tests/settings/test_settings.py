@@ -185,7 +185,7 @@ def test_jobs_of_results_that_are_kept_say_the_same_again():
             "--loss goes with --refine output-error.",
         ),
         (
-            lambda: tree.Assess(per_record=("k",), validate_on=[1]),
+            lambda: tree.Assess(per_record=("k",), validate_on=[Path("b.csv")]),
             "per_record gives a parameter no value on the recordings of validate_on: use one of",
             "--per-record gives a parameter no value on the recordings of --validate: use one of",
         ),

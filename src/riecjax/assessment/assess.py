@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import criterion_for, suited
+from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
@@ -87,7 +87,6 @@ def assess(
     recordings = ready(procedure, recordings, settings.noise)
     plain = [each.record for each in recordings]
     criterion = criterion_for(settings, procedure, model.band, plain)
-    criterion = criterion or suited(procedure, model.band, plain)
     if settings.horizon is not None and not settings.horizon > 0:
         raise ModelError(f"horizon is a positive number of seconds; got {settings.horizon:g}.")
 
@@ -278,7 +277,6 @@ def check_answering(
     procedure, recordings = described.build_procedure(), as_recordings(records)
     plain, key = [each.record for each in recordings], settings.key
     criterion = criterion_for(settings, procedure, described.band, plain)
-    criterion = criterion or suited(procedure, described.band, plain)
     require_memory_to_assess(procedure, plain, criterion, checking=True)
     plan = {"known": settings.known, "per_record": settings.per_record}
     summary = summarise(procedure, recordings, criterion, key=key, survey=True)

@@ -132,8 +132,10 @@ class Order:
         """
         first = self._first(sources)
         plan_parameters(self.procedure, 1, self.settings.known, ())
-        criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
-        criterion = criterion or default_criterion(self.model, first, self.settings.noise)
+        if self.settings.says_of_criterion:
+            criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
+        else:
+            criterion = default_criterion(self.model, first, self.settings.noise)
         if criterion.needs_key:
             raise ModelError(
                 "a fleet sums all windows: give rx.RIEC(rx.AllWindows(alpha, beta)) (on the "
@@ -168,7 +170,8 @@ class Order:
             )
         summary.require_model(self.procedure)
         criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
-        if criterion is not None and criterion.describe() != summary.criterion.describe():
+        asked_for = self.settings.says_of_criterion
+        if asked_for and criterion.describe() != summary.criterion.describe():
             raise ModelError(
                 f"{name} holds sums by {summary.criterion.describe()}; for another criterion sum "
                 f"the recordings anew."

@@ -255,6 +255,11 @@ class Fit(Fitted):
     """Order of the integrals in the time step, for test functions that have one."""
 
     @property
+    def says_of_criterion(self) -> bool:
+        """Whether a criterion is asked for, so that it is not the one that suits."""
+        return self.criterion not in (None, "riec") or self.says_of_windows
+
+    @property
     def says_of_windows(self) -> bool:
         """Whether anything is said of the windows."""
         return self.says(*WINDOWS)

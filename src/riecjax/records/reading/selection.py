@@ -10,7 +10,6 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.spikes import Treatment
 from riecjax.records.noise_judgement import given_noise, judged
 from riecjax.records.preparation.repair import signed, treat_all
 from riecjax.records.reading import times as clocks
@@ -124,7 +123,7 @@ def record_from_channels(
     matter = asked or {*signals.values}
     step, formulas = selection.time_step, selection.derive
     # What a program hands over as arrays is left as it is.
-    how: Treatment = selection.outliers if isinstance(selection, Read) else "keep"
+    how = selection.outliers if isinstance(selection, Read) else "keep"
     columns, axis, axes = signals.values, None, times
     try:
         if selection.resample is None:
