@@ -197,23 +197,7 @@ def split(record: Record, share: float) -> tuple[Record, Record]:
     """
     if not 0 < share < 1:
         raise DataError(f"the share to hold out must lie between 0 and 1; got {share:g}.")
-    return _split(record, record.sample_count - round(share * record.sample_count))
-
-
-def split_at(record: Record, seconds: float) -> tuple[Record, Record]:
-    """Split a record before the first sample at or after this time, on the record's clock (`time`).
-
-    **Returns:** the part to estimate from, and the part to validate on.
-
-    **Raises:** `DataError` for a time that leaves a part without two samples or without any sample
-    of a signal.
-    """
-    # A time in decimals stands for the sample nearest to it within rounding.
-    rounding = 1e-6 * float(record.time_step)
-    return _split(record, int(np.searchsorted(np.asarray(record.time), seconds - rounding)))
-
-
-def _split(record: Record, at: int) -> tuple[Record, Record]:
+    at = record.sample_count - round(share * record.sample_count)
     if min(at, record.sample_count - at) < 2:
         raise DataError(
             f"splitting {record.sample_count} samples into {at} and {record.sample_count - at} "

@@ -86,8 +86,8 @@ class _Reader:
     def answer(self, request: tuple[Any, ...], limit: float) -> Any:
         """What the function returned or raised.
 
-        **Raises:** `EOFError`, `OSError` or `UnpicklingError` where the process ended, or took more than `limit`
-        seconds.
+        **Raises:** `EOFError`, `OSError` or `UnpicklingError` where the process ended, or took
+        more than `limit` seconds.
         """
         timer = threading.Timer(limit, self.process.kill)
         assert self.process.stdin is not None
