@@ -262,7 +262,8 @@ def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -
             values[target] = values[target] * factor
             units.pop(target, None)
             # Scaled to seconds, whatever its name says.
-            units |= {target: "s"} if clocks.counts_in_its_name(target) else {}
+            states = clocks.is_called_time(target, {}) and clocks.unit_of_time(target)
+            units |= {target: "s"} if states else {}
             done.add(target)
     return signals._replace(values=values, units=units)
 
