@@ -76,9 +76,7 @@ def _pauses(columns: Columns, step: float) -> np.ndarray:
 def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         if not name.isprintable() or name != name.strip() or not name.strip('"') == name != "":
-            raise DataError(
-                f"{name!r} cannot name a column in CSV; rename it or write NPZ."
-            )
+            raise DataError(f"{name!r} cannot name a column in CSV; rename it or write NPZ.")
     table = np.column_stack(list(columns.values()))
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -113,8 +111,7 @@ def _write_mat(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         if not (name.isidentifier() and name.isascii() and name[0].isalpha()) or len(name) > 31:
             raise DataError(
-                f"{name!r} cannot be a variable in a MAT file; rename it or write CSV"
-                " or NPZ."
+                f"{name!r} cannot be a variable in a MAT file; rename it or write CSV or NPZ."
             )
     with file.open("wb") as stream:
         scipy.io.savemat(stream, dict(columns), oned_as="column")

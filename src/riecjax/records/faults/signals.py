@@ -101,7 +101,9 @@ def check_signals(
     **Raises:** `DataError` for a signal that the record lacks.
     """
     names = tuple(dict.fromkeys(names))
-    every = {name: sampled_signal(record, name) for name in {**dict.fromkeys(names), **record.arrays}}
+    every = {
+        name: sampled_signal(record, name) for name in {**dict.fromkeys(names), **record.arrays}
+    }
     findings = list(missing_samples(record, [every[name] for name in names]))
     for name in names:
         signal = every[name]

@@ -532,8 +532,9 @@ def finding_of(
     )
     message = (
         f"{name}: {count} {'sample is a spike' if count == 1 else 'samples are spikes'} "
-        f"({100 * count / np.sum(~np.isnan(values)):.2g} %), up to {f'{largest:.4g} {unit}'.rstrip()} "
-        f"off the samples around{against}, at {listed}{more}. {said}."
+        f"({100 * count / np.sum(~np.isnan(values)):.2g} %), up to "
+        f"{f'{largest:.4g} {unit}'.rstrip()} off the samples around{against}, at {listed}{more}. "
+        f"{said}."
     )
     remedy = ("--outliers", "repair") if kept and not beyond_repair else ()
     return Finding("outliers", message, (name,), doubt=doubt, remedy=remedy)

@@ -1,6 +1,6 @@
 """Filters without phase, offsets, drifts and derivatives, each on unbroken stretches."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
@@ -55,25 +55,18 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     from scipy.signal import butter, sosfiltfilt  # take half a second, which few records need
 
     record = judged(record, "auto", *cutoffs)
-    noise = record.noise
-
-    def filtered(name: str) -> np.ndarray:
-        nonlocal noise
-        sections = butter(FILTER_ORDER, cutoffs[name] / nyquist, output="sos")
+    noise, columns = record.noise, {}
+    for name, cutoff in cutoffs.items():
+        sections = butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         impulse = np.zeros(4 * lost[name] + FILTER_PADDING + 1)
         impulse[impulse.size // 2] = 1.0
         noise = noise.filtered(name, sosfiltfilt(sections, impulse))
-
-        def step(samples: np.ndarray) -> np.ndarray:
-            found = np.full(samples.size, np.nan)
-            if samples.size > _shortest(lost[name]):
-                inner = slice(lost[name], -lost[name])
-                found[inner] = sosfiltfilt(sections, samples)[inner]
-            return found
-
-        return on_stretches(record, name, step)
-
-    columns = {name: filtered(name) for name in cutoffs}
+        columns[name] = np.full(record.sample_count, np.nan)
+        for stretch in record.segments([name]):
+            if stretch.stop - stretch.start > _shortest(lost[name]):
+                inner = slice(stretch.start + lost[name], stretch.stop - lost[name])
+                samples = sosfiltfilt(sections, np.asarray(record[name])[stretch])
+                columns[name][inner] = samples[lost[name] : -lost[name]]
     result = with_gaps(record, columns, noise=noise).part(cut, record.sample_count - cut)
     for name, cutoff in cutoffs.items():
         if not result.segments([name]):
@@ -182,9 +175,10 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
             f"'{signal}' has no derivative: nowhere are two of its samples next to each other. "
             f"Repair the gaps, or resample to a lower rate."
         )
-    unit = dict(record.units).get(signal)
-    units = {} if unit is None else {name: f"{unit}/s"}
-    derivative = on_stretches(record, signal, lambda x: central_difference(x, record.time_step))
+    units = {name: f"{unit}/s" for stated, unit in record.units if stated == signal}
+    samples, derivative = np.asarray(record[signal]), np.full(record.sample_count, np.nan)
+    for stretch in record.segments([signal]):
+        derivative[stretch] = central_difference(samples[stretch], record.time_step)
     taps = np.array([0.5, 0.0, -0.5]) / float(record.time_step)
     record = judged(record, "auto", signal)
     return with_gaps(record, {name: derivative}, units, record.noise.filtered(signal, taps, name))
@@ -203,33 +197,18 @@ def central_difference(samples: ArrayLike, time_step: ArrayLike) -> Float[np.nda
     )
 
 
-def on_stretches(
-    record: Record, signal: str, step: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray:
-    """What `step` makes of each unbroken stretch of a signal, NaN elsewhere, shape `(n,)`."""
-    samples = np.asarray(record[signal])
-    found = np.full(samples.size, np.nan)
-    for stretch in record.segments([signal]):
-        found[stretch] = step(samples[stretch])
-    return found
-
-
 def through(
     record: Record, signal: str, taps: Float[np.ndarray, " taps"], first: int
 ) -> Float[np.ndarray, " n"]:
     """Weighted sums of a signal's samples, from `first` samples on; NaN where they reach beyond."""
-
-    def sums(samples: np.ndarray) -> np.ndarray:
-        found = np.full(samples.size, np.nan)
-        if samples.size < taps.size:
-            return found
-        every = np.convolve(samples, taps[::-1], "valid")
-        places = np.arange(every.size) - first
-        there = (places >= 0) & (places < samples.size)
-        found[places[there]] = every[there]
-        return found
-
-    return on_stretches(record, signal, sums)
+    samples, result = np.asarray(record[signal]), np.full(record.sample_count, np.nan)
+    for stretch in record.segments([signal]):
+        if stretch.stop - stretch.start >= taps.size:
+            sums = np.convolve(samples[stretch], taps[::-1], "valid")
+            places = stretch.start - first + np.arange(sums.size)
+            there = (places >= stretch.start) & (places < stretch.stop)
+            result[places[there]] = sums[there]
+    return result
 
 
 def with_gaps(
@@ -304,8 +283,7 @@ def with_local_derivative(
             f"repair the gaps."
         )
     taps = derivative_taps(count, step)
-    unit = dict(record.units).get(signal)
-    units = {} if unit is None else {name: f"{unit}/s"}
+    units = {name: f"{unit}/s" for stated, unit in record.units if stated == signal}
     noise = record.noise.filtered(signal, taps, name)
     added = with_gaps(record, {name: through(record, signal, taps[::-1], -count)}, units, noise)
     return added.part(count, record.sample_count - count), count * step

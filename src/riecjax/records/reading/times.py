@@ -161,10 +161,11 @@ def _date(stamp: dict[str, str | None]) -> tuple[int, int, int, bool] | None:
             return int(year), int(month), int(day), False
         case {"first": month, "second": day, "late": year}:
             return _year(year), int(month), int(day), True
-        case (
-            {"named_day": day, "name": name, "named_year": year}
-            | {"us_day": day, "us_name": name, "us_year": year}
-        ):
+        case {"named_day": day, "name": name, "named_year": year} | {
+            "us_day": day,
+            "us_name": name,
+            "us_year": year,
+        }:
             month = (*_MONTHS, name.lower()).index(name.lower()) + 1
             return _year(year), month, int(day), False
         case {"compact": whole}:
