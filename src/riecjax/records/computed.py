@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.leaves import is_concrete
-from riecjax.records.faults.relations import Pairs, Relation
+from riecjax.records.faults.derivative_pairs import Pairs, Relation
 from riecjax.records.faults.sampled_signal import ENOUGH
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record, samples_with_nan

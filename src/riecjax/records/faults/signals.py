@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.faults.clipping import clipped
+from riecjax.records.faults.held_values import clipped, stuck
 from riecjax.records.faults.rows import copied_signals
 from riecjax.records.faults.sampled_signal import (
     FEW_LEVELS,
@@ -18,7 +18,6 @@ from riecjax.records.faults.sampled_signal import (
     sampled_signal,
 )
 from riecjax.records.faults.spikes import outliers
-from riecjax.records.faults.stuck_sensor import stuck
 from riecjax.records.preparation.hum import hum
 from riecjax.records.record import Record, runs
 

@@ -9,8 +9,15 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.consistency import compared
-from riecjax.records.faults.derivative_pairs import LATE, PPM, Pair
-from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
+from riecjax.records.faults.derivative_pairs import (
+    LATE,
+    PPM,
+    Pair,
+    Pairs,
+    Relation,
+    relations,
+    with_sum,
+)
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation.filtering import longest_stretch, through, with_gaps

@@ -175,7 +175,8 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
             f"'{signal}' has no derivative: nowhere are two of its samples next to each other. "
             f"Repair the gaps, or resample to a lower rate."
         )
-    units = {name: f"{unit}/s" for stated, unit in record.units if stated == signal}
+    unit = dict(record.units).get(signal)
+    units = {} if unit is None else {name: f"{unit}/s"}
     samples, derivative = np.asarray(record[signal]), np.full(record.sample_count, np.nan)
     for stretch in record.segments([signal]):
         derivative[stretch] = central_difference(samples[stretch], record.time_step)
@@ -283,7 +284,8 @@ def with_local_derivative(
             f"repair the gaps."
         )
     taps = derivative_taps(count, step)
-    units = {name: f"{unit}/s" for stated, unit in record.units if stated == signal}
+    unit = dict(record.units).get(signal)
+    units = {} if unit is None else {name: f"{unit}/s"}
     noise = record.noise.filtered(signal, taps, name)
     added = with_gaps(record, {name: through(record, signal, taps[::-1], -count)}, units, noise)
     return added.part(count, record.sample_count - count), count * step

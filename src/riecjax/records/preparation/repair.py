@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.clipping import limits
+from riecjax.records.faults.held_values import limits, stuck_runs
 from riecjax.records.faults.sampled_signal import sampled_signal
 from riecjax.records.faults.spikes import (
     DONE,
@@ -20,7 +20,6 @@ from riecjax.records.faults.spikes import (
     finding_of,
     too_many,
 )
-from riecjax.records.faults.stuck_sensor import stuck_runs
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import SHORTEST_PAUSE
