@@ -249,39 +249,28 @@ BY_CHANCE = 1e-6
 of them far above the motion would make the polynomial as narrow as can be."""
 
 
-def with_local_derivative(
-    record: Record, signal: str, name: str, half_width: float | None = None
-) -> tuple[Record, float]:
+def with_local_derivative(record: Record, signal: str, name: str) -> tuple[Record, float]:
     """Add the time derivative of a noisy signal: slopes of local polynomials of fourth order.
 
     Least squares over 2 m + 1 samples, as by Savitzky and Golay. Noise falls with the power -3/2
-    of the width, and the motion's error grows with the fourth: unless given, the half width is the
-    largest at which that error, by the signal's spectrum above its noise, is 0.05 of the noise's
-    standard deviation. m samples are cut off at both ends, and become missing beside gaps.
+    of the width, and the motion's error grows with the fourth: the half width is the largest at
+    which that error, by the signal's spectrum above its noise, is 0.05 of the noise's standard
+    deviation, and at least 3 samples. m samples are cut off at both ends, and become missing beside
+    gaps.
 
-    **Arguments:** `half_width` in seconds, at least 3 samples; `name` of the derivative.
+    **Arguments:** `name` of the derivative.
 
     **Returns:** the record, and the half width in seconds.
 
-    **Raises:** `DataError` for a missing signal, a half width below 3 samples, or stretches that
-    are all too short.
+    **Raises:** `DataError` for a missing signal, or stretches that are all too short.
     """
     record, step = judged(record, "auto", signal), float(record.time_step)
     longest = longest_stretch(record, signal)
-    if half_width is None:
-        count = _widest(record, signal, step) if longest > 2 * NARROWEST else NARROWEST
-    else:
-        count = round(half_width / step) if np.isfinite(half_width) else 0
-    if count < NARROWEST:
-        raise DataError(
-            f"the half width of a local polynomial of '{signal}' must be {NARROWEST} samples, "
-            f"{NARROWEST * step:g} s, at the least; got {half_width:g} s."
-        )
+    count = _widest(record, signal, step) if longest > 2 * NARROWEST else NARROWEST
     if longest < 2 * count + 1 or record.sample_count < 2 * count + 2:
         raise DataError(
             f"'{signal}' has no derivative by local polynomials: they take {2 * count + 1} samples "
-            f"in succession, and its longest stretch has {longest}. Give a smaller half width, or "
-            f"repair the gaps."
+            f"in succession, and its longest stretch has {longest}. Repair the gaps."
         )
     taps = derivative_taps(count, step)
     unit = dict(record.units).get(signal)

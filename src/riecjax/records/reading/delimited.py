@@ -4,6 +4,7 @@ import codecs
 import contextlib
 import csv
 import io
+import itertools
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -33,10 +34,10 @@ from riecjax.records.reading.numerals import (
 )
 from riecjax.records.reading.times import are_stamps, is_called_time, is_stamp, seconds
 from riecjax.records.reading.units import (
+    BRACKETS,
     SECONDS,
     bare_unit,
     is_known,
-    is_unit,
     readings,
     same,
     split_unit,
@@ -164,12 +165,10 @@ def _without_breaks(content: bytes) -> bytes:
         return content
     lines = content.split(b"\n", MOST_HEADINGS)
     for place in range(len(lines) - 1):
-        for count in range(1, MOST_BREAKS):
+        for count in range(1, min(MOST_BREAKS, len(lines) - place)):
             row = b" ".join(lines[place : place + count])
             if not _OPEN.search(re.sub(rb'"[^"]*"', b"", row)):
                 lines[place : place + count] = [row, *[b""] * (count - 1)]
-                break
-            if place + count >= len(lines) - 1:
                 break
     return b"\n".join(lines)
 
@@ -269,11 +268,12 @@ def layout(
         if len(line) > MOST_COLUMNS:
             check_column_count(max(len(line.split()), *(line.count(d) + 1 for d in SIGNS)))
     text = "\n".join(lines)
+    marks = [delimiter] if delimiter else [d for d in NAMES if d == " " or d in text]
     layouts = []
-    for sign in [decimal] if decimal else [".", ","]:
-        for mark in [delimiter] if delimiter else [d for d in NAMES if d == " " or d in text]:
-            # A comma can be both only where quotes tell the two apart.
-            table = _layout(lines, Dialect(mark, sign)) if sign != mark or '"' in text else None
+    for sign, mark in itertools.product([decimal] if decimal else [".", ","], marks):
+        # A comma can be both only where quotes tell the two apart.
+        if sign != mark or '"' in text:
+            table = _layout(lines, Dialect(mark, sign))
             # One column only where its name holds no delimiter: else the file has more columns.
             alone = table and table.width == 1 and not delimiter and table.header >= 0
             if table and not (alone and any(d in lines[table.header] for d in SIGNS)):
@@ -343,13 +343,12 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
         if len(kind) == len(pattern)
         and all(a == b or "M" in (a, b) for a, b in zip(kind, pattern, strict=True))
     )
-    header, units, start = _header(rows, kinds, first, pattern)
-    if header is None:
-        header, names, units = _commented_header(lines, dialect, first, len(pattern))
-    else:
-        names = rows[header]
-    names = _without_empty_end(names)
     width = len(pattern)
+    header, units, start = _header(rows, kinds, first, pattern)
+    names = [] if header is None else rows[header]
+    if header is None:
+        header, names, units = _commented_header(lines, dialect, first, width)
+    names = _without_empty_end(names)
     if len(names) == width + 1 > 2:
         # What the row is, before its names, or a column of remarks that stayed empty.
         before, behind = names[0].lower() in ROWS, names[-1].lower() in REMARKS
@@ -410,9 +409,9 @@ def _header(
     # Where no row above is as wide, the last one tells how many names there are instead.
     above = above or preceding[:1]
     # A row that is partly numbers below a row of names is data that went wrong, not a header.
-    texts = [place for place in above if "T" in kinds[place] and not set(kinds[place]) & {"N", "S"}]
     fallback = [place for place in above if "T" in kinds[place]]
-    if not texts and not fallback:
+    texts = [place for place in fallback if not set(kinds[place]) & {"N", "S"}]
+    if not fallback:
         return None, [], first
     # Below a row of units there may be one of sensors, or of how values were taken.
     units = [_is_unit_row(rows[place]) for place in texts[:2]]
@@ -420,22 +419,22 @@ def _header(
         above = [place for place in above if place < texts[0]]
         del rows[texts.pop(0)]
     last = (texts or fallback)[0]
-    named, stated = last, None
     between = [place for place in above if place > last]
     # Above units, names may be numbers, as of channels 1 and 2.
     upper = next((place for place in fallback if place < last), None)
+    named, stated, units = last, last, []
     if between and _is_unit_row(rows[between[-1]]):
-        stated = between[-1]
+        stated, units = between[-1], rows[between[-1]]
     elif upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
-        named, stated = upper, last
-    start = min(place for place in rows if place > (last if stated is None else stated))
-    return named, list(map(bare_unit, rows[stated])) if stated is not None else [], start
+        named, units = upper, rows[last]
+    return named, list(map(bare_unit, units)), min(place for place in rows if place > stated)
 
 
 def _is_unit_row(fields: list[str]) -> bool:
     """Whether all fields are units, or most of them below one of time, which no name is."""
-    known = [not field or is_unit(field) or field in PLACES for field in fields]
-    timed = bare_unit(fields[0]).lower() in SECONDS and sum(known) > len(fields) / 2
+    # In brackets anything is a unit, and no name.
+    known = [f in ("", *PLACES) or is_known(f) or BRACKETS.fullmatch(f) for f in fields]
+    timed = bare_unit(fields[0]).lower() in SECONDS and sum(map(bool, known)) > len(fields) / 2
     return any(fields) and (all(known) or timed)
 
 
@@ -445,8 +444,7 @@ def _commented_header(
     """Line, names and units of the last comment above the numbers that names each column."""
     found: list[tuple[int, list[str]]] = []
     for place in range(first - 1, -1, -1):
-        sign = dialect.comment(lines[place])
-        if sign:
+        if sign := dialect.comment(lines[place]):
             fields = dialect.fields(lines[place][sign.end() :])
             found.append((place, _joined(fields, dialect, width)))
         if len(found) == 2 or (lines[place].strip() and not sign):
@@ -680,13 +678,10 @@ def _all_valid(table: Table, valid: Any, text: Any) -> bool:
 
 def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
     """Refuse a file whose commas may all separate thousands as well as decimals."""
-    pc = compute()
-
-    doubtful = None
+    pc, doubtful = compute(), None
     for text in texts.values():
-        valid = pc.fill_null(is_numeric(text, ",", False), False)
-        with_comma = pc.and_(valid, pc.fill_null(pc.match_substring(text, ","), False))
-        grouped = pc.fill_null(pc.match_substring_regex(text, GROUPED["."]), False)
+        with_comma = pc.and_(is_numeric(text, ",", False), pc.match_substring(text, ","))
+        grouped = pc.match_substring_regex(text, GROUPED["."])
         if pc.any(pc.and_not(with_comma, grouped)).as_py():
             return
         if doubtful is None and pc.any(with_comma).as_py():
