@@ -20,8 +20,7 @@ from riecjax.estimation.parameters import values_of_record
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records import leave_out, shift
-from riecjax.records.faults.derivative_pairs import Pair, compare
-from riecjax.records.faults.relations import Relation, relations
+from riecjax.records.faults.derivative_pairs import Pair, Relation, compare, relations
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording

@@ -37,7 +37,7 @@ from riecjax.equations.memories import Memory
 from riecjax.equations.term import AbstractTerm, Expression, Term, constant, read_expression
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
-from riecjax.records.faults.relations import Relation
+from riecjax.records.faults.derivative_pairs import Relation
 from riecjax.records.record import Record, Signals
 from riecjax.shows import Shown
 

@@ -7,7 +7,6 @@ from .preparation import notch as notch
 from .preparation import repair_outliers as repair_outliers
 from .preparation import set_clocks as set_clocks
 from .preparation import shift as shift
-from .preparation import split_at as split_at
 from .preparation import unfilter as unfilter
 from .preparation import upsample as upsample
 from .preparation import with_local_derivative as with_local_derivative

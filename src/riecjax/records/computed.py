@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.leaves import is_concrete
-from riecjax.records.faults.relations import Pairs, Relation
+from riecjax.records.faults.derivative_pairs import Pairs, Relation
 from riecjax.records.faults.sampled_signal import ENOUGH
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record, samples_with_nan
@@ -53,23 +53,7 @@ def without_computed(
     """
     if not is_concrete(record):
         return record, []
-    words = []
-    for signal, derivative, taps in _computed(record, pairs, known):
-        said = f"{derivative}: computed from {signal}, by a filter of {taps.size} samples"
-        try:
-            record, width = with_local_derivative(record, signal, derivative)
-            said = f"{said}; in its place slopes of local polynomials, {width:.3g} s to each side"
-        except DataError:  # too short for them
-            record = record.with_noise(record.noise.filtered(signal, taps, derivative))
-        words.append(said)
-    return record, words
-
-
-def _computed(
-    record: Record, pairs: Pairs, known: Collection[str]
-) -> list[tuple[str, str, Float[np.ndarray, " taps"]]]:
-    """Pairs of which the second signal is computed from the first, and by which taps."""
-    found, noise = [], record.noise
+    computed, noise = [], record.noise
     for pair in pairs:
         if isinstance(pair, Relation) or pair[1] in known:
             continue
@@ -78,12 +62,21 @@ def _computed(
             continue
         if noise.is_made_of(derivative, signal):  # by a step of preparation
             continue
-        one, other = (samples_with_nan(record, name) for name in (signal, derivative))
-        taps = filter_between(one, other, float(noise.std(signal)))
+        samples = (samples_with_nan(record, name) for name in pair)
+        taps = filter_between(*samples, float(noise.std(signal)))
         if taps is not None:
             noise = noise.filtered(signal, taps, derivative)
-            found.append((signal, derivative, taps))
-    return found
+            computed.append((signal, derivative, taps))
+    words = []
+    for signal, derivative, taps in computed:
+        said = f"{derivative}: computed from {signal}, by a filter of {taps.size} samples"
+        try:
+            record, width = with_local_derivative(record, signal, derivative)
+            said = f"{said}; in its place slopes of local polynomials, {width:.3g} s to each side"
+        except DataError:  # too short for them
+            record = record.with_noise(record.noise.filtered(signal, taps, derivative))
+        words.append(said)
+    return record, words
 
 
 @remembered(lambda signal, other, noise: (signal, other, noise))
@@ -100,8 +93,6 @@ def filter_between(
     if longest.size < 8 * HALVES[-1] or not noise > 0:
         return None
     x, y = (np.diff(each[longest], SHARPENED) for each in (signal, other))
-    if not np.isfinite([*x, *y]).all():
-        return None
     if not noise / np.sqrt(2) > LEAST * np.std(np.diff(signal[longest])):
         return None
     scale = np.std(x)

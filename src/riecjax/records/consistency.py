@@ -8,8 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding, line_taken_off, option_for
-from riecjax.records.faults.derivative_pairs import GROSS, PPM, Pair, compare
-from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
+from riecjax.records.faults.derivative_pairs import (
+    GROSS,
+    PPM,
+    Pair,
+    Pairs,
+    Relation,
+    compare,
+    relations,
+    with_sum,
+)
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise import noise_level
 from riecjax.records.reading.units import readings
@@ -93,20 +101,25 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
     best = _best_lag(values, rates, float(record.time_step))
     if best is None:
         return None
+    correlation, gain = best
     units, likely = [], ""
-    if abs(best.correlation) < ALIKE and best.correlation < UNRELATED:
+    # No share of noise in either signal explains every gain that is not 1. Noise in the integrals
+    # lowers the slope of increments on integrals, cov / var(integrals) = gain x correlation, below
+    # the true gain; noise in the increments raises the inverse of the other regression's slope,
+    # var(increments) / cov = gain / correlation, above it. So the two enclose the true gain.
+    if abs(correlation) < ALIKE and correlation < UNRELATED:
         what = (
             f"does not move with {signal} (the increments of {signal} and the integral of "
-            f"{derivative} correlate by {best.correlation:.2f} at best)"
+            f"{derivative} correlate by {correlation:.2f} at best)"
         )
         doubt = 1.0
-    elif best.is_off:
+    elif gain < 0 or gain * correlation > 1 + GROSS or gain / correlation < 1 - GROSS:
         what = (
             f"does not fit the size, sign or time of {signal}: {signal} changes by "
-            f"{best.gain:.4g} times the integral of {derivative}"
+            f"{gain:.4g} times the integral of {derivative}"
         )
         # Columns that a logger may have written in another unit, and no one converted.
-        factors = {derivative: best.gain, signal: 1 / best.gain if best.gain else 0.0}
+        factors = {derivative: gain, signal: 1 / gain if gain else 0.0}
         stated = {n: readings(dict(record.units).get(n, "")).values() for n in factors}
         units = [
             f"{name}={unit}"
@@ -119,10 +132,10 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
         ]
         if units:
             likely = f" It fits where {' or '.join(u.replace('=', ' is in ') for u in units)}."
-        elif abs(best.gain + 1) < CALIBRATED:
+        elif abs(gain + 1) < CALIBRATED:
             likely = f" One of them points the other way: scale {derivative} or {signal} by -1."
         # A term may hold the signal squared, as drag does.
-        doubt = min(max(best.gain**2, best.gain**-2) - 1, 1.0)
+        doubt = min(max(gain**2, gain**-2) - 1, 1.0)
     else:
         return None
     remedy = ("--unit", *units) if len(units) == 1 else ()
@@ -149,24 +162,14 @@ def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
 
 
 class _Regression(NamedTuple):
-    """Of a signal's increments on the integrals of its derivative, at one lag."""
+    """Of a signal's increments on the integrals of its derivative, at one lag.
+
+    **Fields:** `correlation`; `gain`, the standard deviation of the increments over that of the
+    integrals, with their common sign.
+    """
 
     correlation: float
     gain: float
-    """Standard deviation of the increments over that of the integrals, with their common sign."""
-
-    @property
-    def is_off(self) -> bool:
-        """Whether no share of noise in either signal explains a gain that is not 1.
-
-        Noise in the integrals lowers the slope of increments on integrals, cov / var(integrals) =
-        gain x correlation, below the true gain; noise in the increments raises the inverse of the
-        other regression's slope, var(increments) / cov = gain / correlation, above it. So the two
-        enclose the true gain whatever the shares.
-        """
-        if self.gain < 0:
-            return True
-        return self.gain * self.correlation > 1 + GROSS or self.gain / self.correlation < 1 - GROSS
 
 
 def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Regression | None:
@@ -274,23 +277,21 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
         )
     if not (value := pair.drift or pair.offset):
         return
-    names = relation.names
+    names, time = relation.names, np.asarray(record.time)
     derivative, factor = pair.zeroed
     signal = pair.signal if len(names) == 2 else relation.words(derivative)[1]
     share = abs(value) * step / pair.scale / pair.rms
     size = f"{value * factor:.3g} {dict(record.units).get(derivative, '')}".rstrip()
+    per = factor * pair.scale / step
+    what, change = f"has an offset of {size}", 0.0
+    whose = f" Or {signal} drifts by that per second."
+    if pair.drift:
+        what, change = f"drifts by {size} over {time[-1] - time[0]:.4g} s", fit.drift * per
+        whose = ""
     # Whose it is one relation cannot tell.
-    others = " or ".join(n for n in names if n not in (derivative, pair.signal))
-    whose = f" Or {others} has it, or {pair.signal} drifts." if others else ""
-    time, per = np.asarray(record.time), factor * pair.scale / step
-    change = fit.drift * per if pair.drift else 0.0
+    if others := " or ".join(n for n in names if n not in (derivative, pair.signal)):
+        whose = f" Or {others} has it, or {pair.signal} drifts."
     remedy = line_taken_off(derivative, time, fit.offset * per, change)
-    what = (
-        f"drifts by {size} over {float(time[-1] - time[0]):.4g} s"
-        if pair.drift
-        else f"has an offset of {size}"
-    )
-    whose = whose or ("" if pair.drift else f" Or {signal} drifts by that per second.")
     yield Finding(
         "drifting_signal" if pair.drift else "velocity_offset",
         f"{derivative} {what} against {signal}, {100 * share:.2g} % of its rms. Take it off (on "

@@ -57,9 +57,11 @@ def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
             tree = ast.parse(formula.strip(), mode="eval")
         with np.errstate(all="ignore"):
             value = _value(tree.body, formula.strip(), columns)
-    except (SyntaxError, ValueError) as error:
-        if isinstance(error, ModelError):
-            raise
+    except ModelError:
+        raise
+    except OverflowError:
+        raise ModelError(f"a number in {formula[:40]!r} is too large.") from None
+    except (SyntaxError, ValueError):
         raise ModelError(f"the formula {formula[:80]!r} cannot be read.") from None
     except (RecursionError, MemoryError):
         raise ModelError(f"the formula {formula[:40]!r}... is nested too deep.") from None
@@ -98,7 +100,7 @@ def sensitivities(
 def _value(node: ast.expr, formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            return np.float64(_number(number, formula))  # pyright: ignore[reportReturnType]
+            return np.float64(number)  # pyright: ignore[reportReturnType]
         case ast.Name(id=name) if name in columns:
             return columns[name]
         case ast.Name(id=name):
@@ -119,10 +121,3 @@ def _value(node: ast.expr, formula: str, columns: Mapping[str, np.ndarray]) -> n
         f"{piece!r} is not allowed in a formula; it may hold numbers, names of columns, + - * / **,"
         f" and {', '.join(FUNCTIONS)}."
     )
-
-
-def _number(number: float, formula: str) -> float:
-    try:
-        return float(number)
-    except OverflowError:
-        raise ModelError(f"a number in {formula[:40]!r} is too large.") from None

@@ -39,11 +39,16 @@ def from_dataframe(frame: Any, settings: Frame) -> Record:
     renamed = dict(settings.rename)
     if settings.time is not None:
         renamed["t"] = settings.time
-    elif "t" not in renamed and settings.time_step is None and _is_time(frame.index):
-        index = _numbers(frame.index)
-        if index is not None and frame.index.name not in columns:
-            # `t` is looked for before any other name of time.
-            columns = {"t": index} | {k: v for k, v in columns.items() if k != "t"}
+    # Counts are no times.
+    elif (
+        "t" not in renamed
+        and settings.time_step is None
+        and getattr(frame.index.dtype, "kind", "O") in "mMf"
+        and frame.index.name not in columns
+        and (index := _numbers(frame.index)) is not None
+    ):
+        # `t` is looked for before any other name of time.
+        columns = {"t": index} | {k: v for k, v in columns.items() if k != "t"}
     stated = {name: unit for name in columns if (unit := split_unit(name)[1])}
     selection = replace(settings, rename=renamed)
     return record_from_channels(Channels(columns, stated, {}, left_out), selection).record
@@ -60,9 +65,7 @@ def from_dataset(dataset: Any, settings: Frame) -> Record:
     **Raises:** `DataError` without a time or for samples that do not make a record, `ModelError`
     for a formula.
     """
-    axis = None
-    if settings.time_step is None:
-        axis = _time_coordinate(dataset, settings.time)
+    axis = None if settings.time_step is not None else _time_coordinate(dataset, settings.time)
     arrays: dict[str, np.ndarray] = {}
     stated: dict[str, str] = {}
     left_out: dict[str, str] = {}
@@ -75,9 +78,9 @@ def from_dataset(dataset: Any, settings: Frame) -> Record:
         if values is None:
             left_out[name] = f"it holds {variable.dtype}, not numbers"
             continue
-        flat = values.reshape(values.shape[0], -1)
-        parts = {name: flat[:, 0]} if values.ndim == 1 else {
-            f"{name}[{place}]": flat[:, place] for place in range(flat.shape[1])
+        parts = {name: values} if values.ndim == 1 else {
+            f"{name}[{place}]": column
+            for place, column in enumerate(values.reshape(values.shape[0], -1).T)
         }  # fmt: skip
         arrays |= parts
         if variable.attrs.get("units"):
@@ -113,11 +116,6 @@ def _time_coordinate(dataset: Any, time: str | None) -> Any:
             f" {', '.join(map(str, along)) or 'none'}."
         )
     return found[0]
-
-
-def _is_time(index: Any) -> bool:
-    """Whether a pandas index can be time: date-times, durations or floats, but not counts."""
-    return getattr(index.dtype, "kind", "O") in "mMf"
 
 
 def _numbers(series: Any) -> np.ndarray | None:

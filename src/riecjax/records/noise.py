@@ -10,12 +10,11 @@ deviation. A velocity differentiated from it shares the source, and has the taps
 so covariances between signals, and between samples of one, all follow from the kernels.
 """
 
-import functools
 from collections.abc import Mapping
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, require
@@ -96,15 +95,26 @@ class Noise(eqx.Module):
                 f"Give it one."
             )
         levels = {name: as_leaf(value) for name, value in std.items()}
-        joint = [name for name in names if any(name in pair for pair in pairs)]
         kernels = {
             n: {} if is_concrete(level) and not np.any(level) else {n: level[..., None]}
             for n, level in levels.items()
         }
-        kernels |= {
-            name: {other: (levels[name] * share)[..., None] for other, share in row.items()}
-            for name, row in _cholesky(joint, pairs).items()
-        }
+        joint = [name for name in names if any(name in pair for pair in pairs)]
+        # What two signals share entirely leaves a zero pivot.
+        matrix = (1 + 1e-12) * np.eye(len(joint))
+        for pair, value in pairs.items():
+            i, j = map(joint.index, pair)
+            matrix[i, j] = matrix[j, i] = value
+        try:
+            factor = np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            raise DataError(
+                f"no noise of {', '.join(joint)} has these correlations: they must lie between -1 "
+                f"and 1, and their matrix must be positive definite."
+            ) from None
+        for i, name in enumerate(joint):
+            shares = zip(joint[: i + 1], factor[i])
+            kernels[name] = {other: (levels[name] * share)[..., None] for other, share in shares}
         return cls(kernels, {name: np.asarray(np.inf) for name in names})
 
     def std(self, signal: str) -> Float[Leaf, ""]:
@@ -186,25 +196,6 @@ class Noise(eqx.Module):
         return Noise(kernels, freedom)
 
 
-def _cholesky(
-    names: list[str], correlation: Mapping[tuple[str, str], float]
-) -> dict[str, dict[str, float]]:
-    """Signal to source to share of its standard deviation, of signals that are correlated."""
-    matrix = np.eye(len(names))
-    for pair, value in correlation.items():
-        i, j = (names.index(name) for name in pair)
-        matrix[i, j] = matrix[j, i] = value
-    try:
-        # What two signals share entirely leaves a zero pivot.
-        factor = np.linalg.cholesky(matrix + 1e-12 * np.eye(len(names)))
-    except np.linalg.LinAlgError:
-        raise DataError(
-            f"no noise of {', '.join(names)} has these correlations: they must lie between -1 and "
-            f"1, and their matrix must be positive definite."
-        ) from None
-    return {name: dict(zip(names[: i + 1], factor[i])) for i, name in enumerate(names)}
-
-
 def _sum(one: Leaf, other: Leaf) -> Leaf:
     """The sum of two kernels, by their middle taps."""
     xp = namespace(one, other)
@@ -259,12 +250,6 @@ def noise_level(
     return usual_size(differences.reshape(*samples.shape[:-1], -1)) / gain
 
 
-@functools.lru_cache(64)
-def _drawn(count: int) -> Int[np.ndarray, " some"]:
-    """`SORTED` of so many places, at random."""
-    return np.random.default_rng(0).choice(count, SORTED, replace=False)
-
-
 def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
     """Root mean square of those that are of noise; 0 where all are NaN."""
     xp = namespace(contrasts)
@@ -274,7 +259,7 @@ def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
     # take longer than all else. Drawn at random, they miss no phase of what is periodic.
     some = sizes
     if (n := sizes.shape[-1]) > SORTED:
-        some = sizes[..., _drawn(n)]
+        some = sizes[..., np.random.default_rng(0).choice(n, SORTED, replace=False)]
         some = xp.where(xp.isnan(some).all(-1, keepdims=True), 0.0, some)
     # Of a normal law, 6e-5 lie beyond four standard deviations, and 1e-3 of the squares' sum.
     kept = sizes <= 4 * xp.nanmedian(some, axis=-1, keepdims=True) / NORMAL

@@ -157,12 +157,11 @@ def beside_motion(of: Spectra) -> Floor | None:
         # Overlapping segments and a wide window make neighbours alike.
         variance = ALIKE * left.sum() / rises.size
         errors = np.sqrt(variance * np.diagonal(np.linalg.inv(columns.T @ columns)))
-        fits = noise > -UNSEEN * errors[1] and _level(flattened - noise * rises)
-        if fits and motion > CERTAIN * errors[0]:
+        sure = noise > -UNSEEN * errors[1] and motion > CERTAIN * errors[0]
+        if sure and _level(flattened - noise * rises):
             seen = noise > UNSEEN * errors[1]
             freedom = 2 * (noise / errors[1]) ** 2 if seen else np.inf
-            level = np.full(1, np.sqrt(noise) if seen else 0.0)
-            found.append(Floor(level, np.asarray(freedom)))
+            found.append(Floor(np.full(1, np.sqrt(noise) if seen else 0.0), np.asarray(freedom)))
     return min(found, key=lambda one: one.level, default=None)
 
 
@@ -213,17 +212,17 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     if band.stop < max(OCTAVE * band.start, band.start + NARROWEST * size):
         return None
     density = float(np.mean(found[band]))
-    empty = at_end < EMPTY * density
-    if not (empty and _level(found[band]) and density < BELOW_MOTION * np.max(near[:lower])):
+    low = at_end < EMPTY * density and density < BELOW_MOTION * np.max(near[:lower])
+    if not (low and _level(found[band])):
         return None
-    own, others = of.transforms[:, band], [other for other in others if other is not None]
-    for other in (other.transforms[:, band] for other in others):
+    own, there = of.transforms[:, band], [o.transforms[:, band] for o in others if o is not None]
+    for other in there:
         cross = np.abs(np.mean(own * other.conj(), axis=0)) ** 2
         power = np.mean(np.abs(own) ** 2, axis=0) * np.mean(np.abs(other) ** 2, axis=0)
         coherence = np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)
         if np.mean(coherence) > INCOHERENT:
             return None
-    if not others:
+    if not there:
         return None
     beyond = np.convolve(found, np.ones(CLOSE) / CLOSE, "same")[band.stop :]
     shape = np.concatenate([np.full(band.stop + 1, density), np.minimum(beyond, density)])
@@ -266,9 +265,9 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, or an impossible noise.
     """
     known = record.noise.joined(given_noise(given, record.arrays))
-    unknown = [n for n in names or record.arrays if n not in known.kernels and n in record.arrays]
-    kernels, freedom = {}, {}
-    for name in unknown:
+    for name in [
+        n for n in names or record.arrays if n not in known.kernels and n in record.arrays
+    ]:
         samples: Any = record[name]
         missing = record.missing.get(name)
         xp = namespace(samples, missing)
@@ -277,9 +276,8 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
         others = [values for other, values in record.arrays.items() if other != name]
         with np.errstate(all="ignore"):
             found = noise_of_level(name, noise_level(samples, present), samples, present, others)
-        kernels |= found.kernels
-        freedom |= found.freedom
-    return record.with_noise(known.joined(Noise(kernels, freedom)))
+        known = known.joined(found)
+    return record.with_noise(known)
 
 
 def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:
@@ -363,21 +361,16 @@ def _by_values(
         scatter = SCATTER / np.sqrt(2 * (freedom if flat.flat else flat.freedom))
         room = 1 + scatter if flat.flat else 1 - scatter
         found = flat if flat.level < level * room else found
-    rounded = _rounded(values, known, rounding, found.level)
-    if rounded > found.level:
-        return Floor(np.full(1, rounded), np.asarray(np.inf))
-    return found if found.level > 0 else None
-
-
-def _rounded(values: np.ndarray, known: np.ndarray, rounding: float, level: float) -> float:
-    """A converter's rounding where it is white and larger than a level; 0 elsewhere."""
+    # A converter's rounding, where it is white and larger. The quantum is at most 1.5 times the
+    # smallest step: mostly there is no need to sort.
     moves = np.abs(np.diff(values))
     least = np.min(moves, where=moves > rounding, initial=np.inf)
-    # The quantum is at most 1.5 times the smallest step: mostly there is no need to sort.
-    if 1.5 * least / np.sqrt(12) <= level:
-        return 0.0
-    quantum = resolution_of(levels_of(known, rounding)[0])
-    return quantum / np.sqrt(12) if np.sqrt(np.nanmean(moves**2)) > MOVES * quantum else 0.0
+    if 1.5 * least / np.sqrt(12) > found.level:
+        quantum = resolution_of(levels_of(known, rounding)[0])
+        white = np.sqrt(np.nanmean(moves**2)) > MOVES * quantum
+        if white and quantum / np.sqrt(12) > found.level:
+            return Floor(np.full(1, quantum / np.sqrt(12)), np.asarray(np.inf))
+    return found if found.level > 0 else None
 
 
 def _unbroken(rows: np.ndarray) -> list[np.ndarray]:

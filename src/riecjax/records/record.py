@@ -1,8 +1,10 @@
 """A recording: uniformly sampled, named signals."""
 
+import dataclasses
 import functools
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import UserDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
 import equinox as eqx
@@ -19,32 +21,21 @@ from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
 
 
-class Signals(Mapping[str, Array]):
+class Signals(UserDict[str, Array]):
     """The signals of a record by name; asking for one that is missing says which ones exist.
 
     `read` collects the names that were asked for: which signals an expression depends on.
     """
 
     def __init__(self, arrays: Mapping[str, Array]):
-        self._arrays = dict(arrays)
+        super().__init__(arrays)
         self.read: set[str] = set()
 
     def __getitem__(self, name: str) -> Array:
-        try:
-            value = self._arrays[name]
-        except KeyError:
-            raise MissingSignalError(name, tuple(self._arrays)) from None
+        if name not in self:
+            raise MissingSignalError(name, tuple(self.data))
         self.read.add(name)
-        return value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
-
-    def __len__(self) -> int:
-        return len(self._arrays)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._arrays
+        return super().__getitem__(name)
 
 
 class Record(Drawn, eqx.Module):
@@ -140,22 +131,24 @@ class Record(Drawn, eqx.Module):
         arrays = {name: _samples(name, values) for name, values in signals.items()}
         if (time is None) == (time_step is None):
             raise DataError("give either the time of each sample or the time step, not both.")
-        stamps = None
+        if time is not None and np.ndim(time) == 0:
+            raise DataError(
+                f"time must hold the time of each sample; got {time}. Write {WRITE_RECORD}."
+            )
+        given = np.zeros(0) if time is None else _samples("t", time)
+        every = arrays if time is None else {**arrays, "t": given}
+        if len({values.size for values in every.values()}) > 1:
+            listed = ", ".join(f"{name} {values.size}" for name, values in every.items())
+            raise DataError(f"all signals and the time must have the same length; got {listed}.")
+        step, start, stamps = time_step, 0.0, None
         if time is not None:
-            if np.ndim(time) == 0:
-                raise DataError(
-                    f"time must hold the time of each sample; got {time}. Write {WRITE_RECORD}."
-                )
-            given = _samples("t", time)
-            _require_equal_lengths({**arrays, "t": given})
-            base = time_base(given)
-            step, start = base.step, base.start
-            if base.pauses.size:
-                stamps = np.insert(given, base.pauses, base.pause_times(given))
-                arrays = {k: np.insert(v, base.pauses, np.nan) for k, v in arrays.items()}
-        else:
-            step, start = float(_checked_step(time_step, 0)), 0.0
-        _require_equal_lengths(arrays)
+            step, start, pauses = time_base(given)
+            if pauses.size:
+                # The middle of each pause.
+                middles = 0.5 * (given[pauses - 1] + given[pauses])
+                stamps = np.insert(given, pauses, middles)
+                arrays = {k: np.insert(v, pauses, np.nan) for k, v in arrays.items()}
+        step = float(_checked_step(step, 0))
         if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
         filled = {name: hold(values) for name, values in arrays.items()}
@@ -223,32 +216,21 @@ class Record(Drawn, eqx.Module):
         Nothing is known of their noise but what `noise` says.
         """
         others = {name: mask for name, mask in self.missing.items() if name not in signals}
-        return self._on_this_clock(
-            {**self.arrays, **signals},
-            {**dict(self.units), **(units or {})},
-            {**others, **(missing or {})},
-            self.noise.without(*signals).joined(noise or Noise()),
+        return dataclasses.replace(
+            self,
+            arrays={**self.arrays, **signals},
+            units={**dict(self.units), **(units or {})},
+            missing={**others, **(missing or {})},
+            noise=self.noise.without(*signals).joined(noise or Noise()),
         )
 
     def with_noise(self, noise: Noise) -> "Record":
         """The same samples, of whose noise this is known."""
-        arrays, units = self.arrays, dict(self.units)
-        return self._on_this_clock(arrays, units, self.missing, noise)
+        return dataclasses.replace(self, noise=noise)
 
     def select(self, *names: str) -> "Record":
         """A record of only these signals, in this order."""
-        arrays = {name: self[name] for name in names}
-        return self._on_this_clock(arrays, dict(self.units), self.missing, self.noise)
-
-    def _on_this_clock(
-        self,
-        arrays: Mapping[str, Array],
-        units: Mapping[str, str],
-        missing: Mapping[str, Array],
-        noise: Noise,
-    ) -> "Record":
-        step, start = self.time_step, self.start_time
-        return Record(arrays, step, start, units, missing, self.stamps, self.skipped, noise)
+        return dataclasses.replace(self, arrays={name: self[name] for name in names})
 
     def part(self, start: int, stop: int) -> "Record":
         """The samples from `start` up to, not including, `stop`."""
@@ -291,8 +273,7 @@ class Record(Drawn, eqx.Module):
         present = self.present(self.arrays if names is None else names)
         if present is None:
             return [slice(0, self.sample_count)]
-        edges = np.flatnonzero(np.diff(np.pad(np.asarray(present).astype(np.int8), 1)))
-        return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
+        return [slice(a, b) for a, b in runs(np.asarray(present)).T.tolist()]
 
     def _rows(
         self,
@@ -436,18 +417,20 @@ def _samples(name: str, values: ArrayLike) -> np.ndarray:
     return samples
 
 
-def _require_equal_lengths(arrays: Mapping[str, np.ndarray]) -> None:
-    if len({values.size for values in arrays.values()}) > 1:
-        listed = ", ".join(f"{name} {values.size}" for name, values in arrays.items())
-        raise DataError(f"all signals and the time must have the same length; got {listed}.")
-
-
 def samples_with_nan(record: Record, name: str) -> np.ndarray:
     """A signal's samples, shape `(n,)`, NaN where they are missing."""
     values = np.array(record[name], float)
     if name in record.missing:
         values[np.asarray(record.missing[name])] = np.nan
     return values
+
+
+def runs(mask: np.ndarray) -> np.ndarray:
+    """First samples of all stretches in which a mask, shape `(n,)`, is True, and their ends.
+
+    Shape `(2, stretches)`; an end is the sample behind the last.
+    """
+    return np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).T
 
 
 def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -494,17 +477,15 @@ def filled_up(record: Record, length: int, begin: int = 0, stop: int | None = No
         part = np.asarray(values)[begin:stop]
         return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
 
-    stamps = None if record.stamps is None else filled(record.stamps)
-    earlier = begin * float(record.time_step)
-    if record.stamps is not None:
-        earlier = float(record.stamps[begin]) - float(record.stamps[0])
+    stamps, earlier = record.stamps, begin * float(record.time_step)
+    if stamps is not None:
+        earlier = float(stamps[begin]) - float(stamps[0])
+        stamps = filled(stamps)
     return Record(
         {name: filled(values) for name, values in record.arrays.items()},
         record.time_step,
-        0.0,
-        (),
-        {name: filled(mask) for name, mask in record.missing.items()},
-        stamps,
-        earlier,
-        record.noise,
+        missing={name: filled(mask) for name, mask in record.missing.items()},
+        stamps=stamps,
+        skipped=earlier,
+        noise=record.noise,
     )

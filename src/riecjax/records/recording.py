@@ -142,12 +142,11 @@ def read_recording(path: str | os.PathLike[str], settings: Reading) -> Recording
     [`Record.from_samples`][]), or a step is not possible; `ModelError` for a formula that is not
     understood.
     """
-    part = settings.part or ", ".join(settings.parts)
-    found = _held(path, part, settings)
-    if len(found.held) > 1:
+    parts = _held(path, settings.part or ", ".join(settings.parts), settings)
+    if len(parts.held) > 1:
         with _explaining(str(path), {}, {}):
-            raise several(found.held)
-    return _recordings(path, found, settings)[0]
+            raise several(parts.held)
+    return _recordings(path, parts, settings)[0]
 
 
 @taking(Reading)
@@ -163,10 +162,9 @@ def read_recordings(path: str | os.PathLike[str], settings: Reading) -> list[Rec
     **Arguments** and errors as of [`read_recording`][]; of errors of parts, the first is raised
     where none can be read.
     """
-    wanted = settings.parts or [settings.part or ""]
     return [
         recording
-        for part in wanted
+        for part in settings.parts or [settings.part or ""]
         for recording in _recordings(path, _held(path, part, settings), settings)
     ]
 
@@ -175,12 +173,8 @@ def _held(path: str | os.PathLike[str], part: str, settings: Reading) -> Parts:
     require("the file", path, str | os.PathLike, "rx.read_recording('drive.csv')", DataError)
     if isinstance(settings.model, str | type):
         require("the model", settings.model, (), "model=rx.find_model('quarter-car')")
-    channels = read_channels(
-        path,
-        delimiter=settings.delimiter,
-        decimal=settings.decimal,
-        columns=settings.columns,
-    )
+    dialect = {name: getattr(settings, name) for name in ("delimiter", "decimal", "columns")}
+    channels = read_channels(path, **dialect)
     with _explaining(str(path), {}, {}):
         return recordings_in(channels, settings.rename.values(), part)
 
@@ -214,7 +208,13 @@ def _recording(
 ) -> Recording:
     model = settings.model
     file = Path(path).name
-    left_out = _left_out(channels)
+    # Of what may be a signal, why it would not be; the first sample settles it for nearly all.
+    left_out = channels.left_out | {
+        column: "it holds no number at all"
+        if np.isnan(values[:1]).all() and np.isnan(values).all()
+        else "its length differs from the time's"
+        for column, values in channels.columns.items()
+    }
     # Damaged numbers overflow; what is not finite is found and named.
     with _explaining(str(path), settings.rename, left_out, part), np.errstate(all="ignore"):
         try:
@@ -238,22 +238,18 @@ def _recording(
         aligned = align(record, pairs, settings.align)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
         steps = (*first_steps, *found, *aligned.words, *last_steps)
-    computed = "and {} is computed from other signals instead."
     replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
     findings = [
+        *(Finding("time_unit_doubtful", why, doubt=1.0) for why in filter(None, [selected.doubt])),
+        *(Finding("unit_mismatch", why, (name,), doubt=1.0) for name, why in mismatches.items()),
+        *selected.findings,
+        *repeated,
+        *aligned.findings,
+        *(Finding("nothing_cut", why) for why in idle.values()),
         *(
-            Finding("time_unit_doubtful", f"{file}: {why}", doubt=1.0)
-            for why in filter(None, [selected.doubt])
-        ),
-        *(
-            Finding("unit_mismatch", f"{file}: {why}", (n,), doubt=1.0)
-            for n, why in mismatches.items()
-        ),
-        *(f._replace(message=f"{file}: {f.message}") for f in selected.findings),
-        *(f._replace(message=f"{file}: {f.message}") for f in (*repeated, *aligned.findings)),
-        *(Finding("nothing_cut", f"{file}: {why}") for why in idle.values()),
-        *(
-            Finding("column_left_out", f"{file}: {why}, {computed.format(n)}", (n,))
+            Finding(
+                "column_left_out", f"{why}, and {n} is computed from other signals instead.", (n,)
+            )
             for n, why in replaced.items()
             if why
         ),
@@ -269,24 +265,13 @@ def _recording(
         record,
         str(path),
         (*channels.notes, *selected.notes, *read_steps, *steps),
-        tuple(findings),
+        tuple(f._replace(message=f"{file}: {f.message}") for f in findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
         settings.rename,
         part,
         selected.converted,
         tuple(n for n in record.arrays if n not in read or n in settings.derive),
     )
-
-
-def _left_out(channels: Channels) -> dict[str, str]:
-    """Why a column is no signal; of one that may be a signal, why it would not be."""
-
-    def why(values: np.ndarray) -> str:
-        # The first sample settles it for nearly all columns.
-        empty = np.isnan(values[:1]).all() and np.isnan(values).all()
-        return "it holds no number at all" if empty else "its length differs from the time's"
-
-    return {**channels.left_out, **{c: why(v) for c, v in channels.columns.items()}}
 
 
 def _why_missing(left_out: Mapping[str, str], signal: str) -> str:

@@ -43,10 +43,6 @@ class TimeBase(NamedTuple):
     start: float
     pauses: np.ndarray
 
-    def pause_times(self, stamps: np.ndarray) -> np.ndarray:
-        """The middle of each pause in seconds."""
-        return 0.5 * (stamps[self.pauses - 1] + stamps[self.pauses])
-
 
 def time_base(stamps: np.ndarray) -> TimeBase:
     """The time base behind time stamps in seconds, shape `(n,)`.
@@ -124,7 +120,8 @@ def _not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
             f"and {standing:.0%} of rows repeat the stamp before. Give the seconds between samples "
             f"(--time-step, about {(stamps[-1] - stamps[0]) / (stamps.size - 1):.3g} here)."
         )
-    if narrow_epoch(stamps):
+    # All one number that an epoch's seconds round to in 32-bit.
+    if (stamps == stamps[0]).all() and stamps[0] == np.float32(stamps[0]) > EPOCH:
         return StampError(
             f"all its stamps are {stamps[0]:.15g}: seconds since 1970 stored in 32-bit, which has "
             f"steps of {np.spacing(np.float32(stamps[0])):g} s there. Give the seconds between "
@@ -161,11 +158,6 @@ def _remedy(steps: np.ndarray) -> str:
             "samples (--time-step)."
         )
     return "Sort the record or remove repeated rows."
-
-
-def narrow_epoch(stamps: np.ndarray) -> bool:
-    """Whether all stamps are one number that an epoch's seconds round to in 32-bit."""
-    return bool((stamps == stamps[0]).all() and stamps[0] == np.float32(stamps[0]) > EPOCH)
 
 
 def _coarsely_rounded(

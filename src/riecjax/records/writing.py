@@ -35,7 +35,13 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     writer = WRITERS[file.suffix.lower()]
     if "t" in record.arrays:
         raise DataError("a signal called 't' would take the place of time; give it another name.")
-    columns, units = _columns(record), dict(record.units)
+    # NaN where a sample is missing, without the samples that mark pauses.
+    columns = {name: samples_with_nan(record, name) for name in record.arrays}
+    columns = {"t": np.asarray(record.time, dtype=float)} | columns
+    if record.stamps is not None:
+        valid = ~_pauses(columns, float(record.time_step))
+        columns = {name: values[valid] for name, values in columns.items()}
+    units = dict(record.units)
     write_file(file, lambda temporary: writer(temporary, columns, units))
 
 
@@ -55,19 +61,10 @@ def check_writable(file: Path) -> None:
         raise DataError(f"cannot write '{file}': its folder may not be written to.")
 
 
-def _columns(record: Record) -> dict[str, np.ndarray]:
-    """Time and signals, NaN where a sample is missing, without the samples that mark pauses."""
-    values = {name: samples_with_nan(record, name) for name in record.arrays}
-    time = np.asarray(record.time, dtype=float)
-    if record.stamps is not None:
-        valid = ~_pauses(time, values, float(record.time_step))
-        time, values = time[valid], {name: array[valid] for name, array in values.items()}
-    return {"t": time} | values
-
-
-def _pauses(time: np.ndarray, values: Columns, step: float) -> np.ndarray:
+def _pauses(columns: Columns, step: float) -> np.ndarray:
     """Samples that mark a pause: no signal has a value there, and they are off the even grid."""
-    empty = np.all([np.isnan(array) for array in values.values()], axis=0)
+    time, *signals = columns.values()
+    empty = np.all(np.isnan(signals), axis=0)
     off = np.abs(np.diff(time) - step) > STEP_TOLERANCE * step
     # An empty sample beside a pause is a real one, and the pause's lies midway; at an end of a
     # record that was cut there is nothing to lie midway of.
@@ -76,25 +73,16 @@ def _pauses(time: np.ndarray, values: Columns, step: float) -> np.ndarray:
     return empty & midway & (np.append(off, False) | np.insert(off, 0, False))
 
 
-def _in_one_line(name: str) -> str:
-    """A signal's name for a message, its tabs and line ends as escapes such as `\\n`."""
-    return "".join(each if each.isprintable() else ascii(each)[1:-1] for each in name)
-
-
 def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         if not name.isprintable() or name != name.strip() or not name.strip('"') == name != "":
-            raise DataError(
-                f"'{_in_one_line(name)}' cannot name a column in CSV; rename it or write NPZ."
-            )
-    header = [re.sub(FORMULA, r"\1'", name) for name in columns]
+            raise DataError(f"{name!r} cannot name a column in CSV; rename it or write NPZ.")
     table = np.column_stack(list(columns.values()))
-    missing = np.isnan(table).any()
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
+        writer.writerow(re.sub(FORMULA, r"\1'", name) for name in columns)
         # 17 digits bring every 64-bit number back exactly.
-        if missing:
+        if np.isnan(table).any():
             writer.writerows(["" if x != x else f"{x:.17g}" for x in row] for row in table.tolist())
         else:
             np.savetxt(stream, table, delimiter=",", fmt="%.17g")
@@ -113,7 +101,7 @@ def _write_npz(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         # What unpacks an archive would write these elsewhere, and cut at a null character.
         if re.search(r"^[A-Za-z]:|^[/\\]|(^|[/\\])\.\.([/\\]|$)|\0", name):
-            raise DataError(f"'{_in_one_line(name)}' cannot be a member of an archive; rename it.")
+            raise DataError(f"{name!r} cannot be a member of an archive; rename it.")
     write_npz(file, columns)
 
 
@@ -123,8 +111,7 @@ def _write_mat(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
     for name in columns:
         if not (name.isidentifier() and name.isascii() and name[0].isalpha()) or len(name) > 31:
             raise DataError(
-                f"'{_in_one_line(name)}' cannot be a variable in a MAT file; rename it or write CSV"
-                " or NPZ."
+                f"{name!r} cannot be a variable in a MAT file; rename it or write CSV or NPZ."
             )
     with file.open("wb") as stream:
         scipy.io.savemat(stream, dict(columns), oned_as="column")
@@ -134,9 +121,9 @@ def _write_parquet(file: Path, columns: Columns, units: Mapping[str, str]) -> No
     import pyarrow as pa
     from pyarrow import parquet
 
-    stated = {"t": "s", **units}
+    units = {"t": "s", **units}
     fields = [
-        pa.field(name, pa.float64(), metadata={"unit": stated[name]} if name in stated else None)
+        pa.field(name, pa.float64(), metadata={"unit": units[name]} if name in units else None)
         for name in columns
     ]
     table = pa.table(list(columns.values()), schema=pa.schema(fields))

@@ -15,8 +15,7 @@ from riecjax.equations.procedure import relation_of
 from riecjax.records import align
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.derived import derived
-from riecjax.records.faults.derivative_pairs import Pair, compare
-from riecjax.records.faults.relations import Relation
+from riecjax.records.faults.derivative_pairs import Pair, Relation, compare
 from riecjax.records.noise import Noise
 from riecjax.records.preparation import set_clocks, shift, unfilter
 from riecjax.records.preparation.alignment import declared_pairs

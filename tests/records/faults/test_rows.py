@@ -7,7 +7,7 @@ from tests.machines import drag_signals as signals
 import riecjax as rx
 from riecjax.records import check_signals
 from riecjax.records.consistency import compared
-from riecjax.records.faults.relations import relations
+from riecjax.records.faults.derivative_pairs import relations
 from riecjax.records.faults.rows import (
     Repetition,
     cut_rows,

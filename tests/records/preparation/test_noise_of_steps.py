@@ -5,7 +5,6 @@ import pytest
 
 from riecjax.records.noise import Noise
 from riecjax.records.preparation import (
-    decimate,
     differentiate,
     low_pass,
     on_grid,
@@ -13,7 +12,7 @@ from riecjax.records.preparation import (
     resample,
     upsample,
 )
-from riecjax.records.preparation.resampling import low_pass_taps, spline_taps
+from riecjax.records.preparation.resampling import resampled_taps, spline_taps
 from riecjax.records.record import Record
 
 STEP = 0.01
@@ -48,10 +47,10 @@ def found(record: Record, one: str, other: str, lag: int) -> float:
 STEPS = {
     "low_pass": lambda r: low_pass(r, {"x": 11.0}),
     "remove_drift": lambda r: remove_drift(r, "x"),
-    "decimate": lambda r: decimate(r, 4),
+    "decimate": lambda r: resample(r, 25.0),
     "resample down": lambda r: resample(r, 61.7),
     "upsample": lambda r: upsample(r.part(0, 80_000), 3),
-    "low_pass, decimate": lambda r: decimate(low_pass(r, {"x": 20.0}), 2),
+    "low_pass, decimate": lambda r: resample(low_pass(r, {"x": 20.0}), 50.0),
     "low_pass, every third": lambda r: low_pass(r, {"x": 8.0}).every(3),
 }
 
@@ -114,7 +113,7 @@ def test_channels_on_a_common_grid(rate, shift):
     marker = STEP * np.arange(white.size) * 1.0
     grid, values = on_grid({"x": (time, white), "m": (marker, 0 * marker)}, rate)
     if rate < 99:
-        taps = LEVEL * low_pass_taps(100.0 / rate)
+        taps = LEVEL * resampled_taps(np.ones(1), 100.0 / rate)
     else:
         taps = LEVEL * spline_taps((grid - time[0]) / STEP)
     noise = Noise({"x": {"x": taps}})

@@ -6,7 +6,7 @@ import scipy.signal
 
 from riecjax.errors import DataError
 from riecjax.models.model import Model
-from riecjax.records.preparation.steps import prepare, split, split_at
+from riecjax.records.preparation.steps import prepare, split
 from riecjax.records.record import Record
 from riecjax.settings import Prepare
 
@@ -92,17 +92,10 @@ def test_the_last_share_is_held_out(share, held_out):
     np.testing.assert_allclose(validation.time[0], 2 + 0.1 * (100 - held_out))
 
 
-@pytest.mark.parametrize(("seconds", "first"), [(7.0, 50), (7.01, 51), (2.2, 2), (11.8, 98)])
-def test_split_at_a_time_on_the_records_clock(seconds, first):
-    estimation, validation = split_at(numbered(), seconds)
-    assert estimation.sample_count == first
-    assert validation["q"][0] == first
-
-
 def test_pauses_stay_where_they_are():
     stamps = np.concatenate([np.arange(50) / 10, 60 + np.arange(50) / 10])
     paused = Record.from_samples({"q": VALUES}, time=stamps)
-    estimation, validation = split_at(paused, 62.0)
+    estimation, validation = split(paused, 0.3)
     assert estimation.segments() == [slice(0, 50), slice(51, 71)]
     assert validation.segments() == [slice(0, 30)]
     np.testing.assert_allclose(validation.time, 62 + np.arange(30) / 10)
@@ -114,10 +107,10 @@ def test_impossible_share(share):
         split(numbered(), share)
 
 
-@pytest.mark.parametrize("seconds", [0.0, 2.05, 11.85, 50.0])
-def test_a_time_outside(seconds):
+@pytest.mark.parametrize("share", [0.01, 0.99])
+def test_a_share_of_too_few_samples(share):
     with pytest.raises(DataError, match="without two samples"):
-        split_at(numbered(), seconds)
+        split(numbered(), share)
 
 
 def test_a_part_without_any_sample_of_a_signal():

@@ -6,7 +6,6 @@ import pytest
 from riecjax.errors import DataError
 from riecjax.records.noise import Noise
 from riecjax.records.preparation import (
-    decimate,
     differentiate,
     leave_out,
     low_pass,
@@ -46,12 +45,11 @@ STEPS = {
         lambda t: motion(t * (1 + 1e-6 * PPM)),
     ),
     "upsample": (lambda r: upsample(r, 3), 44, motion),
-    "decimate": (lambda r: decimate(r, 3), 78, motion),
     "resample": (lambda r: resample(r, 173.3), 31, motion),
     "resample up": (lambda r: resample(r, 333.3), 44, motion),
     "differentiate": (lambda r: differentiate(r, "q", "v"), 0, lambda t: motion(t, 1)),
     "with_local_derivative": (
-        lambda r: with_local_derivative(r, "q", "v", 0.015)[0],
+        lambda r: with_local_derivative(r, "q", "v")[0],
         3,
         lambda t: motion(t, 1),
     ),
@@ -145,8 +143,6 @@ def test_a_step_of_no_signal_lists_those_there_are(step):
         (lambda r, v: set_clocks(r, {"q": 1e6 * (v or 1)}), "no clock"),
         (resample, "positive number|would make"),
         (lambda r, v: upsample(r, min(v, 0.5)), "whole number"),  # pyright: ignore
-        (lambda r, v: decimate(r, min(v, 0.5)), "whole number"),  # pyright: ignore
-        (lambda r, v: with_local_derivative(r, "q", "v", v), "half width"),
     ],
 )
 def test_impossible_settings_are_refused(apply, match, value):

@@ -50,7 +50,7 @@ def test_spellings(si, text, factor):
 
 
 NAMES = ["x", "left", "Mm", "m/s*s", "N/m s", "°C", "mms-1x", "m//s", "(m", "m)", "", "2", "2 m",
-         "(" * 500 + "m" + ")" * 500]  # fmt: skip
+         "(" * 2000 + "m" + ")" * 2000]  # fmt: skip
 
 
 @pytest.mark.parametrize("text", NAMES)

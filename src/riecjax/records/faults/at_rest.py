@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.records.record import Record
+from riecjax.records.record import Record, runs, samples_with_nan
 
 NOISES, MOVES = 3.0, 1.0
 """What is about zero: so many standard deviations of noise, or usual changes over a sample."""
@@ -40,28 +40,25 @@ class Rest(NamedTuple):
 
 def rest_of(record: Record, name: str) -> Rest | None:
     """Rest in a signal, `None` where there is none, or nothing else (not under jit)."""
-    values = np.asarray(record[name], float)
-    there = np.ones(values.size, bool)
-    if name in record.missing:
-        there &= ~np.asarray(record.missing[name])
+    values = samples_with_nan(record, name)
     with np.errstate(all="ignore"):
-        change = np.abs(np.diff(values))[there[1:] & there[:-1]]
+        change = np.abs(np.diff(values))
         moving = change[change > 0]
         if not moving.size:
             return None
         noise, usual = float(record.noise.std(name)), float(np.median(moving))
         near = max(NOISES * noise, MOVES * usual)
-        about = np.where(there & (np.abs(values) <= near), values / near, np.nan)
+        about = np.where(np.abs(values) <= near, values / near, np.nan)
     if not np.isfinite(near) or np.isnan(about).mean() > 1 - LEAST:
         return None
-    edges = np.flatnonzero(np.diff(np.pad((~np.isnan(about)).astype(np.int8), 1)))
-    starts, lengths = edges[::2], np.diff(edges)[::2]
+    starts, stops = runs(~np.isnan(about))
+    lengths = stops - starts
     # Of these stretches those that hold noise at the most, and neither move nor turn.
     scaled, place = np.nan_to_num(NOISES * about), np.arange(values.size) / values.size
 
-    def total(of: np.ndarray) -> np.ndarray:
-        running = np.concatenate([[0.0], np.cumsum(of)])
-        return running[starts + lengths] - running[starts]
+    def total(column: np.ndarray) -> np.ndarray:
+        running = np.concatenate([[0.0], np.cumsum(column)])
+        return running[stops] - running[starts]
 
     middle = place[starts] + 0.5 * (lengths - 1) / values.size
     rise = np.abs(total(scaled * place) - middle * total(scaled)) * values.size

@@ -28,16 +28,15 @@ Time is in samples; v and u are in units of x per sample.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from riecjax.findings import option_for
-from riecjax.records.faults.relations import Relation
 from riecjax.records.noise import noise_level
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record, gaps, hold, runs, samples_with_nan
 from riecjax.records.remembered import remembered
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -261,7 +260,7 @@ def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
 def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray) -> _Bins:
     from scipy.fft import next_fast_len, rfft  # of records alone
 
-    parts, total, squares, fourth = [], 0, 0.0, 0.0
+    parts, tapers = [], []
     for start, x, v, u in pieces:
         size = int(next_fast_len(x.size, real=True) or x.size)
         omega = 2 * np.pi * np.arange(size // 2) / size
@@ -291,9 +290,10 @@ def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray)
                 np.arange(omega.size) < LOWEST_BINS,
             )
         )
-        total, squares, fourth = total + size, squares + energy, fourth + np.sum(w**4)
+        tapers.append((size, energy, np.sum(w**4)))
     joined = [np.concatenate(columns) for columns in zip(*parts)]
     order = np.argsort(joined[0], kind="stable")
+    total, squares, fourth = map(sum, zip(*tapers))
     shared = float(total * fourth / squares**2)
     return _Bins._make([*(column[order] for column in joined), levels, shared])
 
@@ -385,14 +385,12 @@ def delay_course(
     # Too far apart for one step from the same start.
     alone = [fit_pair(part, count) for part in parts]
     # What is left of one part is known too roughly: that of all parts, by frequency, is for each.
-    left = [fit.left for fit in alone if fit is not None]
-    omega = np.concatenate([one.omega for one in left])
-    order = np.argsort(omega, kind="stable")
-    power = np.concatenate([one.power for one in left])[order]
-    groups = max(omega.size // SHORTEST_PIECE, 1)
+    left = [(fit.left.omega, fit.left.power) for fit in alone if fit is not None]
+    omega, power = (np.concatenate(columns) for columns in zip(*left))
+    order, groups = np.argsort(omega, kind="stable"), max(omega.size // SHORTEST_PIECE, 1)
     means = [
-        np.array([some.mean() for some in np.array_split(column, groups)])
-        for column in (omega[order], power)
+        np.array([some.mean() for some in np.array_split(column[order], groups)])
+        for column in (omega, power)
     ]
     fits = [
         None
@@ -463,6 +461,84 @@ def _left(
     coefficients = inverse @ (values / errors)
     left = (values - coefficients @ rows) / errors
     return float(left @ left), coefficients, np.sqrt(np.sum(inverse**2, axis=1))
+
+
+class Relation(NamedTuple):
+    """The time derivative of `signal` is the sum `of` signals, each times its factor."""
+
+    signal: str
+    of: tuple[tuple[str, float], ...]
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names in the sum."""
+        return tuple(name for name, _ in self.of)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All signals."""
+        return (self.signal, *self.terms)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the derivative is one signal as it is."""
+        return len(self.of) == 1 and self.of[0][1] == 1
+
+    @property
+    def suspects(self) -> tuple[str, ...]:
+        """Signals each of which may alone be wrong: of a signal and its derivative it is moot
+        which."""
+        return self.terms if len(self.of) == 1 else self.names
+
+    def side(self, suspect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of what is held against each other: a term against all else, or all terms."""
+        mine = (suspect,) if suspect in self.terms else self.terms
+        return mine, tuple(name for name in self.names if name not in mine)
+
+    def words(self, suspect: str) -> tuple[str, str]:
+        """What a term is called, or the whole sum; and what it should be equal to."""
+        if suspect not in self.terms:
+            return summed(self.of), f"the derivative of {self.signal}"
+        factor = dict(self.of)[suspect]
+        rest = [(name, -c / factor) for name, c in self.of if name != suspect]
+        of = f"the derivative of {self.signal}"
+        if not rest:
+            return suspect, of if factor == 1 else f"{1 / factor:.4g} times {of}"
+        return suspect, summed([*rest, (f"{self.signal}'", 1 / factor)])
+
+
+Pairs: TypeAlias = Iterable[tuple[str, str] | Relation]
+"""Signals and their derivatives."""
+
+
+def relations(pairs: Pairs) -> Iterator[Relation]:
+    """Each of them once."""
+    for signal, of in dict.fromkeys(pairs):
+        yield Relation(signal, ((of, 1.0),) if isinstance(of, str) else of)
+
+
+def with_sum(record: Record, relation: Relation) -> tuple[Record, str, str]:
+    """A record with the sum as a signal, the name of the signal it is the derivative of, its own.
+
+    **Raises:** `DataError` for a signal that the record lacks.
+    """
+    if relation.is_plain:
+        return record, relation.signal, relation.terms[0]
+    label = summed(relation.of)
+    columns = [c * samples_with_nan(record, name) for name, c in relation.of]
+    total = {label: np.sum(columns, axis=0)}
+    added = record.with_signals({label: hold(total[label])}, missing=gaps(total))
+    return added, relation.signal, label
+
+
+def summed(terms: Iterable[tuple[str, float]]) -> str:
+    """A sum as it is written, positive terms first."""
+    words = ""
+    for name, factor in sorted(terms, key=lambda term: term[1] < 0):
+        size = name if abs(factor) == 1 else f"{abs(factor):.4g} {name}"
+        sign = "-" if factor < 0 else "+"
+        words += f" {sign} {size}" if words else f"{sign if factor < 0 else ''}{size}"
+    return words
 
 
 LATE = 0.02
@@ -631,18 +707,21 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     if not held:
         return None
     excess = _excess(held, {name: one.fit for name, one in held.items()})
-    suspect = min(excess, key=lambda name: excess[name])
-    windows = min(WINDOWS, count // SHORTEST_WINDOW, int(held[suspect].cycles / CYCLES_OF_WINDOW))
+    suspect = min(excess, key=excess.__getitem__)
+    cycles = held[suspect].rms * count / (2 * np.pi)
+    windows = min(WINDOWS, count // SHORTEST_WINDOW, int(cycles / CYCLES_OF_WINDOW))
     edges = np.linspace(0, count, windows + 1).astype(int).tolist() if windows > 1 else []
     if max(excess.values()) > LIKELIER:
         # Where it matters which one is wrong, low-passes are looked at as well.
         filtered = {n: _low_pass(one.pieces, count, one.fit) or one.fit for n, one in held.items()}
         excess = _excess(held, filtered)
-        suspect = min(excess, key=lambda name: excess[name])
+        suspect = min(excess, key=excess.__getitem__)
     one = held[suspect]
     course, spread = Course(), 1.0
     if edges:
-        parts = one.parts(edges, breaks)
+        # Pieces between the edges.
+        most, ends = MOST_SAMPLES // windows, itertools.pairwise(edges)
+        parts = [list(_pieces(*one.columns, a, b, breaks, most)) for a, b in ends]
         course, spread = delay_course(parts, edges, count, one.fit)
     fit, rms = one.fit._replace(errors=one.fit.errors * spread), one.rms * abs(one.size)
     alike = tuple(n for n, more in excess.items() if n != suspect and more < LIKELIER)
@@ -656,7 +735,7 @@ class _Held(NamedTuple):
     """A suspect against what the others say it should be.
 
     **Fields:** `columns`, x, v and u of the fit, v divided by the `size` it seems to have; `unit`
-    of the fit in units of the sum; `rms` of the derivative of x and its `cycles`.
+    of the fit in units of the sum; `rms` of the derivative of x.
     """
 
     suspect: str
@@ -666,16 +745,6 @@ class _Held(NamedTuple):
     pieces: list[Piece]
     rms: float
     fit: PairFit
-
-    @property
-    def cycles(self) -> float:
-        return self.rms * self.columns[0].size / (2 * np.pi)
-
-    def parts(self, edges: Sequence[int], breaks: np.ndarray) -> list[list[Piece]]:
-        """Pieces between the edges."""
-        most = MOST_SAMPLES // (len(edges) - 1)
-        ends = itertools.pairwise(edges)
-        return [list(_pieces(*self.columns, a, b, breaks, most)) for a, b in ends]
 
     def sized(self, fit: PairFit) -> PairFit:
         """A fit of v as it is."""
@@ -758,8 +827,7 @@ def _pieces(
 
 def _filled(values: np.ndarray) -> np.ndarray:
     """Spikes and short gaps replaced by local cubics."""
-    found = values.copy()
-    half = 4
+    found, half = values.copy(), 4
     if values.size > 2 * half + 1:
         around = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1)
         off = np.abs(values[half:-half] - np.median(around[:, 2:-2], axis=1))
@@ -771,11 +839,9 @@ def _filled(values: np.ndarray) -> np.ndarray:
     if missing.any() and np.sum(~missing) > 4:
         from scipy.interpolate import Akima1DInterpolator  # half a second, which few records need
 
-        at = np.arange(found.size)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
-        short = np.zeros(found.size, bool)
-        for first, last in edges.reshape(-1, 2):
-            short[first:last] = last - first <= SHORT_GAP
+        at, (starts, stops) = np.arange(found.size), runs(missing)
+        short = missing.copy()
+        short[missing] = np.repeat(stops - starts <= SHORT_GAP, stops - starts)
         found[short] = Akima1DInterpolator(at[~missing], found[~missing])(at[short])
     return found
 

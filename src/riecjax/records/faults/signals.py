@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.faults.clipping import clipped
+from riecjax.records.faults.held_values import clipped, stuck
 from riecjax.records.faults.rows import copied_signals
 from riecjax.records.faults.sampled_signal import (
     FEW_LEVELS,
@@ -18,9 +18,8 @@ from riecjax.records.faults.sampled_signal import (
     sampled_signal,
 )
 from riecjax.records.faults.spikes import outliers
-from riecjax.records.faults.stuck_sensor import stuck
 from riecjax.records.preparation.hum import hum
-from riecjax.records.record import Record
+from riecjax.records.record import Record, runs
 
 COARSE = 0.01
 """Share of a signal's rms past which its resolution matters."""
@@ -38,25 +37,23 @@ def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterato
     for group in alike.values():
         mask = np.isnan(group[0].values)
         time, step = group[0].time, float(record.time_step)
-        edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
-        starts, stops = edges[::2], edges[1::2]
+        starts, stops = runs(mask)
         # One sample, halfway, stands for all of a logger's pause.
         inside = (starts > 0) & (stops < mask.size)
         before, after = time[np.maximum(starts - 1, 0)], time[np.minimum(stops, mask.size - 1)]
         passed = np.where(inside, np.round((after - before) / step) - 1, 0).astype(int)
         lost = np.maximum(stops - starts, passed)
         first = float(before[0] + step if starts[0] > 0 else time[0])
-        count, present = int(lost.sum()), int((~mask).sum())
-        longest = max((s.stop - s.start for s in record.segments([group[0].name])), default=0)
-        seconds = max(longest - 1, 0) * step
-        gaps = "gap" if lost.size == 1 else "gaps"
+        count = int(lost.sum())
+        total = count + int((~mask).sum())
+        longest = max((s.stop - s.start for s in record.segments([group[0].name])), default=1)
         names = tuple(signal.name for signal in group)
         yield Finding(
             "missing_samples",
-            f"{', '.join(names)}: {percent(count, count + present)} of the samples ({count} of "
-            f"{count + present}) are missing in {lost.size} {gaps}, first at {first:.4g} s; the "
-            f"longest unbroken stretch lasts {seconds:.4g} s. Choose windows and filters much "
-            f"shorter than that.",
+            f"{', '.join(names)}: {percent(count, total)} of the samples ({count} of {total}) are "
+            f"missing in {lost.size} gap{'s' * (lost.size > 1)}, first at {first:.4g} s; the "
+            f"longest unbroken stretch lasts {(longest - 1) * step:.4g} s. Choose windows and "
+            f"filters much shorter than that.",
             names,
         )
 
@@ -102,10 +99,13 @@ def check_signals(
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    signals = {name: sampled_signal(record, name) for name in dict.fromkeys(names)}
-    others = {name: sampled_signal(record, name) for name in record.arrays if name not in signals}
-    findings = list(missing_samples(record, signals.values()))
-    for name, signal in signals.items():
+    names = tuple(dict.fromkeys(names))
+    every = {
+        name: sampled_signal(record, name) for name in {**dict.fromkeys(names), **record.arrays}
+    }
+    findings = list(missing_samples(record, [every[name] for name in names]))
+    for name in names:
+        signal = every[name]
         if signal.levels.size == 1:
             findings.append(
                 signal.finding(
@@ -116,14 +116,17 @@ def check_signals(
                 )
             )
         elif signal.sample_count >= FEWEST_SAMPLES:
-            rest = [s for key, s in {**signals, **others}.items() if key != name]
+            rest = [other for other in every.values() if other is not signal]
             if name not in computed:
                 findings += clipped(signal, rest)
                 findings += stuck(signal, rest)
             findings += outliers(signal, rest)
             findings += quantised(signal)
-    recorded = {n: s for n, s in {**signals, **others}.items() if n not in computed}
-    recorded = {n: s for n, s in recorded.items() if s.sample_count >= FEWEST_SAMPLES}
-    findings += copied_signals([recorded[name] for name in signals if name in recorded])
-    findings += hum(recorded, [p for p in pairs if {*p} <= {*recorded}], tuple(signals))
+    recorded = {
+        name: signal
+        for name, signal in every.items()
+        if name not in computed and signal.sample_count >= FEWEST_SAMPLES
+    }
+    findings += copied_signals([recorded[name] for name in names if name in recorded])
+    findings += hum(recorded, [p for p in pairs if {*p} <= {*recorded}], names)
     return findings

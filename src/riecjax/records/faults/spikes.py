@@ -24,6 +24,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.special import gammaincc
 
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
@@ -36,6 +37,7 @@ from riecjax.records.faults.sampled_signal import (
     resolution_of,
 )
 from riecjax.records.noise import DIFFERENCE_ORDER, NORMAL
+from riecjax.records.record import runs
 from riecjax.records.remembered import remembered
 
 SUSPECT = 4.5
@@ -142,10 +144,8 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     if known.size < FEWEST:
         return none
     # How widely values spread that are not spikes.
-    spreads = (
-        np.quantile(known, 1 - share) - np.quantile(known, share) for share in (0.1, 0.01, 0)
-    )
-    scale = float(min(next((s for s in spreads if s > 0), 1.0), np.finfo(float).max))
+    low, high = (np.quantile(known, side) for side in ([0.1, 0.01, 0.0], [0.9, 0.99, 1.0]))
+    scale = float(min(next((s for s in high - low if s > 0), 1.0), np.finfo(float).max))
     centre = np.median(known)
     scaled = np.clip((values - centre) / scale, -LARGEST, LARGEST)
     levels = levels_of(scaled[np.abs(scaled) < BEYOND], ROUNDING)[0]
@@ -171,7 +171,7 @@ def _beyond_all(values: np.ndarray) -> Spikes | None:
     if not apart.any():
         return None
     far = sizes >= ranked[np.flatnonzero(apart)[-1]]
-    far &= ~_in_runs_beyond(far, LONGEST)
+    far &= ~_in_long_runs(far)
     places = np.flatnonzero(far)
     if not places.size:
         return None
@@ -227,7 +227,7 @@ def _judged(
         sizes[suspects[new]], cleaned[suspects[new]] = (off / scale)[new], fit[new]
         reach = np.arange(-BESIDE - LONGEST, BESIDE + LONGEST + 1)
         kept[0, np.clip(suspects[new][:, None] + reach, 0, scaled.size - 1)] = np.nan
-    spikes = (sizes > 0) & ~_in_runs_beyond(sizes > 0, LONGEST)
+    spikes = (sizes > 0) & ~_in_long_runs(sizes > 0)
     off = sizes
     for _ in range(2):  # what is dropped tells more of those beside it
         places, cleaned = np.flatnonzero(spikes), np.where(spikes, np.nan, scaled)
@@ -274,12 +274,11 @@ def _spread_out(values: Float[np.ndarray, " blocks"], length: int, count: int) -
     return np.pad(local, (0, max(count - local.size, 0)), mode="edge")[:count]
 
 
-def _in_runs_beyond(mask: Bool[np.ndarray, " n"], longest: int) -> Bool[np.ndarray, " n"]:
-    """Where a mask is true for more than so many samples in succession."""
-    edges = np.flatnonzero(np.diff(np.pad(mask.astype(np.int8), 1)))
-    lengths = np.diff(edges)[::2]
+def _in_long_runs(mask: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Where a mask is true for more samples in succession than a spike has."""
+    starts, stops = runs(mask)
     inside = np.zeros(mask.size, bool)
-    inside[mask] = np.repeat(lengths > longest, lengths)
+    inside[mask] = np.repeat(stops - starts > LONGEST, stops - starts)
     return inside
 
 
@@ -362,10 +361,8 @@ def fits(
     They are weighed by Tukey's biweight, which no neighbouring spike moves.
     """
     # The median of the seven samples around each that is near, which no spike of up to three moves.
-    near = np.zeros(values.size + 1, int)
-    np.add.at(near, np.maximum(places - BESIDE, 0), 1)
-    np.add.at(near, np.minimum(places + BESIDE + 1, values.size), -1)
-    used = np.flatnonzero(np.cumsum(near[:-1]))
+    near = places[:, None] + np.arange(-BESIDE, BESIDE + 1)
+    used = np.unique(near.clip(0, values.size - 1))
     padded = np.pad(values, LONGEST, constant_values=np.nan)
     median = np.full(values.size, np.nan)
     median[used] = medians(np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used])
@@ -394,12 +391,13 @@ def _at_once(
     off = np.where(there, np.abs(window - median[inside]), np.nan)
     spread = medians(off) / NORMAL
     start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
-    weight, factor, fitted, scale = start, *(np.zeros(0) for _ in range(3))
+    weight, grams, fitted, scale = start, *(np.zeros(0) for _ in range(3))
     count, middle = local.columns.shape[1], local.columns[BESIDE]
+    ridge = RIDGE * np.eye(count)
     for i in range(ROUNDS):
-        factor = _factored((local.products.T @ weight.T).reshape(count, count, -1))
-        fitted = _solved(factor, local.columns.T @ (weight * window).T)
-        off = np.where(there, np.abs(window - (local.columns @ fitted).T), np.nan)
+        grams = (weight @ local.products).reshape(-1, count, count) + ridge
+        fitted = np.linalg.solve(grams, (weight * window @ local.columns)[..., None])[..., 0]
+        off = np.where(there, np.abs(window - fitted @ local.columns.T), np.nan)
         own = medians(off) / NORMAL
         scale, spread = np.fmax(least, own), np.fmin(spread, own)
         share = np.nan_to_num(off) / scale[:, None]
@@ -410,14 +408,14 @@ def _at_once(
             else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
         )
     enough = np.sum(weight > 0, axis=1) > count
-    reach = middle @ _solved(factor, np.repeat(middle[:, None], len(places), axis=1))
+    reach = np.linalg.solve(grams, middle) @ middle
     clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
     before, after = off[:, :BESIDE], off[:, BESIDE + 1 :]
     for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
         nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
         clear = np.fmax(clear, NEIGHBOUR * nearest)
     scale = np.where(enough, scale, np.inf) * np.sqrt(1 + reach)
-    return Fits(middle @ fitted, scale, clear, np.nan_to_num(spread - digits))
+    return Fits(fitted @ middle, scale, clear, np.nan_to_num(spread - digits))
 
 
 def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
@@ -428,32 +426,6 @@ def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
     return (
         ordered[at, np.maximum(count - 1, 0) // 2] + ordered[at, count // 2 % rows.shape[1]]
     ) / 2
-
-
-def _factored(grams: Float[np.ndarray, "c c k"]) -> Float[np.ndarray, "c c k"]:
-    """Below the diagonal L, and on it D, of L D L' for each symmetric matrix, which it replaces.
-
-    All side by side take a third of the time of LAPACK, which takes one after the other.
-    """
-    count = len(grams)
-    grams[range(count), range(count)] += RIDGE
-    for i in range(count - 1):
-        below = grams[i + 1 :, i]
-        scaled = below / grams[i, i]
-        grams[i + 1 :, i + 1 :] -= scaled[:, None] * below
-        grams[i + 1 :, i] = scaled
-    return grams
-
-
-def _solved(factor: Float[np.ndarray, "c c k"], right: Float[np.ndarray, "c k"]) -> np.ndarray:
-    """The solutions of factored systems; the right sides are replaced."""
-    count = len(right)
-    for i in range(count - 1):
-        right[i + 1 :] -= factor[i + 1 :, i] * right[i]
-    right /= factor[range(count), range(count)]
-    for i in range(count - 1, 0, -1):
-        right[:i] -= factor[i, :i] * right[i]
-    return right
 
 
 def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarray, " n"]]) -> bool:
@@ -510,11 +482,7 @@ def _by_chance(
         return 0.0
     beyond = usual.size - np.searchsorted(usual, at_spikes)
     total = -float(np.sum(np.log((1 + beyond) / (1 + usual.size))))
-    terms = [
-        k * math.log(max(total, np.finfo(float).tiny)) - math.lgamma(k + 1)
-        for k in range(at_spikes.size)
-    ]
-    return sum(math.exp(term - total) for term in terms)
+    return float(gammaincc(at_spikes.size, total))
 
 
 def too_many(spikes: Spikes, values: Float[np.ndarray, " n"]) -> bool:
@@ -542,7 +510,7 @@ def finding_of(
 
     What was kept puts parameters in doubt by the spikes' share of the signal's energy.
     """
-    count, present = spikes.places.size, int(np.sum(~np.isnan(values)))
+    count = spikes.places.size
     listed = ", ".join(f"{time[place]:.6g}" for place in spikes.places[:LISTED])
     more = f" s and {count - LISTED} more" if count > LISTED else " s"
     beyond_repair = too_many(spikes, values)
@@ -564,8 +532,9 @@ def finding_of(
     )
     message = (
         f"{name}: {count} {'sample is a spike' if count == 1 else 'samples are spikes'} "
-        f"({100 * count / present:.2g} %), up to {f'{largest:.4g} {unit}'.rstrip()} "
-        f"off the samples around{against}, at {listed}{more}. {said}."
+        f"({100 * count / np.sum(~np.isnan(values)):.2g} %), up to "
+        f"{f'{largest:.4g} {unit}'.rstrip()} off the samples around{against}, at {listed}{more}. "
+        f"{said}."
     )
     remedy = ("--outliers", "repair") if kept and not beyond_repair else ()
     return Finding("outliers", message, (name,), doubt=doubt, remedy=remedy)

@@ -11,9 +11,7 @@ from .filtering import with_local_derivative as with_local_derivative
 from .hum import notch as notch
 from .repair import leave_out as leave_out
 from .repair import repair_outliers as repair_outliers
-from .resampling import decimate as decimate
 from .resampling import on_grid as on_grid
 from .resampling import resample as resample
 from .resampling import upsample as upsample
 from .steps import split as split
-from .steps import split_at as split_at

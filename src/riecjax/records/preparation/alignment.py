@@ -9,8 +9,15 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.consistency import compared
-from riecjax.records.faults.derivative_pairs import LATE, PPM, Pair
-from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
+from riecjax.records.faults.derivative_pairs import (
+    LATE,
+    PPM,
+    Pair,
+    Pairs,
+    Relation,
+    relations,
+    with_sum,
+)
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise_judgement import judged
 from riecjax.records.preparation.filtering import longest_stretch, through, with_gaps
@@ -84,9 +91,9 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
     """
     reach, columns, lost = reach_beyond(1.0), {}, 0
     elapsed = np.asarray(record.elapsed) / float(record.time_step)
-    phases = (response(np.arange(1 - reach, reach + 1) - p, 1.0) for p in np.linspace(0, 1, 21))
     # The interpolator's gain of white noise, over all places between two samples.
-    white = np.sqrt(np.mean([taps @ taps for taps in phases]))
+    phases = response(np.arange(1 - reach, reach + 1) - np.linspace(0, 1, 21)[:, None], 1.0)
+    white = np.sqrt(np.mean(np.sum(phases**2, axis=1)))
     for name, rate in ppm.items():
         samples = np.asarray(record.signals[name])
         if not abs(rate) < MOST_PPM:
@@ -178,21 +185,19 @@ def _named(pairs: Sequence[Pair], names: Sequence[str]) -> dict[str, float]:
 def _later(pairs: Sequence[Pair]) -> dict[str, float]:
     """Seconds by which signals are later than the earliest of those that they belong to."""
     groups: list[dict[str, float]] = []
-    for pair in pairs:
-        late = pair.late
+    for late in (pair.late for pair in pairs):
         group = next((g for g in groups if {*late} & {*g}), None)
         if group is None:
             groups.append(group := {})
-        known = next((name for name in late if name in group), None)
-        ahead = 0.0 if known is None else group[known] - late[known]
+        # By a signal that both know.
+        ahead = next((group[name] - late[name] for name in late if name in group), 0.0)
         for name, seconds in late.items():
             group.setdefault(name, ahead + seconds)
-    step = pairs[0].step if pairs else 0.0
     return {
         name: seconds - min(group.values())
         for group in groups
         for name, seconds in group.items()
-        if seconds - min(group.values()) > LATE * step
+        if seconds - min(group.values()) > LATE * pairs[0].step
     }
 
 

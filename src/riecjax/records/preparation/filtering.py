@@ -1,6 +1,6 @@
 """Filters without phase, offsets, drifts and derivatives, each on unbroken stretches."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
@@ -55,25 +55,18 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     from scipy.signal import butter, sosfiltfilt  # take half a second, which few records need
 
     record = judged(record, "auto", *cutoffs)
-    noise = record.noise
-
-    def filtered(name: str) -> np.ndarray:
-        nonlocal noise
-        sections = butter(FILTER_ORDER, cutoffs[name] / nyquist, output="sos")
+    noise, columns = record.noise, {}
+    for name, cutoff in cutoffs.items():
+        sections = butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         impulse = np.zeros(4 * lost[name] + FILTER_PADDING + 1)
         impulse[impulse.size // 2] = 1.0
         noise = noise.filtered(name, sosfiltfilt(sections, impulse))
-
-        def step(samples: np.ndarray) -> np.ndarray:
-            found = np.full(samples.size, np.nan)
-            if samples.size > _shortest(lost[name]):
-                inner = slice(lost[name], -lost[name])
-                found[inner] = sosfiltfilt(sections, samples)[inner]
-            return found
-
-        return on_stretches(record, name, step)
-
-    columns = {name: filtered(name) for name in cutoffs}
+        columns[name] = np.full(record.sample_count, np.nan)
+        for stretch in record.segments([name]):
+            if stretch.stop - stretch.start > _shortest(lost[name]):
+                inner = slice(stretch.start + lost[name], stretch.stop - lost[name])
+                samples = sosfiltfilt(sections, np.asarray(record[name])[stretch])
+                columns[name][inner] = samples[lost[name] : -lost[name]]
     result = with_gaps(record, columns, noise=noise).part(cut, record.sample_count - cut)
     for name, cutoff in cutoffs.items():
         if not result.segments([name]):
@@ -184,7 +177,9 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
         )
     unit = dict(record.units).get(signal)
     units = {} if unit is None else {name: f"{unit}/s"}
-    derivative = on_stretches(record, signal, lambda x: central_difference(x, record.time_step))
+    samples, derivative = np.asarray(record[signal]), np.full(record.sample_count, np.nan)
+    for stretch in record.segments([signal]):
+        derivative[stretch] = central_difference(samples[stretch], record.time_step)
     taps = np.array([0.5, 0.0, -0.5]) / float(record.time_step)
     record = judged(record, "auto", signal)
     return with_gaps(record, {name: derivative}, units, record.noise.filtered(signal, taps, name))
@@ -203,33 +198,18 @@ def central_difference(samples: ArrayLike, time_step: ArrayLike) -> Float[np.nda
     )
 
 
-def on_stretches(
-    record: Record, signal: str, step: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray:
-    """What `step` makes of each unbroken stretch of a signal, NaN elsewhere, shape `(n,)`."""
-    samples = np.asarray(record[signal])
-    found = np.full(samples.size, np.nan)
-    for stretch in record.segments([signal]):
-        found[stretch] = step(samples[stretch])
-    return found
-
-
 def through(
     record: Record, signal: str, taps: Float[np.ndarray, " taps"], first: int
 ) -> Float[np.ndarray, " n"]:
     """Weighted sums of a signal's samples, from `first` samples on; NaN where they reach beyond."""
-
-    def sums(samples: np.ndarray) -> np.ndarray:
-        found = np.full(samples.size, np.nan)
-        if samples.size < taps.size:
-            return found
-        every = np.convolve(samples, taps[::-1], "valid")
-        places = np.arange(every.size) - first
-        there = (places >= 0) & (places < samples.size)
-        found[places[there]] = every[there]
-        return found
-
-    return on_stretches(record, signal, sums)
+    samples, result = np.asarray(record[signal]), np.full(record.sample_count, np.nan)
+    for stretch in record.segments([signal]):
+        if stretch.stop - stretch.start >= taps.size:
+            sums = np.convolve(samples[stretch], taps[::-1], "valid")
+            places = stretch.start - first + np.arange(sums.size)
+            there = (places >= stretch.start) & (places < stretch.stop)
+            result[places[there]] = sums[there]
+    return result
 
 
 def with_gaps(
@@ -269,39 +249,28 @@ BY_CHANCE = 1e-6
 of them far above the motion would make the polynomial as narrow as can be."""
 
 
-def with_local_derivative(
-    record: Record, signal: str, name: str, half_width: float | None = None
-) -> tuple[Record, float]:
+def with_local_derivative(record: Record, signal: str, name: str) -> tuple[Record, float]:
     """Add the time derivative of a noisy signal: slopes of local polynomials of fourth order.
 
     Least squares over 2 m + 1 samples, as by Savitzky and Golay. Noise falls with the power -3/2
-    of the width, and the motion's error grows with the fourth: unless given, the half width is the
-    largest at which that error, by the signal's spectrum above its noise, is 0.05 of the noise's
-    standard deviation. m samples are cut off at both ends, and become missing beside gaps.
+    of the width, and the motion's error grows with the fourth: the half width is the largest at
+    which that error, by the signal's spectrum above its noise, is 0.05 of the noise's standard
+    deviation, and at least 3 samples. m samples are cut off at both ends, and become missing beside
+    gaps.
 
-    **Arguments:** `half_width` in seconds, at least 3 samples; `name` of the derivative.
+    **Arguments:** `name` of the derivative.
 
     **Returns:** the record, and the half width in seconds.
 
-    **Raises:** `DataError` for a missing signal, a half width below 3 samples, or stretches that
-    are all too short.
+    **Raises:** `DataError` for a missing signal, or stretches that are all too short.
     """
     record, step = judged(record, "auto", signal), float(record.time_step)
     longest = longest_stretch(record, signal)
-    if half_width is None:
-        count = _widest(record, signal, step) if longest > 2 * NARROWEST else NARROWEST
-    else:
-        count = round(half_width / step) if np.isfinite(half_width) else 0
-    if count < NARROWEST:
-        raise DataError(
-            f"the half width of a local polynomial of '{signal}' must be {NARROWEST} samples, "
-            f"{NARROWEST * step:g} s, at the least; got {half_width:g} s."
-        )
+    count = _widest(record, signal, step) if longest > 2 * NARROWEST else NARROWEST
     if longest < 2 * count + 1 or record.sample_count < 2 * count + 2:
         raise DataError(
             f"'{signal}' has no derivative by local polynomials: they take {2 * count + 1} samples "
-            f"in succession, and its longest stretch has {longest}. Give a smaller half width, or "
-            f"repair the gaps."
+            f"in succession, and its longest stretch has {longest}. Repair the gaps."
         )
     taps = derivative_taps(count, step)
     unit = dict(record.units).get(signal)

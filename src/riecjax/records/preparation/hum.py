@@ -74,9 +74,9 @@ class Spectrum(NamedTuple):
         rate = 2 * self.resolution * (self.power.size - 1)
         return abs(frequency - rate * round(frequency / rate))
 
-    def line(self, frequency: float, drift: float, chance: float) -> Line | None:
-        """The line within `drift` of a frequency, `None` where none stands out alone."""
-        seen, tolerance = self.folded(frequency), drift * frequency
+    def line(self, frequency: float, chance: float) -> Line | None:
+        """The line about a frequency, `None` where none stands out alone."""
+        seen, tolerance = self.folded(frequency), DRIFT * frequency
         low = int(np.floor((seen - tolerance) / self.resolution))
         high = int(np.ceil((seen + tolerance) / self.resolution))
         if low < LOBE + 2 or high > self.power.size - 2 - LOBE:
@@ -155,7 +155,7 @@ def lines_of(spectrum: Spectrum, grid: float) -> list[Line]:
     """The lines of a grid that stand out, each once, however sampling folds them."""
     found: list[Line] = []
     for harmonic in range(1, HARMONICS + 1):
-        line = spectrum.line(harmonic * grid, DRIFT, BY_CHANCE / HARMONICS)
+        line = spectrum.line(harmonic * grid, BY_CHANCE / HARMONICS)
         if line is not None and all(
             abs(line.seen - one.seen) > LOBE * spectrum.resolution for one in found
         ):
@@ -216,19 +216,15 @@ def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
     strongest = LOBE + 2 + int(np.argmax(spectrum.power[LOBE + 2 : -LOBE - 2]))
     own = spectrum.interpolated(strongest)
 
-    def is_overtone(line: Line) -> bool:
+    stands_out = spectrum.chance[strongest] <= BY_CHANCE
+    found = []
+    for grid, line in [(hz, line) for hz in MAINS for line in lines_of(spectrum, hz)]:
         order = line.seen / own
-        off = abs(order - round(order)) * own
-        if spectrum.chance[strongest] > BY_CHANCE:
-            return False
-        return 1.5 < order < OVERTONES and off < 0.1 * order * spectrum.resolution
-
-    found = [
-        (line.nominal / grid, grid, line)
-        for grid in MAINS
-        for line in lines_of(spectrum, grid)
-        if line.amplitude > SMALLEST * spectrum.rms and not is_overtone(line)
-    ]
+        overtone = 1.5 < order < OVERTONES and (
+            abs(order - round(order)) * own < 0.1 * order * spectrum.resolution
+        )
+        if line.amplitude > SMALLEST * spectrum.rms and not (stands_out and overtone):
+            found.append((line.nominal / grid, grid, line))
     claimed: dict[float, list[Line]] = {}
     for _, grid, line in sorted(found, key=lambda one: round(one[0])):
         others = [one for other, of in claimed.items() if other != grid for one in of]
@@ -287,7 +283,7 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
                     f"a line of {frequency:g} Hz is seen at {seen:.3g} Hz at this sampling rate "
                     f"and length of record, where it cannot be told from an offset."
                 )
-            exact = spectrum.line(frequency, DRIFT, 1.0) or Line(frequency, seen, 0.0)
+            exact = spectrum.line(frequency, 1.0) or Line(frequency, seen, 0.0)
             lines = [exact, *(line for line in lines if line.nominal > frequency)]
         if lines:
             columns[name] = without_lines(values, step, [line.seen for line in lines])

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.clipping import limits
+from riecjax.records.faults.held_values import limits, stuck_runs
 from riecjax.records.faults.sampled_signal import sampled_signal
 from riecjax.records.faults.spikes import (
     DONE,
@@ -20,7 +20,6 @@ from riecjax.records.faults.spikes import (
     finding_of,
     too_many,
 )
-from riecjax.records.faults.stuck_sensor import stuck_runs
 from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import SHORTEST_PAUSE
@@ -103,8 +102,7 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
 
     **Raises:** `DataError` for a signal that the record lacks, or another treatment.
     """
-    every = {**dict.fromkeys(signals), **record.arrays}
-    columns = {name: samples_with_nan(record, name) for name in every}
+    columns = {n: samples_with_nan(record, n) for n in {**dict.fromkeys(signals), **record.arrays}}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
     treated = _treated(signals or tuple(columns), columns, times, how)
     changed = {n: one.values for n, one in treated.items() if one.spikes and not one.acted}
@@ -122,16 +120,13 @@ def leave_out(record: Record, *signals: str) -> Record:
     """
     if not signals:
         raise DataError(f"name the signals to leave out of; there are: {', '.join(record.arrays)}.")
-    every = {
-        name: sampled_signal(record, name) for name in {**dict.fromkeys(signals), **record.arrays}
-    }
+    every = {n: sampled_signal(record, n) for n in {**dict.fromkeys(signals), **record.arrays}}
     columns = {}
     for name in signals:
         others = [signal for other, signal in every.items() if other != name]
         signal, values = every[name], every[name].values.copy()
-        for run in stuck_runs(signal, others):
-            start = signal.run_starts[run]
-            values[start : start + signal.run_lengths[run]] = np.nan
+        stuck = np.isin(np.arange(signal.run_starts.size), stuck_runs(signal, others))
+        values[np.repeat(stuck, signal.run_lengths)] = np.nan
         # Limits that may be real among them.
         for side in limits(signal):
             sign = 1.0 if side.which == "maximum" else -1.0
@@ -167,18 +162,17 @@ def treat_all(
     every, findings = {**even, **times}, []
     words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
     treated = _treated(tuple(columns), columns, every, how)
-    for name, one in treated.items():
-        if one.spikes is None:
+    for name, (_, spikes, acted) in treated.items():
+        if spikes is None:
             continue
-        count, time = one.spikes.places.size, every[name]
-        if one.acted:
+        count, time = spikes.places.size, every[name]
+        if acted:
             words.append(f"{name}: {count} samples of short pulses kept, which other signals show")
             continue
         done = "repaired" if how == "repair" else "marked as missing"
         words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
         used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
-        unit = units.get(name, "")
-        found = finding_of(name, one.spikes, columns[name], time - time[0], unit, how)
+        found = finding_of(name, spikes, columns[name], time - time[0], units.get(name, ""), how)
         findings.append(found._replace(signals=(name, *used)))
     return {name: one.values for name, one in treated.items()}, words, findings
 
@@ -214,11 +208,7 @@ def _treated(
     for name, one in treated.items():
         if one.spikes is None:
             continue
-        others = [
-            values
-            for other, values in without.items()
-            if other != name and np.array_equal(times[other], times[name])
-        ]
-        if are_answered(one.spikes.places, others):
+        together = (other for other in without if np.array_equal(times[other], times[name]))
+        if are_answered(one.spikes.places, [without[n] for n in together if n != name]):
             treated[name] = Treated(columns[name], one.spikes, acted=True)
     return treated

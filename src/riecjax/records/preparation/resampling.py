@@ -27,7 +27,7 @@ from riecjax.memory import in_gigabytes, require_memory
 from riecjax.records.noise import DIFFERENCE_ORDER, STRETCH, STRETCHES, Noise, shortened, usual_size
 from riecjax.records.noise_judgement import judged, noise_of_level
 from riecjax.records.preparation.filtering import longest_stretch
-from riecjax.records.record import Record, gaps, hold
+from riecjax.records.record import Record, gaps, hold, runs
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""
@@ -74,6 +74,8 @@ def resample(record: Record, rate: float) -> Record:
     1e-4 to 0.8 of half the new rate and 80 dB down from half of it on; 26 new samples are lost.
     A pause stays a pause, and a new grid begins after it.
 
+    `record.every(count)` thins without a low-pass.
+
     **Arguments:** `rate` in Hz.
 
     **Raises:** `DataError` for an impossible rate, too many samples, or a signal whose
@@ -94,21 +96,9 @@ def upsample(record: Record, factor: int) -> Record:
     **Raises:** `DataError` for a factor below 1, too many samples, or a signal whose
     stretches are all too short.
     """
-    _check_factor(factor)
+    if not 1 <= factor < np.inf or int(factor) != factor:
+        raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")
     return _resampled(record, float(record.time_step) / factor, 1.0 / factor)
-
-
-def decimate(record: Record, factor: int) -> Record:
-    """Every `factor`-th sample of the low-passed record, without phase.
-
-    Flat within 1e-4 to 0.8 of half the new rate, and 80 dB down from half of it on, so that nothing
-    folds; 26 new samples are lost at both ends and beside gaps. `record.every(factor)` thins
-    without a low-pass.
-
-    **Raises:** `DataError` for a factor below 1, or a signal whose stretches are all too short.
-    """
-    _check_factor(factor)
-    return _resampled(record, float(record.time_step) * factor, float(factor))
 
 
 def on_grid(
@@ -175,8 +165,7 @@ def on_grid(
         )
     rows = slice(full[0], full[-1] + 1)
     kept = {name: values[rows] for name, values in columns.items()}
-    empty = [name for name in kept if name not in decide and np.isnan(kept[name]).all()]
-    return grid[rows], {name: values for name, values in kept.items() if name not in empty}
+    return grid[rows], {name: v for name, v in kept.items() if not np.isnan(v).all()}
 
 
 def on_grid_noise(
@@ -196,7 +185,7 @@ def on_grid_noise(
             found = found.joined(noise_of_level(name, level, hold(values), known))
         channel = _channel(name, time, values)
         if channel.step * rate < 1 - SAME_RATE:
-            taps = low_pass_taps(1 / (rate * channel.step))
+            taps = resampled_taps(np.ones(1), 1 / (rate * channel.step))
         else:
             taps = spline_taps(np.interp(grid, time, np.arange(time.size)))
         found = found.filtered(name, taps)
@@ -212,13 +201,11 @@ class _Channel(NamedTuple):
 
 def _channel(name: str, time: np.ndarray, values: np.ndarray) -> _Channel:
     time, values = np.asarray(time, float), np.asarray(values, float)
-    if time.ndim != 1 or time.shape != values.shape:
+    if time.ndim != 1 or time.shape != values.shape or time.size < 2:
         raise DataError(
-            f"channel '{name}' needs one time for each value; it has {time.size} times and "
-            f"{values.size} values."
+            f"channel '{name}' needs at least two samples, and one time for each value; it has "
+            f"{time.size} times and {values.size} values."
         )
-    if time.size < 2:
-        raise DataError(f"channel '{name}' needs at least two samples; it has {time.size}.")
     for what, bad in (("time", ~np.isfinite(time)), ("value", np.isinf(values))):
         if bad.any():
             raise DataError(
@@ -324,23 +311,22 @@ def resampled_noise(noise: Noise, spacing: float) -> Noise:
     rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
     """
 
-    def taps(kernel: np.ndarray) -> np.ndarray:
-        half = kernel.size // 2
-        reach = math.ceil((half + reach_beyond(spacing)) / spacing)
-        places = spacing * np.arange(-reach, reach + 1)
-        through = response(places[:, None] - np.arange(-half, half + 1), spacing)
-        return shortened(math.sqrt(spacing) * through @ kernel)
-
     kernels = {
-        name: {source: taps(np.asarray(kernel)) for source, kernel in of.items()}
+        name: {source: resampled_taps(np.asarray(kernel), spacing) for source, kernel in of.items()}
         for name, of in noise.kernels.items()
     }
     return Noise(kernels, noise.freedom)
 
 
-def low_pass_taps(spacing: float) -> Float[np.ndarray, " taps"]:
-    """The kernel, on the new samples, that a low-pass for a slower rate makes of white noise."""
-    return np.asarray(resampled_noise(Noise({"": {"": np.ones(1)}}), spacing).kernels[""][""])
+def resampled_taps(
+    kernel: Float[np.ndarray, " taps"], spacing: float
+) -> Float[np.ndarray, " new_taps"]:
+    """The kernel on the new samples of one on the old; see [`resampled_noise`][]."""
+    half = kernel.size // 2
+    reach = math.ceil((half + reach_beyond(spacing)) / spacing)
+    places = spacing * np.arange(-reach, reach + 1)
+    through = response(places[:, None] - np.arange(-half, half + 1), spacing)
+    return shortened(math.sqrt(spacing) * through @ kernel)
 
 
 def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"]:
@@ -441,8 +427,7 @@ def _resampled(record: Record, step: float, spacing: float) -> Record:
     # Stretches of one even grid lie between pauses, which no signal spans.
     masks = [np.asarray(record.missing.get(name, np.zeros(count, bool))) for name in record.arrays]
     some = ~np.all(masks, axis=0) if record.stamps is not None else np.ones(count, bool)
-    edges = np.flatnonzero(np.diff(np.pad(some.astype(np.int8), 1)))
-    pieces = [_piece(record, slice(*run), step, spacing) for run in edges.reshape(-1, 2).tolist()]
+    pieces = [_piece(record, slice(*run), step, spacing) for run in runs(some).T.tolist()]
     pieces = [piece for piece in pieces if piece is not None]
     for name in record.arrays:
         if not any((~np.isnan(columns[name])).any() for _, columns in pieces):
@@ -501,8 +486,3 @@ def _piece(
 def _check_rate(rate: float) -> None:
     if not (np.isfinite(rate) and rate > 0):
         raise DataError(f"the rate must be a positive number of samples per second; got {rate:g}.")
-
-
-def _check_factor(factor: int) -> None:
-    if not 1 <= factor < np.inf or int(factor) != factor:
-        raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")

@@ -1,6 +1,7 @@
 """From a record as read to the records that a model's equations are estimated and validated on."""
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -28,10 +29,11 @@ from riecjax.settings import Prepare
 
 
 class Step(NamedTuple):
-    """One step, in words for the result's provenance, and what it does."""
+    """One step, in words for the result's provenance, the function that takes it, and how."""
 
     words: str
-    apply: Callable[[Record], Record]
+    function: Callable[..., Record]
+    settings: tuple[Any, ...] = ()
 
 
 def halves(preparation: Prepare) -> tuple[Prepare, Prepare]:
@@ -53,55 +55,42 @@ def idle_cuts(preparation: Prepare, record: Record) -> dict[str, str]:
     return idle
 
 
-def steps_of(preparation: Prepare) -> list[Step]:
-    """The steps in the order in which they are taken, but for alignment, which depends on what is
-    found."""
-    steps = []
-    if preparation.start is not None or preparation.stop is not None:
-        low = "the start" if preparation.start is None else f"{preparation.start:g} s"
-        high = "the end" if preparation.stop is None else f"{preparation.stop:g} s"
-        steps.append(
-            Step(f"cut from {low} to {high}", partial(cut, preparation.start, preparation.stop))
-        )
-    steps += _each(preparation.left_out, "left out where it is stuck or at its limit", leave_out)
-    steps += _together(preparation.shifts, "advanced: {} by {:g} s", shift)
-    steps += _together(preparation.clocks, "clocks: {} by {:g} ppm", set_clocks)
-    steps += _together(preparation.lags, "low-pass undone: {} of {:g} s", unfilter)
-    steps += _each(preparation.offsets, "mean removed", remove_offset)
-    steps += _each(preparation.drifts, "straight line removed", remove_drift)
+def steps_of(preparation: Prepare) -> Iterator[Step]:
+    """The steps in the order in which they are taken, but for alignment and missing derivatives,
+    which depend on what is found, and for thinning, which comes last of all."""
+    start, stop = preparation.start, preparation.stop
+    if start is not None or stop is not None:
+        low = "the start" if start is None else f"{start:g} s"
+        high = "the end" if stop is None else f"{stop:g} s"
+        yield Step(f"cut from {low} to {high}", partial(cut, start, stop))
+    stuck = "left out where it is stuck or at its limit"
+    butterworth = "zero-phase 4th-order Butterworth low-pass: {} at {:g} Hz"
+    yield from _each(preparation.left_out, stuck, leave_out)
+    yield from _together(preparation.shifts, "advanced: {} by {:g} s", shift)
+    yield from _together(preparation.clocks, "clocks: {} by {:g} ppm", set_clocks)
+    yield from _together(preparation.lags, "low-pass undone: {} of {:g} s", unfilter)
+    yield from _each(preparation.offsets, "mean removed", remove_offset)
+    yield from _each(preparation.drifts, "straight line removed", remove_drift)
     for hertz in preparation.notches:
         at = "" if hertz == "auto" else f" at {hertz:g} Hz"
-        taken_off = partial(_with, notch, hertz)
-        steps.append(Step(f"lines of the mains{at} taken off", taken_off))
-    butterworth = "zero-phase 4th-order Butterworth low-pass: {} at {:g} Hz"
-    steps += _together(preparation.cutoffs, butterworth, low_pass)
-    if preparation.upsample > 1:
-        words = f"band-limited up-sampling by {preparation.upsample}"
-        steps.append(Step(words, partial(_with, upsample, preparation.upsample)))
-    steps += [_derivative(name, of) for name, of in preparation.derivatives.items()]
-    if preparation.every > 1:
-        tens, ones = divmod(preparation.every % 100, 10)
-        ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"
-        steps.append(
-            Step(f"every {preparation.every}{ending} sample", lambda r: r.every(preparation.every))
-        )
-    return steps
-
-
-def _with(step: Callable[..., Record], setting: Any, record: Record) -> Record:
-    return step(record, setting)
+        yield Step(f"lines of the mains{at} taken off", notch, (hertz,))
+    yield from _together(preparation.cutoffs, butterworth, low_pass)
+    if (factor := preparation.upsample) > 1:
+        yield Step(f"band-limited up-sampling by {factor}", upsample, (factor,))
+    for name, of in preparation.derivatives.items():
+        yield Step(f"{name}: central differences of {of}", differentiate, (of, name))
 
 
 def _each(names: Sequence[str], words: str, step: Callable[..., Record]) -> list[Step]:
     """A step for each of these signals."""
-    return [Step(f"{name}: {words}", partial(_with, step, name)) for name in names]
+    return [Step(f"{name}: {words}", step, (name,)) for name in names]
 
 
 def _together(settings: Mapping[str, float], words: str, step: Callable[..., Record]) -> list[Step]:
     """One step for all signals that have a setting."""
     what, form = words.split("{", 1)
     listed = ", ".join(f"{{{form}".format(*setting) for setting in settings.items())
-    return [Step(what + listed, partial(_with, step, dict(settings)))] if settings else []
+    return [Step(what + listed, step, (dict(settings),))] if settings else []
 
 
 def prepare(
@@ -109,27 +98,39 @@ def prepare(
 ) -> tuple[Record, list[str]]:
     """Take the steps; add derivatives (`derived`: new signal to its signal) that are still missing.
 
-    Those are added before the record is thinned, which would coarsen their differences.
+    Those are added before the record is thinned, which would coarsen their differences: of a noisy
+    sensor's signal by local polynomials; of what is filtered already, is a derivative itself or has
+    no noise, by differences.
 
     **Returns:** the prepared record, and the steps that were taken, in words.
 
     **Raises:** `DataError` for a missing signal or settings that the record does not allow.
     """
     preparation = replace(preparation, **dict.fromkeys(idle_cuts(preparation, record)))
-    steps = steps_of(preparation)
-    thinning = steps[-1:] if preparation.every > 1 else []
     words = []
-    for step in steps[: len(steps) - len(thinning)]:
-        record = step.apply(record)
+    for step in steps_of(preparation):
+        record = step.function(record, *step.settings)
         words.append(step.words)
     for name, of in derived.items():
-        if name not in record.signals:
-            measured = of not in derived
-            record, step_words = _missing_derivative(record, name, of, measured)
-            words.append(step_words)
-    for step in thinning:
-        record = step.apply(record)
-        words.append(step.words)
+        if name in record.signals:
+            continue
+        record = judged(record, "auto", of)
+        record.signals[of]  # without it there is a helpful error, and no noise to look up
+        kernel = record.noise.kernels[of].get(of)
+        if of not in derived and kernel is not None and kernel.shape[-1] == 1:
+            with contextlib.suppress(DataError):  # too short for them
+                record, width = with_local_derivative(record, of, name)
+                words.append(
+                    f"{name}: slope of {of} by local polynomials, {width:.3g} s to each side"
+                )
+                continue
+        record = differentiate(record, of, name)
+        words.append(f"{name}: central differences of {of}")
+    if (every := preparation.every) > 1:
+        tens, ones = divmod(every % 100, 10)
+        ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"
+        record = record.every(every)
+        words.append(f"every {every}{ending} sample")
     return record, words
 
 
@@ -158,32 +159,6 @@ def _lasts(record: Record) -> str:
     )
 
 
-def _missing_derivative(record: Record, name: str, of: str, measured: bool) -> tuple[Record, str]:
-    """A derivative that the model names and the file lacks.
-
-    Of a noisy sensor's signal by local polynomials; of what is filtered already, is a derivative
-    itself or has no noise, by differences.
-    """
-    record = judged(record, "auto", of)
-    record.signals[of]  # without it there is a helpful error, and no noise to look up
-    kernel = record.noise.kernels[of].get(of)
-    if measured and kernel is not None and kernel.shape[-1] == 1:
-        try:
-            record, width = with_local_derivative(record, of, name)
-            words = f"{name}: slope of {of} by local polynomials, {width:.3g} s to each side"
-            return record, words
-        except DataError:
-            pass  # too short for them
-    step = _derivative(name, of)
-    return step.apply(record), step.words
-
-
-def _derivative(name: str, of: str) -> Step:
-    return Step(
-        f"{name}: central differences of {of}", lambda record: differentiate(record, of, name)
-    )
-
-
 def split(record: Record, share: float) -> tuple[Record, Record]:
     """Hold out the last `share` of a record's samples, 0 < share < 1.
 
@@ -197,23 +172,7 @@ def split(record: Record, share: float) -> tuple[Record, Record]:
     """
     if not 0 < share < 1:
         raise DataError(f"the share to hold out must lie between 0 and 1; got {share:g}.")
-    return _split(record, record.sample_count - round(share * record.sample_count))
-
-
-def split_at(record: Record, seconds: float) -> tuple[Record, Record]:
-    """Split a record before the first sample at or after this time, on the record's clock (`time`).
-
-    **Returns:** the part to estimate from, and the part to validate on.
-
-    **Raises:** `DataError` for a time that leaves a part without two samples or without any sample
-    of a signal.
-    """
-    # A time in decimals stands for the sample nearest to it within rounding.
-    rounding = 1e-6 * float(record.time_step)
-    return _split(record, int(np.searchsorted(np.asarray(record.time), seconds - rounding)))
-
-
-def _split(record: Record, at: int) -> tuple[Record, Record]:
+    at = record.sample_count - round(share * record.sample_count)
     if min(at, record.sample_count - at) < 2:
         raise DataError(
             f"splitting {record.sample_count} samples into {at} and {record.sample_count - at} "

@@ -4,6 +4,7 @@ import codecs
 import contextlib
 import csv
 import io
+import itertools
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -33,10 +34,10 @@ from riecjax.records.reading.numerals import (
 )
 from riecjax.records.reading.times import are_stamps, is_called_time, is_stamp, seconds
 from riecjax.records.reading.units import (
+    BRACKETS,
     SECONDS,
     bare_unit,
     is_known,
-    is_unit,
     readings,
     same,
     split_unit,
@@ -79,10 +80,9 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
              codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}  # fmt: skip
     wide = next((name for mark, name in marks.items() if content.startswith(mark)), "")
     # Without a mark: digits and delimiters have a zero as every other byte.
-    halves = {"utf-16-le": content[1:QUOTED:2], "utf-16-be": content[:QUOTED:2]}
-    letters = {"utf-16-le": halves["utf-16-be"], "utf-16-be": halves["utf-16-le"]}
-    for name, zeros in halves.items():
-        if len(zeros) > 1 and zeros.count(0) > MOSTLY * len(zeros) and 0 not in letters[name]:
+    even, odd = content[:QUOTED:2], content[1:QUOTED:2]
+    for name, zeros, letters in (("utf-16-le", odd, even), ("utf-16-be", even, odd)):
+        if len(zeros) > 1 and zeros.count(0) > MOSTLY * len(zeros) and 0 not in letters:
             wide = wide or name
     if wide:
         called = wide[:6].upper()
@@ -109,8 +109,7 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
         notes.append("read as Latin-1, not being UTF-8")
     if b"\r" in content:
         content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    for invisible in (codecs.BOM_UTF8, "\u200b".encode()):
-        content = content.replace(invisible, b"") if invisible in content else content
+    content = content.replace(codecs.BOM_UTF8, b"").replace("\u200b".encode(), b"")
     if b"\xe2\x88\x92" in content:
         content = re.sub(rb"\xe2\x88\x92(?=[\d.,])", b"-", content)
     if _IN_ARABIC.search(content[:_CHUNK]):
@@ -166,12 +165,10 @@ def _without_breaks(content: bytes) -> bytes:
         return content
     lines = content.split(b"\n", MOST_HEADINGS)
     for place in range(len(lines) - 1):
-        for count in range(1, MOST_BREAKS):
+        for count in range(1, min(MOST_BREAKS, len(lines) - place)):
             row = b" ".join(lines[place : place + count])
             if not _OPEN.search(re.sub(rb'"[^"]*"', b"", row)):
                 lines[place : place + count] = [row, *[b""] * (count - 1)]
-                break
-            if place + count >= len(lines) - 1:
                 break
     return b"\n".join(lines)
 
@@ -271,11 +268,12 @@ def layout(
         if len(line) > MOST_COLUMNS:
             check_column_count(max(len(line.split()), *(line.count(d) + 1 for d in SIGNS)))
     text = "\n".join(lines)
+    marks = [delimiter] if delimiter else [d for d in NAMES if d == " " or d in text]
     layouts = []
-    for sign in [decimal] if decimal else [".", ","]:
-        for mark in [delimiter] if delimiter else [d for d in NAMES if d == " " or d in text]:
-            # A comma can be both only where quotes tell the two apart.
-            table = _layout(lines, Dialect(mark, sign)) if sign != mark or '"' in text else None
+    for sign, mark in itertools.product([decimal] if decimal else [".", ","], marks):
+        # A comma can be both only where quotes tell the two apart.
+        if sign != mark or '"' in text:
+            table = _layout(lines, Dialect(mark, sign))
             # One column only where its name holds no delimiter: else the file has more columns.
             alone = table and table.width == 1 and not delimiter and table.header >= 0
             if table and not (alone and any(d in lines[table.header] for d in SIGNS)):
@@ -345,13 +343,12 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
         if len(kind) == len(pattern)
         and all(a == b or "M" in (a, b) for a, b in zip(kind, pattern, strict=True))
     )
-    header, units, start = _header(rows, kinds, first, pattern)
-    if header is None:
-        header, names, units = _commented_header(lines, dialect, first, len(pattern))
-    else:
-        names = rows[header]
-    names = _without_empty_end(names)
     width = len(pattern)
+    header, units, start = _header(rows, kinds, first, pattern)
+    names = [] if header is None else rows[header]
+    if header is None:
+        header, names, units = _commented_header(lines, dialect, first, width)
+    names = _without_empty_end(names)
     if len(names) == width + 1 > 2:
         # What the row is, before its names, or a column of remarks that stayed empty.
         before, behind = names[0].lower() in ROWS, names[-1].lower() in REMARKS
@@ -412,9 +409,9 @@ def _header(
     # Where no row above is as wide, the last one tells how many names there are instead.
     above = above or preceding[:1]
     # A row that is partly numbers below a row of names is data that went wrong, not a header.
-    texts = [place for place in above if "T" in kinds[place] and not set(kinds[place]) & {"N", "S"}]
     fallback = [place for place in above if "T" in kinds[place]]
-    if not texts and not fallback:
+    texts = [place for place in fallback if not set(kinds[place]) & {"N", "S"}]
+    if not fallback:
         return None, [], first
     # Below a row of units there may be one of sensors, or of how values were taken.
     units = [_is_unit_row(rows[place]) for place in texts[:2]]
@@ -422,22 +419,22 @@ def _header(
         above = [place for place in above if place < texts[0]]
         del rows[texts.pop(0)]
     last = (texts or fallback)[0]
-    named, stated = last, None
     between = [place for place in above if place > last]
     # Above units, names may be numbers, as of channels 1 and 2.
     upper = next((place for place in fallback if place < last), None)
+    named, stated, units = last, last, []
     if between and _is_unit_row(rows[between[-1]]):
-        stated = between[-1]
+        stated, units = between[-1], rows[between[-1]]
     elif upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
-        named, stated = upper, last
-    start = min(place for place in rows if place > (last if stated is None else stated))
-    return named, list(map(bare_unit, rows[stated])) if stated is not None else [], start
+        named, units = upper, rows[last]
+    return named, list(map(bare_unit, units)), min(place for place in rows if place > stated)
 
 
 def _is_unit_row(fields: list[str]) -> bool:
     """Whether all fields are units, or most of them below one of time, which no name is."""
-    known = [not field or is_unit(field) or field in PLACES for field in fields]
-    timed = bare_unit(fields[0]).lower() in SECONDS and sum(known) > len(fields) / 2
+    # In brackets anything is a unit, and no name.
+    known = [f in ("", *PLACES) or is_known(f) or BRACKETS.fullmatch(f) for f in fields]
+    timed = bare_unit(fields[0]).lower() in SECONDS and sum(map(bool, known)) > len(fields) / 2
     return any(fields) and (all(known) or timed)
 
 
@@ -447,8 +444,7 @@ def _commented_header(
     """Line, names and units of the last comment above the numbers that names each column."""
     found: list[tuple[int, list[str]]] = []
     for place in range(first - 1, -1, -1):
-        sign = dialect.comment(lines[place])
-        if sign:
+        if sign := dialect.comment(lines[place]):
             fields = dialect.fields(lines[place][sign.end() :])
             found.append((place, _joined(fields, dialect, width)))
         if len(found) == 2 or (lines[place].strip() and not sign):
@@ -462,10 +458,7 @@ def _commented_header(
 
 
 def _without_empty_end(fields: list[str]) -> list[str]:
-    width = len(fields)
-    while width and not fields[width - 1]:
-        width -= 1
-    return fields[:width]
+    return fields[: max((place for place, field in enumerate(fields, 1) if field), default=0)]
 
 
 def _joined(names: list[str], dialect: Dialect, width: int) -> list[str]:
@@ -526,7 +519,7 @@ def read_delimited(
     content, notes = as_utf8(file.read_bytes())
     content, taken_off, units = plain_rows(content)
     table = read_table(content, delimiter, decimal, columns, units)
-    return replace(table, notes=[*notes, *taken_off, *table.notes])
+    return replace(table, notes=notes + taken_off + table.notes)
 
 
 def read_table(
@@ -555,42 +548,38 @@ def read_table(
     parsed = _parse(table)
     # A spreadsheet takes what follows this mark for a text and no formula.
     names = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in found.names]
-    filled = max((place for place, name in enumerate(names) if name), default=-1)
+    filled = len(_without_empty_end(names))
     names[:filled] = [name or NUMBERED.format(k + 1) for k, name in enumerate(names[:filled])]
     names, kept, numbered = distinct(names, parsed)
     read, left_out, stamped = _columns(table, parsed.select(kept), names)
+    stated = {name: unit for name in names if (unit := split_unit(name)[1])}
     by_place = found.units or units
-    row = [by_place[place] for place in kept if place < len(by_place)]
-    stated = _units(names, row) | dict.fromkeys(stamped, "s")
+    for name, place in zip(names, kept):
+        unit = by_place[place] if place < len(by_place) else ""
+        other = stated.get(name, "")
+        differ = readings(other) and readings(unit) and not same(other, unit)
+        stated |= {name: f"{other} or {unit}" if differ else unit} if unit else {}
+    stated |= dict.fromkeys(stamped, "s")
     notes = [*_notes(found, lines, comments, stamped, delimiter is not None), *notes, *numbered]
     notes += [f"column '{name}' left out: {why}" for name, why in left_out.items()]
     return Channels(read, {k: u for k, u in stated.items() if k in read}, {}, left_out, notes)
 
 
 def _first_lines(content: bytes) -> list[str]:
-    end = SAMPLE
-    while True:
-        head = content[:end]
-        whole = len(head) == len(content)
-        lines = head.decode(errors="replace").split("\n")
-        if whole or len(lines) > FEWEST_LINES or end > FEWEST_LINES * LONGEST_LINE:
-            break
+    end, most = SAMPLE, min(len(content), FEWEST_LINES * LONGEST_LINE)
+    while end < most and content.count(b"\n", 0, end) < FEWEST_LINES:
         end *= 4
-    longest = max(map(len, lines))
-    if longest > LONGEST_LINE:
+    lines = content[:end].decode(errors="replace").split("\n")
+    if max(map(len, lines)) > LONGEST_LINE:
         raise DataError(
             f"a line has more than {LONGEST_LINE} characters; the file is no table of numbers."
         )
-    return (lines if whole else lines[:-1])[:MOST_LINES]
+    return (lines if end >= len(content) else lines[:-1])[:MOST_LINES]
 
 
 def _body(content: bytes, found: Layout) -> tuple[bytes, int]:
     """The rows below the header, comments blanked so that lines keep their numbers."""
-    start = 0
-    for _ in range(found.start):
-        start = content.index(b"\n", start) + 1
-    body = content[start:]
-    comments = 0
+    body, comments = content.split(b"\n", found.start)[-1], 0
     signs = (b"#", b"%", b"//") if found.dialect.delimiter == ";" else (b"#", b"%", b"//", b";")
     # Searching for a byte is so much faster than for a pattern that clean files pay nothing.
     if any(sign in body for sign in signs):
@@ -647,8 +636,7 @@ def _columns(
     texts = {name: stripped(parsed.column(place)) for place, name in enumerate(names) if name}
     for place, name in enumerate(names):
         if not name and stripped(parsed.column(place)).null_count < parsed.num_rows:
-            filled = sum(map(bool, names))
-            raise DataError(f"{filled} column names but {len(names)} columns of numbers.")
+            raise DataError(f"{len(texts)} column names but {len(names)} columns of numbers.")
     if table.layout.dialect.decimal == "," and not table.decimal_given:
         _refuse_thousands(table, texts)
     columns: dict[str, np.ndarray] = {}
@@ -656,18 +644,18 @@ def _columns(
     stamped: dict[str, str] = {}
     for name, text in texts.items():
         values = numbers(text, table.layout.dialect.decimal, table.decimal_given)
-        if values is None and _all_valid(table, are_stamps(text), text):
-            values = seconds(text)
+        if values is not None:
+            columns[name] = values
+        elif _all_valid(table, are_stamps(text), text):
+            columns[name] = seconds(text)
             stamped[name] = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
-        if values is None:
+        else:
             valid = is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
             _all_valid(table, valid, text)
             row = valid.to_pylist().index(False)
             left_out[name] = (
                 f"it holds text, {text[row].as_py()[:40]!r} on line {table.line_of(row)}"
             )
-        else:
-            columns[name] = values
     # Spreadsheets leave empty rows at the end.
     is_filled = np.any([~np.isnan(values) for values in columns.values()] or [[True]], axis=0)
     if is_filled.any():
@@ -678,27 +666,22 @@ def _columns(
 
 def _all_valid(table: Table, valid: Any, text: Any) -> bool:
     """Whether all texts are valid; up to a tenth that are not raise an error naming the first."""
-    flags = np.array([flag for flag in valid.to_pylist() if flag is not None], dtype=bool)
-    if flags.size and flags.all():
-        return True
-    if flags.size and flags.mean() >= MOSTLY:
+    share = compute().mean(valid).as_py()  # of those that are not null
+    if share is not None and MOSTLY <= share < 1:
         row = valid.to_pylist().index(False)
         raise DataError(
             f"line {table.line_of(row)}: {text[row].as_py()[:40]!r} is not a number; take off that"
             " line, correct it, or leave the field empty."
         )
-    return False
+    return share == 1
 
 
 def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
     """Refuse a file whose commas may all separate thousands as well as decimals."""
-    pc = compute()
-
-    doubtful = None
+    pc, doubtful = compute(), None
     for text in texts.values():
-        valid = pc.fill_null(is_numeric(text, ",", False), False)
-        with_comma = pc.and_(valid, pc.fill_null(pc.match_substring(text, ","), False))
-        grouped = pc.fill_null(pc.match_substring_regex(text, GROUPED["."]), False)
+        with_comma = pc.and_(is_numeric(text, ",", False), pc.match_substring(text, ","))
+        grouped = pc.match_substring_regex(text, GROUPED["."])
         if pc.any(pc.and_not(with_comma, grouped)).as_py():
             return
         if doubtful is None and pc.any(with_comma).as_py():
@@ -711,35 +694,22 @@ def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
         )
 
 
-def _units(names: list[str], row: list[str]) -> dict[str, str]:
-    units = {name: unit for name in names if (unit := split_unit(name)[1])}
-    for name, unit in zip(names, row):
-        other = units.get(name, "")
-        differ = readings(other) and readings(unit) and not same(other, unit)
-        units |= {name: f"{other} or {unit}" if differ else unit} if unit else {}
-    return units
-
-
 def _notes(
     found: Layout, lines: list[str], comments: int, stamped: dict[str, str], given: bool
 ) -> list[str]:
-    notes = []
-    if found.dialect.delimiter != "," and not given:
-        notes.append(f"delimiter {NAMES.get(found.dialect.delimiter, found.dialect.delimiter)}")
-    if found.dialect.decimal == ",":
-        notes.append("decimal comma")
-    if found.header < 0 and found.numbered:
-        notes.append("columns without names, called by their number")
-    above = sum(bool(line.strip()) for line in lines[: max(found.header, 0)])
-    if above:
-        notes.append(f"{above} line{'s' * (above > 1)} above the column names skipped")
-    if found.header >= 0 and Dialect(",", ".").comment(lines[found.header]):
-        notes.append("column names taken from a comment")
-    if found.units:
-        notes.append("units taken from the row below the column names")
-    if comments:
-        notes.append(f"{comments} comment line{'s' * (comments > 1)} skipped")
-    return notes + [
+    sign, header = found.dialect.delimiter, found.header
+    above = sum(bool(line.strip()) for line in lines[: max(header, 0)])
+    commented = header >= 0 and Dialect(",", ".").comment(lines[header])
+    notes = {
+        f"delimiter {NAMES.get(sign, sign)}": sign != "," and not given,
+        "decimal comma": found.dialect.decimal == ",",
+        "columns without names, called by their number": header < 0 and found.numbered,
+        f"{above} line{'s' * (above > 1)} above the column names skipped": above,
+        "column names taken from a comment": commented,
+        "units taken from the row below the column names": found.units,
+        f"{comments} comment line{'s' * (comments > 1)} skipped": comments,
+    }
+    return [note for note, holds in notes.items() if holds] + [
         f"column '{name}': time stamps, as seconds from {first}" for name, first in stamped.items()
     ]
 

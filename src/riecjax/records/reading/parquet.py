@@ -45,18 +45,21 @@ def _read(file: Path) -> Channels:
             file.open("rb") as stream,
             parquet.ParquetFile(stream, page_checksum_verification=True) as source,
         ):
-            schema = source.schema_arrow
-            _check_size(source, len(schema))
-            wanted = [place for place, field in enumerate(schema) if _is_numeric(field.type)]
+            schema, metadata = source.schema_arrow, source.metadata
+            check_column_count(metadata.num_columns)
+            groups = map(metadata.row_group, range(metadata.num_row_groups))
+            check_unpacked(sum(group.total_byte_size for group in groups))
+            # Run-length coding packs without bound: what counts is the table that is made of it.
+            check_unpacked(8 * metadata.num_rows * max(len(schema), 1))
+            names = [field.name for field in schema if _is_numeric(field.type)]
             left_out = {
                 field.name: f"it holds {field.type}, not numbers"
-                for place, field in enumerate(schema)
-                if place not in set(wanted)
+                for field in schema
+                if not _is_numeric(field.type)
             }
-            names = [schema.field(place).name for place in wanted]
             check_names(names)
             # Numbers are held here and, once handed over, there.
-            held = 8.0 * source.metadata.num_rows * (2 * len(names) + BESIDE)
+            held = 8.0 * metadata.num_rows * (2 * len(names) + BESIDE)
             require_memory("reading its columns", held, "Read a part of the file.")
             # One after the other: a table of all takes as much again as their numbers.
             columns = {name: _numbers(source.read(columns=[name]).column(0)) for name in names}
@@ -73,21 +76,18 @@ def _read(file: Path) -> Channels:
                     columns[name] = found
                     units |= {name: "s"} if stamped else {}
                     del left_out[name]
-            index = _unnamed_index(schema, columns)
+            described = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
     notes = [f"column '{name}' left out: {why}" for name, why in left_out.items()]
-    if index:
-        columns[index] = columns.pop(UNNAMED_INDEX)
+    # The only time in the file may be the index of a frame of pandas.
+    if (
+        UNNAMED_INDEX in described.get("index_columns", ())
+        and UNNAMED_INDEX in columns
+        and not any(name in columns for name in TIME_COLUMNS)
+        and not types.is_integer(schema.field(UNNAMED_INDEX).type)
+    ):
+        columns["time"] = columns.pop(UNNAMED_INDEX)
         notes.append("the frame's index taken as time")
     return Channels(columns, units, {}, left_out, notes)
-
-
-def _check_size(source: Any, columns: int) -> None:
-    metadata = source.metadata
-    check_column_count(metadata.num_columns)
-    groups = range(metadata.num_row_groups)
-    check_unpacked(sum(metadata.row_group(place).total_byte_size for place in groups))
-    # Run-length coding packs without bound: what counts is the table that is made of it.
-    check_unpacked(8 * metadata.num_rows * max(columns, 1))
 
 
 def _is_numeric(kind: Any) -> bool:
@@ -117,16 +117,3 @@ def _numbers(column: Any) -> np.ndarray:
     first = pc.min(counts).as_py() if types.is_timestamp(kind) else 0
     since = floats(pc.cast(pc.subtract(counts, first or 0), pa.float64(), safe=False)) / ticks
     return unwrapped(since) if types.is_time(kind) else since
-
-
-def _unnamed_index(schema: Any, columns: dict[str, np.ndarray]) -> str | None:
-    """The name of time where the only time in the file is the index of a frame of pandas."""
-    import pyarrow.types as types
-
-    if UNNAMED_INDEX not in columns or any(name in columns for name in TIME_COLUMNS):
-        return None
-    described = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
-    kind = schema.field(UNNAMED_INDEX).type
-    if UNNAMED_INDEX not in described.get("index_columns", ()) or types.is_integer(kind):
-        return None
-    return "time"

@@ -52,6 +52,13 @@ class _Family(NamedTuple):
         kinds = [frozenset(member) for member in self.members.values()]
         return max(kinds, key=lambda kind: (kinds.count(kind), len(kind)), default=frozenset())
 
+    def has(self, names: Iterable[str]) -> bool:
+        """Whether columns may be meant by all of these names; see [`column_named`][]."""
+        return all(
+            any(n in (c, split_unit(c)[0]) or c.endswith((f".{n}", f"/{n}")) for c in self.usual())
+            for n in names
+        )
+
 
 def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "") -> Parts:
     """The recordings that a file holds, each with columns called as if it were alone in its file.
@@ -81,7 +88,7 @@ def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "
     inside = {column for f in found for member in f.members.values() for column in member.values()}
     if not found or inside & {*named}:
         return Parts({"": channels})
-    found = [f for f in found if all(_has(f.usual(), name) for name in named)] or found
+    found = [f for f in found if f.has(named)] or found
     if len({family.usual() for family in found}) > 1 or any(map(_differ, found)):
         raise DataError(f"it holds recordings of several kinds: {_described(found)}; {CHOOSE}.")
     held, broken = {}, {}
@@ -150,21 +157,19 @@ def _cells(channels: Channels) -> Iterator[_Family]:
             heads.setdefault(found["head"], {}).setdefault(found["index"], {})[inner] = name
     gathered: list[tuple[str, dict[str, Member]]] = []
     for head, members in heads.items():
-        alike = (m for _, m in gathered if _as_long(channels, m, members))
-        if (family := next(alike, None)) is None:
-            gathered.append((head, members))
+        for _, family in gathered:
+            common = family.keys() & members.keys()
+            if len(common) == min(len(family), len(members)) and all(
+                _size(channels, family[index]) == _size(channels, members[index])
+                for index in common
+            ):
+                for index, member in members.items():
+                    family.setdefault(index, {}).update(member)
+                break
         else:
-            for index, member in members.items():
-                family.setdefault(index, {}).update(member)
+            gathered.append((head, members))
     for head, members in gathered:
         yield _Family({head + index: member for index, member in members.items()}, "element")
-
-
-def _as_long(channels: Channels, some: dict[str, Member], others: dict[str, Member]) -> bool:
-    common = some.keys() & others.keys()
-    return len(common) == min(len(some), len(others)) and all(
-        _size(channels, some[index]) == _size(channels, others[index]) for index in common
-    )
 
 
 def _groups(channels: Channels) -> Iterator[_Family]:
@@ -231,12 +236,6 @@ def _described(families: list[_Family]) -> str:
             family.members.items() if _differ(family) else [*family.members.items()][:1]
         )
     )
-
-
-def _has(columns: Iterable[str], name: str) -> bool:
-    """Whether a column may be meant by this name; see [`column_named`][]."""
-    ends = (f".{name}", f"/{name}")
-    return any(name in (c, split_unit(c)[0]) or c.endswith(ends) for c in columns)
 
 
 def _is_time(name: str) -> bool:

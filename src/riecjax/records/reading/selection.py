@@ -138,8 +138,8 @@ def record_from_channels(
             computed = _finite(_with_derived(signals.values, axis, formulas), selection)
             units = _with_labels(signals, selection)
             record = Record.from_samples(computed, time=axis, time_step=step, units=units)
-            judged_on = computed if axis is None else {"t": axis, **computed}
-            record = _with_noise(record, selection, judged_on)
+            clock = {} if axis is None else {"t": axis}
+            record = _with_noise(record, selection, clock | computed)
     except StampError as error:
         if not time:
             raise
@@ -197,9 +197,8 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, l
     column |= rename
     values, units, registers = {}, {}, []
     for name, source in column.items():
-        values[name], bits = channels.columns[source], 0
-        if not clocks.is_word_of_time(source):
-            values[name], bits = signed(values[name])
+        timed, recorded = clocks.is_word_of_time(source), channels.columns[source]
+        values[name], bits = (recorded, 0) if timed else signed(recorded)
         if bits:
             registers.append(f"{name}: signed numbers of {bits} bits, read as unsigned, put right")
         behind = clocks.unit_of_time(source) if name == "t" else unit_behind(source)
@@ -260,7 +259,8 @@ def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -
             values[target] = values[target] * factor
             units.pop(target, None)
             # Scaled to seconds, whatever its name says.
-            units |= {target: "s"} if clocks.counts_in_its_name(target) else {}
+            states = clocks.is_called_time(target, {}) and clocks.unit_of_time(target)
+            units |= {target: "s"} if states else {}
             done.add(target)
     return signals._replace(values=values, units=units)
 
@@ -281,27 +281,21 @@ def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> di
         and column not in axes
         and channels.time_of[column] in axes
     }
-    if not times:
-        raise _no_time(channels, _first_reason(channels))
-    return times
-
-
-def _no_time(channels: Channels, reason: str) -> DataError:
-    """The error of a file without time, which says what to do."""
-    other = [
-        f"column '{name}' is in '{unit}', which is no unit of time"
+    if times:
+        return times
+    other = (
+        f"; column '{name}' is in '{unit}', which is no unit of time"
         for name in channels.columns
         if clocks.is_word_of_time(name)
         and (unit := channels.named(name)[1])
         and not seconds_in(unit)
-    ]
-    reason = f"; {other[0]}" if other and not reason else reason
-    numbered = any(name == NUMBERED.format(1) for name in channels.columns)
-    named = ", name all columns (--columns t,x,...)" if numbered else ""
-    return DataError(
+    )
+    numbered = NUMBERED.format(1) in channels.columns
+    raise DataError(
         f"there is no time column (called 't', 'time' or the like); there are: "
         f"{listed(channels.columns)}. Say which one is time by renaming it to t (on the command "
-        f"line: --map t=COLUMN){named}, or give the seconds between samples (--time-step){reason}."
+        f"line: --map t=COLUMN){', name all columns (--columns t,x,...)' * numbered}, or give the "
+        f"seconds between samples (--time-step){_first_reason(channels) or next(other, '')}."
     )
 
 
@@ -310,11 +304,11 @@ def _evenly_timed(
 ) -> _Signals:
     """Signals at an even step, whatever a column of time says: those of the length most have."""
     values = {k: v for k, v in signals.values.items() if time is None or k != time.name}
-    wanted = [name for name in values if name in rename] or list(values)
-    if not wanted:
+    lengths = [values[name].size for name in values if name in rename]
+    lengths = lengths or [array.size for array in values.values()]
+    if not lengths:
         raise DataError("a record needs at least one signal besides its time.")
-    lengths = [values[name].size for name in wanted]
-    usual = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    usual = max(lengths, key=lambda length: (lengths.count(length), length))
     alike = {name: array for name, array in values.items() if array.size == usual}
     for name in rename:
         if name not in alike and name != "t":
@@ -358,20 +352,15 @@ def _resampled(
 ) -> Record:
     from riecjax.records.preparation.resampling import on_grid, on_grid_noise
 
-    pairs = {}
+    pairs, step = {}, selection.time_step
     for name, values in _finite(signals.values, selection).items():
-        step = selection.time_step
         time = times[name] if step is None else step * np.arange(values.size)
         known = ~np.isnan(time)
         pairs[name] = time[known], values[known]
     rate = float(selection.resample or 0.0)
     time, values = on_grid(pairs, rate, matter)
     computed = _with_derived(values, time, selection.derive)
-    record = Record.from_samples(
-        computed,
-        time=time,
-        units=_with_labels(signals, selection),
-    )
+    record = Record.from_samples(computed, time=time, units=_with_labels(signals, selection))
     given = given_noise(selection.noise, record.arrays)
     record = record.with_noise(on_grid_noise(pairs, time, rate, given))
     return _with_noise(record, selection, {"t": time, **computed})

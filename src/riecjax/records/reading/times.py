@@ -42,6 +42,7 @@ OF_YEAR = (
 )
 """Day of the year and time of day, as IRIG and recorders in flight tests have it."""
 PATTERNS = (STAMP, MINUTES, OF_YEAR)
+CLOCK = ("hours", "minutes", "seconds")
 _COMPILED = tuple(map(re.compile, PATTERNS))
 
 
@@ -54,8 +55,7 @@ def is_stamp(text: str) -> bool:
 def are_stamps(text: Any) -> Any:
     """Which of a column of strings are time stamps; null where null."""
     pc = compute()
-    found = [pc.match_substring_regex(text, pattern) for pattern in PATTERNS]
-    return functools.reduce(pc.or_, found)
+    return functools.reduce(pc.or_, (pc.match_substring_regex(text, p) for p in PATTERNS))
 
 
 def seconds(text: Any) -> np.ndarray:
@@ -138,18 +138,14 @@ def _days(found: list[re.Match[str] | None]) -> np.ndarray | None:
     if all(date[:2] == (0, 0) for date in filter(None, dates)):
         # Elapsed times show no days where there are none.
         dates = [date or ((0, 0, 0, False) if match else None) for date, match in zip(dates, found)]
-    orders = [(0, 1)]
-    if any(date and date[3] for date in dates):
-        orders.append((1, 0))
-    # Days repeat for thousands of stamps.
-    known: dict[Any, float] = {None: np.nan}
     readings = []
-    for order in orders:
+    for day_first in (False, True) if any(date and date[3] for date in dates) else (False,):
         try:
-            known = {None: np.nan} | {date: _day(date, order) for date in {*dates} if date}
+            # Days repeat for thousands of stamps.
+            known: dict[Any, float] = {date: _day(date, day_first) for date in {*dates} if date}
         except ValueError:
             continue
-        days = np.array([known[date] for date in dates])
+        days = np.array([known.get(date, np.nan) for date in dates])
         if not _runs_back(days):
             readings.append(days - _first(days))
     if not readings:
@@ -160,33 +156,37 @@ def _days(found: list[re.Match[str] | None]) -> np.ndarray | None:
 
 def _date(stamp: dict[str, str | None]) -> tuple[int, int, int, bool] | None:
     """Year, two numbers of month and day, and whether their order is unknown."""
-    if stamp.get("year"):
-        return int(stamp["year"] or 0), int(stamp["month"] or 0), int(stamp["day"] or 0), False
-    if stamp.get("first"):
-        return _year(stamp["late"]), int(stamp["first"] or 0), int(stamp["second"] or 0), True
-    if name := (stamp.get("name") or stamp.get("us_name") or "").lower():
-        month = _MONTHS.index(name) + 1 if name in _MONTHS else 0
-        day = int(stamp["named_day"] or stamp["us_day"] or 0)
-        return _year(stamp["named_year"] or stamp["us_year"]), month, day, False
-    if stamp.get("compact"):
-        whole = stamp["compact"] or ""
-        return int(whole[:4]), int(whole[4:6]), int(whole[6:]), False
-    if stamp.get("days") or stamp.get("of_year"):
-        return 0, 0, int(stamp.get("days") or stamp.get("of_year") or 0), False
+    match {key: part for key, part in stamp.items() if part}:
+        case {"year": year, "month": month, "day": day}:
+            return int(year), int(month), int(day), False
+        case {"first": month, "second": day, "late": year}:
+            return _year(year), int(month), int(day), True
+        case {"named_day": day, "name": name, "named_year": year} | {
+            "us_day": day,
+            "us_name": name,
+            "us_year": year,
+        }:
+            month = (*_MONTHS, name.lower()).index(name.lower()) + 1
+            return _year(year), month, int(day), False
+        case {"compact": whole}:
+            return int(whole[:4]), int(whole[4:6]), int(whole[6:]), False
+        case {"days": days} | {"of_year": days}:
+            return 0, 0, int(days), False
     return None
 
 
-def _year(digits: str | None) -> int:
-    return int(digits or 0) + (2000 if len(digits or "") == 2 else 0)
+def _year(digits: str) -> int:
+    return int(digits) + (2000 if len(digits) == 2 else 0)
 
 
-def _day(date: tuple[int, int, int, bool], order: tuple[int, int]) -> float:
+def _day(date: tuple[int, int, int, bool], day_first: bool) -> float:
     """Days since 1970; of an elapsed time, its days.
 
     **Raises:** `ValueError` for a date that does not exist.
     """
-    year, pair, unordered = date[0], date[1:3], date[3]
-    month, day = (pair[order[0]], pair[order[1]]) if unordered else pair
+    year, month, day, unordered = date
+    if unordered and day_first:
+        month, day = day, month
     if not (year or month):
         return float(day)
     return float(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(int))
@@ -203,29 +203,19 @@ def _clock(match: re.Match[str], places: int = 0) -> float:
 
     **Arguments:** `places`: of the fraction, where that is a count of its last one.
     """
-    stamp = match.groupdict()
-    if stamp.get("clock"):
-        whole = stamp["clock"] or ""
-        hours, minutes, full = int(whole[:2]), int(whole[2:4]), int(whole[4:])
-    else:
-        hours, minutes = int(stamp.get("hours") or 0), int(stamp["minutes"] or 0)
-        full = int(stamp["seconds"] or 0)
-    half = (stamp.get("half") or "")[:1].lower()
-    if half:
+    stamp = match.groupdict(default="")
+    whole = stamp.get("clock")
+    parts = (whole[:2], whole[2:4], whole[4:]) if whole else map(stamp.get, CLOCK)
+    hours, minutes, full = (int(part or 0) for part in parts)
+    if half := stamp.get("half", "")[:1].lower():
         hours = hours % 12 + (12 if half == "p" else 0)
+    since = HOUR * hours + MINUTE * minutes + full
+    # How far a zone is ahead of UTC; one that is a name says nothing.
+    if ahead := re.search(r"([+-])(\d\d?):?(\d\d)?$", stamp.get("zone", "")):
+        shift = HOUR * int(ahead[2]) + MINUTE * int(ahead[3] or 0)
+        since -= shift if ahead[1] == "+" else -shift
     digits = _digits(match).zfill(places)
-    since = HOUR * hours + MINUTE * minutes + full - _shift(stamp.get("zone") or "")
     return since + (float(f"0.{digits}") if digits else 0.0)
-
-
-def _shift(zone: str) -> float:
-    """Seconds that a zone is ahead of UTC, 0 where it is a name."""
-    digits = zone.removeprefix("UTC").removeprefix("GMT")
-    if digits[:1] not in ("+", "-"):
-        return 0.0
-    bare = digits[1:].replace(":", "")
-    hours, minutes = (bare, "0") if len(bare) <= 2 else (bare[:-2], bare[-2:])
-    return (1 if digits[0] == "+" else -1) * (HOUR * int(hours) + MINUTE * int(minutes))
 
 
 TIME_COLUMNS = ("t", "time", "Time", "time_s", "t_s", "TIME", "timestamp", "Timestamp", "T")
@@ -319,24 +309,17 @@ def find_time(
     """
     if given is not None:
         return _timed(given, values, units, (), shortest)
-    called = [name for name in values if is_called_time(name, units)]
-    rising = [name for name in called if _rises(values[name])]
-    found = min(rising, key=_preference, default=None)
-    notes = []
-    first = next(iter(values), "")
-    is_time = False
-    if found is None and nameless and first:
-        in_time = first in units and seconds_in(units[first]) is not None
-        is_time = (
-            _rises(values[first]) if in_time else first not in units and _is_even(values[first])
-        )
-    if is_time:
-        found = first
-        notes.append(f"time is column '{found}', the first, which rises")
-    elif found is not None and len(called) > 1:
-        others = [name for name in called if name != found]
-        notes.append(f"time is column '{found}', not {listed(others)}")
-    found = found or min(called, key=_preference, default=None)
+    called = sorted((name for name in values if is_called_time(name, units)), key=_preference)
+    found, notes = next((name for name in called if _rises(values[name])), None), ()
+    if found is not None and len(called) > 1:
+        others = [name for name in values if name in called and name != found]
+        notes = (f"time is column '{found}', not {listed(others)}",)
+    elif found is None and nameless and values:
+        first = next(iter(values))
+        in_time = seconds_in(units.get(first, "")) is not None
+        if _rises(values[first]) if in_time else first not in units and _is_even(values[first]):
+            found, notes = first, (f"time is column '{first}', the first, which rises",)
+    found = found or next(iter(called), None)
     if found is None:
         return None
     time = _timed(found, values, units, notes, shortest)
@@ -350,11 +333,10 @@ def _timed(
     name: str,
     values: Mapping[str, np.ndarray],
     units: Mapping[str, str],
-    notes: list[str] | tuple[str, ...],
+    notes: tuple[str, ...],
     shortest: float | None,
 ) -> TimeColumn:
     factor, why = _seconds_each(name, values[name], units)
-    said = (f"time '{name}': {why}",) if why else ()
     counts = values[name]
     known = counts[~np.isnan(counts)]
     # Past the end of a counter of 32 bits.
@@ -362,9 +344,9 @@ def _timed(
         counts = unwrapped(counts, COUNTER)
     # The 15 digits that spreadsheets write of a date are 9 microseconds of a day.
     since = np.round((counts - counts[0]) * DAY, 5) if factor == DAY else counts * factor
+    notes = (*notes, f"time '{name}': {why}") if why else notes
     stated = why or unit_of_time(name, units)
-    doubt = "" if stated else _other_unit(name, since, shortest)
-    return TimeColumn(name, since, (*notes, *said), doubt)
+    return TimeColumn(name, since, notes, "" if stated else _other_unit(name, since, shortest))
 
 
 _IN_ANOTHER_UNIT = (
@@ -382,11 +364,6 @@ def unit_of_time(name: str, units: Mapping[str, str] = {}) -> str:
     """The unit of a column of time, as the file or its name states it; empty if none does."""
     alone = name.lower() if name.lower() in {*SECONDS} - AMBIGUOUS else ""
     return units.get(name) or split_unit(name)[1] or _suffix(name)[1] or alone
-
-
-def counts_in_its_name(name: str) -> bool:
-    """Whether a name is that of a time and states its unit, as `time_ms`."""
-    return is_called_time(name, {}) and bool(unit_of_time(name))
 
 
 def seconds_in(unit: str) -> float | None:
@@ -441,17 +418,14 @@ def _other_unit(name: str, seconds: np.ndarray, shortest: float | None) -> str:
     whole = step >= 1 - rounding and bool((np.abs(since - np.round(since)) <= rounding).all())
     if not (whole or (shortest is not None and step > shortest)):
         return ""
-    for unit, factor in SUBUNITS.items():
-        if step * factor <= (shortest or SLOWEST):
-            return _IN_ANOTHER_UNIT.format(name, step, _in_time(float(since[-1])), unit, factor)
-    return ""
-
-
-def _in_time(seconds: float) -> str:
-    """Seconds in two digits, in the unit that suits."""
+    quick = (unit for unit, factor in SUBUNITS.items() if step * factor <= (shortest or SLOWEST))
+    if (unit := next(quick, None)) is None:
+        return ""
+    # How long it lasts in two digits, in the unit that suits.
     sizes = {"days": DAY, "h": HOUR, "min": MINUTE, "s": 0.0}
-    unit = next(unit for unit, size in sizes.items() if seconds >= 2 * size)
-    return f"{float(f'{seconds / (sizes[unit] or 1.0):.2g}'):g} {unit}"
+    suits = next(suits for suits, size in sizes.items() if since[-1] >= 2 * size)
+    lasts = f"{float(f'{since[-1] / (sizes[suits] or 1.0):.2g}'):g} {suits}"
+    return _IN_ANOTHER_UNIT.format(name, step, lasts, unit, SUBUNITS[unit])
 
 
 def is_word_of_time(name: str) -> bool:

@@ -168,24 +168,19 @@ def _product(tokens: list[str]) -> Unit:
             sign = -1
         elif sign < 0:
             raise ValueError
-        total = total.times(*_power(tokens, sign))
+        token = tokens.pop(0)
+        if token == "(":
+            factor = _product(tokens)
+            tokens.remove(")")
+        else:
+            factor = _ONE if token == "1" else _named(token)
+        powered = bool(tokens) and tokens[0].strip("^()")[-1:].isdigit()
+        total = total.times(factor, sign * int(tokens.pop(0).strip("^()") if powered else 1))
         if not tokens or tokens[0] == ")":
             return total
         operator = tokens.pop(0)
         if operator not in ("*", "/"):
             raise ValueError
-
-
-def _power(tokens: list[str], sign: int) -> tuple[Unit, int]:
-    """The next factor, and its power."""
-    token = tokens.pop(0)
-    if token == "(":
-        factor = _product(tokens)
-        tokens.remove(")")
-    else:
-        factor = _ONE if token == "1" else _named(token)
-    given = bool(tokens) and tokens[0].strip("^()")[-1:].isdigit()
-    return factor, sign * (int(tokens.pop(0).strip("^()")) if given else 1)
 
 
 def _named(name: str) -> Unit:
@@ -233,7 +228,7 @@ NO_FACTOR = frozenset(
 """Units that are more, or less, than a factor."""
 SHORT = frozenset(("t", "d", "D"))
 """Names of one letter that are not taken for units."""
-_BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)|<([^<>]*)>")
+BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)|<([^<>]*)>")
 _SUFFIXED = re.compile(r"(?P<name>.*\S)\s*(?:\[(?P<square>[^\[\]]+)\]|\((?P<round>[^()]+)\))\s*")
 _SEPARATOR = re.compile(r"\s*/\s*|\s*,\s+|\s+in\s+")
 _RATE = re.compile(r"(?:[kcmu]?m|k?N|rad|deg|°|rev|in|ft|l|L|U|1)/.*")
@@ -268,14 +263,9 @@ def is_known(text: str) -> bool:
     )
 
 
-def is_unit(text: str) -> bool:
-    """Whether a field of a row is a unit, and not a name: in brackets, or of known units."""
-    return bool(_BRACKETS.fullmatch(text)) or is_known(text)
-
-
 def bare_unit(text: str) -> str:
     """A unit without the brackets around it."""
-    bracketed = _BRACKETS.fullmatch(text)
+    bracketed = BRACKETS.fullmatch(text)
     return next(filter(None, bracketed.groups()), "") if bracketed else text
 
 
