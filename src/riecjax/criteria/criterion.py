@@ -239,15 +239,6 @@ class AbstractCriterion(eqx.Module):
         """
         raise ModelError("this criterion has no windows, and so no law of their lengths.")
 
-    def moments_of(
-        self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int
-    ) -> Moments:
-        """Moments of columns for given window lengths, no longer than `reach` samples.
-
-        Of lags with two axes the sums of each of the first stay apart, along a leading axis.
-        """
-        return self.test_function.moments(columns, lags, blocks, reach)
-
     corrects_noise: ClassVar[bool] = True
     """Whether what sensor noise adds to the moments is to be taken off."""
 
@@ -258,36 +249,28 @@ class AbstractCriterion(eqx.Module):
         return without_noise(sampled_columns(equation, record, self.smoothness))
 
     def noise_of(
-        self, noisy: NoisyColumns, noise: Noise, lags: LagBins, blocks: StartBlocks, reach: int
-    ) -> NoiseMoments | None:
-        """What noise adds to the moments of [`moments_of`][], `None` without any."""
-        if not noisy.moves:
-            return None
-
-        def weighed(law: LagBins) -> list[Array] | None:
-            weights = self.test_function.noise_weights(noisy.columns, law, blocks)
-            return in_closed_form(noisy, weights, blocks)
-
-        return noise_moments(
-            noisy,
-            noise,
-            lambda: each_bin(weighed, lags),
-            lambda columns: self.moments_of(columns, lags, blocks, reach)[0],
-        )
-
-    def noise_of_rows(
         self,
         noisy: NoisyColumns,
         noise: Noise,
-        drawn: WindowSet,
-        products: Callable[[Columns], Array],
+        windows: LagBins | WindowSet,
         blocks: StartBlocks,
+        products: Callable[[Columns], Array],
     ) -> NoiseMoments | None:
-        """What noise adds to `products` of rows, windows being drawn; `None` without any."""
+        """What noise adds to `products` of rows over windows, `None` without any.
+
+        **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
+        """
         if not noisy.moves:
             return None
-        weights = self.test_function.noise_weights(noisy.columns, drawn, blocks)
-        return noise_moments(noisy, noise, lambda: in_closed_form(noisy, weights, blocks), products)
+
+        def weighed(law: LagBins | WindowSet) -> list[Array] | None:
+            weights = self.test_function.noise_weights(noisy.columns, law, blocks)
+            return in_closed_form(noisy, weights, blocks)
+
+        def white() -> list[Array] | None:
+            return each_bin(weighed, windows) if isinstance(windows, LagBins) else weighed(windows)
+
+        return noise_moments(noisy, noise, white, products)
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
@@ -462,9 +445,14 @@ class RIEC(AbstractCriterion):
 
         def of_chunk(part: Record, blocks: StartBlocks) -> Any:
             noisy = self.noisy_columns(equation, part)
-            noise = self.noise_of(noisy, part.noise, lags, blocks, reach)
+
+            def products(columns: Columns) -> Array:
+                return self.test_function.moments(columns, lags, blocks, reach)[0]
+
+            noise = self.noise_of(noisy, part.noise, lags, blocks, products)
             added = None if noise is None else (flipped(noise.total), noise.of_source[None])
-            return flipped(self.moments_of(noisy.columns, lags, blocks, reach)), added
+            moments = self.test_function.moments(noisy.columns, lags, blocks, reach)
+            return flipped(moments), added
 
         size, beyond = windows.block(n), self.test_function.margin
         moments, added = in_chunks(record, of_chunk, block=size, reach=reach, margin=beyond)

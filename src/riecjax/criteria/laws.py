@@ -20,6 +20,7 @@ from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 
 Sums = TypeVar("Sums")
+Scalar = Float[Array, ""]
 
 
 class LagBins(NamedTuple):
@@ -37,13 +38,7 @@ class LagBins(NamedTuple):
 class AbstractLaw(eqx.Module):
     """A weight for every window length from alpha to beta; only ratios of weights matter."""
 
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
+    def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
         """The law in bins.
 
         **Arguments:** `shortest` and `longest` window in lags, to be rounded; `unit`, seconds to a
@@ -59,13 +54,7 @@ class AbstractLaw(eqx.Module):
 class UniformLaw(AbstractLaw):
     """Every length alike: eq. (14)."""
 
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
+    def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
         """One bin."""
         xp = namespace(shortest, longest, unit)
         first, last = rounded(shortest), rounded(longest)
@@ -89,15 +78,12 @@ class SteppedLaw(AbstractLaw):
     weights: Leaf
 
     def __init__(self, weights: ArrayLike | Array):
-        self.weights = _weights(weights)
+        self.weights = as_leaf(weights)
+        if self.weights.ndim != 1 or not self.weights.shape[0]:
+            raise ModelError("a law of window lengths in parts needs a list of weights.")
+        _require_weights(self.weights)
 
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
+    def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
         """One bin for each weight."""
         low, high = rounded(shortest), rounded(longest)
         share = jnp.linspace(0.0, 1.0, self.weights.shape[0] + 1)
@@ -121,25 +107,18 @@ class DensityLaw(AbstractLaw):
 
     density: Callable[[Float[Array, " lengths"]], Float[Array, " lengths"]]
 
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
+    def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
         """One bin for each lag.
 
         **Raises:** `ModelError` for weights below zero, not finite, or all zero (not under jit).
         """
         high = rounded(longest)
         lag = rounded(shortest) + jnp.arange(most)
-        weight = self._at(jnp.minimum(lag, high) * unit)
+        lengths = jnp.minimum(lag, high) * unit
+        weight = jnp.asarray(self.density(lengths), lengths.dtype)
+        weight = jnp.broadcast_to(weight, lengths.shape)
         _require_weights(weight)
         return _normalised(lag, jnp.where(lag <= high, lag, lag - 1), weight)
-
-    def _at(self, lengths: Float[Array, " lengths"]) -> Float[Array, " lengths"]:
-        return jnp.broadcast_to(jnp.asarray(self.density(lengths), lengths.dtype), lengths.shape)
 
     def describe(self) -> dict[str, object]:
         """The function's name."""
@@ -167,14 +146,6 @@ def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
 def _normalised(first: Array, last: Array, weight: Array) -> LagBins:
     held = (last - first + 1).astype(weight.dtype)
     return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
-
-
-def _weights(weights: ArrayLike | Array) -> Leaf:
-    found = as_leaf(weights)
-    if found.ndim != 1 or not found.shape[0]:
-        raise ModelError("a law of window lengths in parts needs a list of weights.")
-    _require_weights(found)
-    return found
 
 
 def _require_weights(weights: Leaf) -> None:

@@ -74,28 +74,25 @@ def _read(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     if "class" in value:
+        name, module = value["class"], value["from"]
         fields = {name: _read(each) for name, each in value.items() if name not in RESERVED}
+        # The class of this name, as it was defined last; of several modules', that of `module`.
+        found = {kind.__module__: kind for kind in _subclasses(*FAMILIES) if kind.__name__ == name}
+        if module not in found and len(found) != 1:
+            raise DataError(
+                f"it was made with {name} of '{module}', a class that is not defined here: import "
+                f"the module that defines it first."
+            )
         try:
-            return _class_of(value["class"], value["from"])(**fields)
+            return (found.get(module) or next(iter(found.values())))(**fields)
         except (TypeError, ModelError):
             raise DataError(
-                f"its {value['class']} has other settings than the one of this name here."
+                f"its {name} has other settings than the one of this name here."
             ) from None
     ((dtype, values),) = value.items()
     array = np.array(values, dtype)
     # Constructors take any NumPy array to 64-bit; JAX's pass unchanged.
     return array if array.dtype == np.float64 else jnp.asarray(array)
-
-
-def _class_of(name: str, module: str) -> type:
-    """The class of this name, as it was defined last; of several modules', that of `module`."""
-    found = {kind.__module__: kind for kind in _subclasses(*FAMILIES) if kind.__name__ == name}
-    if module not in found and len(found) != 1:
-        raise DataError(
-            f"it was made with {name} of '{module}', a class that is not defined here: import the "
-            f"module that defines it first."
-        )
-    return found[module] if module in found else next(iter(found.values()))
 
 
 def _subclasses(*kinds: type) -> Iterator[type]:
