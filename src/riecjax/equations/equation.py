@@ -1,6 +1,6 @@
 """An equation of motion, linear in its parameters."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from riecjax.equations.term import (
     read_expression,
 )
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signals
 from riecjax.shows import Shown
 
@@ -159,22 +159,6 @@ class Equation(Shown, eqx.Module):
             order = max(term.derivative - smoothness, 0)
             read_expression(term.expression(record, order), signals)
         return signals.read
-
-
-def with_terms(equation: Equation, terms: Sequence[AbstractTerm]) -> Equation:
-    """The same equation with further terms, whose sign is that of the inertia."""
-    if not terms:
-        return equation
-    # What is differentiated most often stands for the inertia, a named coefficient first; of a
-    # force element, which has none, what it was given.
-    every = sorted(
-        equation.terms, key=lambda term: (-getattr(term, "derivative", 0), not term.parameters)
-    )
-    first = every[0]
-    sign = getattr(first, "number" if isinstance(first, Term) else "sign", 1.0)
-    turned = is_concrete(sign) and float(np.asarray(sign)) < 0
-    signed = [-term for term in terms] if turned else terms
-    return eqx.tree_at(lambda e: e.terms, equation, (*equation.terms, *signed))
 
 
 def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:

@@ -178,7 +178,7 @@ def _estimated(
         # Sums that were made under jit have no constant to tell means from motion by.
         with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
         if with_constant and modes is None:
-            for finding in constant_targets(procedure, sharing, summary, given):
+            for finding in constant_targets(procedure, plan, summary):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)

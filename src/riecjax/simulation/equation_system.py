@@ -50,7 +50,7 @@ an answer do not, a least slope stands in for them.
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -70,7 +70,16 @@ from riecjax.equations.hidden_elements import (
     stiffness_name,
 )
 from riecjax.equations.procedure import Procedure, as_procedure
-from riecjax.equations.term import AbstractTerm, Expression, RoofFunctions, Term, Terms, difference
+from riecjax.equations.term import (
+    AbstractTerm,
+    Expression,
+    RoofFunctions,
+    Term,
+    Terms,
+    difference,
+    label_of,
+    signals_read,
+)
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_few
@@ -420,47 +429,6 @@ def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]
             f"it (measured=...)."
         )
     return measured[term.derivative - 1]
-
-
-class _Listening(Signals):
-    """Signals of any name, which note in what order they are read."""
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._arrays:
-            self.read.add(name)
-            self.order.append(name)
-        return jnp.full(1, 0.5)
-
-    def __init__(self):
-        # An expression may ask for some signal, no matter which, to learn the number of samples.
-        super().__init__({"": jnp.zeros(1)})
-        self.order: list[str] = []
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
-
-
-def signals_read(expression: Expression) -> tuple[str, ...]:
-    """Signals that an expression reads, in order."""
-    if isinstance(expression, str):
-        return (expression,)
-    signals = _Listening()
-    with users_code(f"the expression {label_of(expression)}"):
-        shape = jax.eval_shape(lambda: jnp.asarray(expression(signals))).shape
-    if shape != (1,) and (shape != () or signals.order):
-        raise ModelError(
-            f"the expression {label_of(expression)} must return one number for each sample; for "
-            f"one sample it returned shape {shape}."
-        )
-    return tuple(dict.fromkeys(signals.order))
-
-
-def label_of(expression: Expression) -> str:
-    """What an expression is called in messages."""
-    return expression if isinstance(expression, str) else getattr(expression, "__name__", "given")
 
 
 def _check_derivatives(label: str, equations: tuple[Equation, ...], structure: Structure) -> None:
