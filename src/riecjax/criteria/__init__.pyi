@@ -1,6 +1,5 @@
 from .criterion import AbstractCriterion as AbstractCriterion
 from .criterion import Rows as Rows
-from .laws import DensityLaw as DensityLaw
 from .laws import SteppedLaw as SteppedLaw
 from .suited import criterion_for as criterion_for
 from .test_functions import AbstractSmoothTestFunction as AbstractSmoothTestFunction

@@ -82,13 +82,6 @@ class Rows(eqx.Module):
         """Regressor matrix A."""
         return self.columns[1:].T
 
-    def embed(self, parameters: tuple[str, ...]) -> "Rows":
-        """The same rows among more parameters, with zeros for those that do not occur."""
-        zero = jnp.zeros_like(self.target)
-        own = dict(zip(self.parameters, self.columns[1:]))
-        columns = jnp.stack([self.target, *(own.get(name, zero) for name in parameters)])
-        return Rows(columns, self.position, parameters, self.valid)
-
     def fix(self, known: Mapping[str, Array]) -> "Rows":
         """The rows left when these parameters take these values: their columns join the target."""
         own = dict(zip(self.parameters, self.columns[1:]))
@@ -98,29 +91,11 @@ class Rows(eqx.Module):
         columns = jnp.stack([target, *(own[name] for name in unknown)])
         return Rows(columns, self.position, unknown, self.valid)
 
-    def rename(self, parameters: tuple[str, ...]) -> "Rows":
-        """The same rows with other names for the regressors."""
-        return Rows(self.columns, self.position, parameters, self.valid)
-
     def count(self) -> Float[Array, ""]:
         """Number of valid rows."""
         if self.valid is None:
             return jnp.asarray(self.columns.shape[1], self.columns.dtype)
         return jnp.sum(self.valid, dtype=self.columns.dtype)
-
-    @staticmethod
-    def concatenate(parts: Sequence["Rows"]) -> "Rows":
-        """Rows of the same parameters, one after the other."""
-        columns = jnp.concatenate([part.columns for part in parts], axis=1)
-        position = jnp.concatenate([part.position for part in parts])
-        valid = None
-        if any(part.valid is not None for part in parts):
-            masks = [
-                jnp.ones(part.columns.shape[1], bool) if part.valid is None else part.valid
-                for part in parts
-            ]
-            valid = jnp.concatenate(masks)
-        return Rows(columns, position, parts[0].parameters, valid)
 
 
 class AbstractCriterion(eqx.Module):

@@ -96,46 +96,16 @@ class SteppedLaw(AbstractLaw):
         return {"law": np.asarray(self.weights).tolist()}
 
 
-class DensityLaw(AbstractLaw):
-    """A weight from any function of the length.
-
-    Exact: every length on samples has its own weight, and the cost grows with their number.
-
-    **Arguments:** `density`, from lengths in seconds, shape `(lengths,)`, to weights of the same
-    shape; an `eqx.Module` if its parameters are to be differentiated.
-    """
-
-    density: Callable[[Float[Array, " lengths"]], Float[Array, " lengths"]]
-
-    def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
-        """One bin for each lag.
-
-        **Raises:** `ModelError` for weights below zero, not finite, or all zero (not under jit).
-        """
-        high = rounded(longest)
-        lag = rounded(shortest) + jnp.arange(most)
-        lengths = jnp.minimum(lag, high) * unit
-        weight = jnp.asarray(self.density(lengths), lengths.dtype)
-        weight = jnp.broadcast_to(weight, lengths.shape)
-        _require_weights(weight)
-        return _normalised(lag, jnp.where(lag <= high, lag, lag - 1), weight)
-
-    def describe(self) -> dict[str, object]:
-        """The function's name."""
-        name = getattr(self.density, "__name__", type(self.density).__name__)
-        return {"law": name}
-
-
-def as_law(law: "AbstractLaw | ArrayLike | Callable[[Array], Array] | None") -> AbstractLaw:
-    """A law from what a user may give: weights, a function of the length, or nothing."""
+def as_law(law: "AbstractLaw | ArrayLike | None") -> AbstractLaw:
+    """A law from what a user may give: weights, or nothing."""
     if law is None:
         return UniformLaw()
     if isinstance(law, AbstractLaw):
         return law
-    if isinstance(law, str | type):
+    if isinstance(law, str | type) or callable(law):
         write = "law=[1, 2, 1], weights from the shortest windows to the longest, or leave it out"
         require("the law", law, (), f"{write} for lengths that count alike")
-    return DensityLaw(law) if callable(law) else SteppedLaw(law)
+    return SteppedLaw(law)
 
 
 def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:

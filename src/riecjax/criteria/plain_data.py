@@ -31,7 +31,7 @@ def to_plain_data(part: eqx.Module) -> dict[str, Any]:
 
     `{"class": name, "from": module, field: value, ...}`, where an array is `{dtype: list}`.
 
-    **Raises:** `ModelError` for what is code rather than numbers, as a law that is a function.
+    **Raises:** `ModelError` for what is code rather than numbers.
     """
     kind = type(part)
     fields = {
@@ -51,10 +51,7 @@ def _plain(value: Any, name: str) -> Any:
     plain = value.item() if isinstance(value, np.generic) else value
     if plain is None or isinstance(plain, bool | int | float | str):
         return plain
-    raise ModelError(
-        f"{name} is code, which no file can hold: give numbers in its place; in place of a law of "
-        f"window lengths that is a function, a list of weights, law=[1, 2, 1]."
-    )
+    raise ModelError(f"{name} is code, which no file can hold: give numbers in its place.")
 
 
 def criterion_from_plain_data(document: dict[str, Any]) -> AbstractCriterion:

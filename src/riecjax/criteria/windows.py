@@ -21,7 +21,7 @@ cancels where x is small.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -195,8 +195,7 @@ class AllWindows(AbstractWindows):
 
     - `alpha`, `beta`: shortest and longest window in seconds.
     - `law`: how much each length counts: an [`AbstractLaw`][], a list of weights for equal parts of
-      the band (differentiable, see [`SteppedLaw`][]), or a function of lengths in seconds (see
-      [`DensityLaw`][]). Uniform by default.
+      the band (differentiable, see [`SteppedLaw`][]). Uniform by default.
     - `longest_samples`: an upper limit to beta in samples, which sets the size of the blocks that
       the record is worked through in. Known where beta is a plain number; under `jit` or
       `vmap` over beta it should be given, or every block spans the record.
@@ -216,7 +215,7 @@ class AllWindows(AbstractWindows):
         alpha: float | Leaf,
         beta: float | Leaf,
         *,
-        law: AbstractLaw | ArrayLike | Callable[[Array], Array] | None = None,
+        law: AbstractLaw | ArrayLike | None = None,
         longest_samples: int | None = None,
     ):
         self.alpha, self.beta = _band(alpha, beta)

@@ -101,10 +101,6 @@ class Shaped:
         term = self.build(name, width)
         return Candidate(name, (term,), self.meaning, self.equation, memories)
 
-    def with_widths(self, widths: Float[np.ndarray, " widths"]) -> "Shaped":
-        """The same for other widths, of which there are as many."""
-        return replace(self, widths=widths)
-
     def closer(self, number: int) -> "Shaped":
         """The same for widths between the two beside one of them, which stays among them."""
         widths = self.widths
@@ -113,7 +109,7 @@ class Shaped:
         high = widths[number + 1] if number + 1 < widths.size else 1.5 * centre
         spread = np.linspace(low, high, widths.size)
         spread[np.argmin(np.abs(spread - centre))] = centre
-        return self.with_widths(spread)
+        return replace(self, widths=spread)
 
 
 AnyCandidate = Candidate | Shaped

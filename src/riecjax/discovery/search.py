@@ -243,11 +243,6 @@ class Search:
         self._trials = max(len(self.offers) if trials is None else trials, 1)
         self._known: dict[frozenset[str], Left | None] = {}
 
-    def among(self, folds: Folds, offers: Sequence[Offer]) -> "Search":
-        """A search of other folds, among some of these offers and as strict as this one."""
-        trials = len(self.offers)
-        return Search(folds, self.kept, offers, trials, self.least, self.smallest)
-
     def _names(self, chosen: Sequence[Offer]) -> tuple[str, ...]:
         return (*self.kept, *(column for offer in chosen for column in offer.columns))
 
@@ -449,7 +444,7 @@ class Again(NamedTuple):
 def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN) -> Again:
     """Search again from folds drawn with replacement."""
     rng = np.random.default_rng(seed)
-    folds, among = search.folds, _among(search, chosen)
+    folds, among, trials = search.folds, _among(search, chosen), len(search.offers)
     families: Counter[str] = Counter()
     values: dict[tuple[str, int], list[float]] = {}
     # Of a law the same coefficient, whatever its width.
@@ -458,7 +453,7 @@ def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN
     }
     for _ in range(times):
         drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
-        one = search.among(drawn, among)
+        one = Search(drawn, search.kept, among, trials, search.least, search.smallest)
         found = one.found()
         families.update(offer.family for offer in found)
         names = (*search.kept, *(name for offer in found for name in offer.columns))
