@@ -53,9 +53,12 @@ from riecjax.refinement.objective import (
     AbstractParametric,
     ByFields,
     ByFunction,
+    Energies,
     Expansion,
+    Initial,
     Parameters,
     Specification,
+    Theta,
     Values,
 )
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
@@ -154,7 +157,7 @@ class ParametricBalance(eqx.Module):
         held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in self.parameters}
         moving = tuple(name for name in self.parameters if name in free)
         levels, present = self._levels(record, held, smoothness)
-        name, unit, where = self._labels(held)
+        name, unit, where = self.label(held)
         arrays: dict[str, Array] = {}
         terms: list[AbstractTerm] = []
         for order, level in levels.items():
@@ -172,11 +175,8 @@ class ParametricBalance(eqx.Module):
         equation = Equation(*terms, name=name, unit=unit, where=where)
         return equation, record.with_signals(arrays, missing=missing)
 
-    def label(self, values: Values) -> tuple[str, str]:
-        """Name and unit of the equation."""
-        return self._labels(values)[:2]
-
-    def _labels(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
+    def label(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
+        """Name and unit of the equation, and where it is to be trusted."""
         if isinstance(self.model, Equation):
             return self.model.name, self.model.unit, self.model.where
         module = self.model.build(values)
@@ -185,30 +185,24 @@ class ParametricBalance(eqx.Module):
     def _levels(
         self, record: Record, values: Values, smoothness: int
     ) -> tuple[Levels, Bool[Array, " n"] | None]:
-        if isinstance(self.model, Equation):
-            return _of_equation(self.model, record, values, smoothness)
-        return _of_balance(self.model.build(values), record, smoothness)
-
-
-def _of_equation(
-    equation: Equation, record: Record, values: Values, smoothness: int
-) -> tuple[Levels, Bool[Array, " n"] | None]:
-    levels: Levels = {}
-    present = None
-    for term in equation.terms:
-        # As criteria read it: derivatives that the test function cannot take off are recorded.
-        read = max(term.derivative - smoothness, 0)
-        sampled = term.samples(record, read)
-        coefficients = [values[name] for name in term.parameters]
-        total = (
-            jnp.stack(coefficients) @ sampled.values
-            if coefficients
-            else jnp.sum(sampled.values, axis=0)
-        )
-        order = term.derivative - read
-        levels[order] = levels[order] + total if order in levels else total
-        present = both_present(present, sampled.present)
-    return levels, present
+        if not isinstance(self.model, Equation):
+            return _of_balance(self.model.build(values), record, smoothness)
+        levels: Levels = {}
+        present = None
+        for term in self.model.terms:
+            # As criteria read it: derivatives that the test function cannot take off are recorded.
+            read = max(term.derivative - smoothness, 0)
+            sampled = term.samples(record, read)
+            coefficients = [values[name] for name in term.parameters]
+            total = (
+                jnp.stack(coefficients) @ sampled.values
+                if coefficients
+                else jnp.sum(sampled.values, axis=0)
+            )
+            order = term.derivative - read
+            levels[order] = levels[order] + total if order in levels else total
+            present = both_present(present, sampled.present)
+        return levels, present
 
 
 def _of_balance(
@@ -298,20 +292,18 @@ class IntegralMisfit(AbstractMisfit):
     labels: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
 
-    def energy(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
-    ) -> Float[Array, " quantities"]:
+    def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Of each equation."""
         return jnp.stack([jnp.sum(part.energy) for part in self._equations(theta)])
 
-    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
         parts = self._equations(theta)
         moments = sum(part.moments for part in parts[1:]) + parts[0].moments
         pieces = _first_negated(moments).reshape(1, -1, *moments.shape[2:])
         return Expansion([pieces], jnp.stack([jnp.sum(part.energy) for part in parts]))
 
-    def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
+    def rms(self, energy: Energies) -> Energies:
         """Of the impulses of each equation over a window."""
         return jnp.sqrt(energy / jnp.maximum(self.count, 1))
 
@@ -331,7 +323,7 @@ class IntegralMisfit(AbstractMisfit):
         count = jnp.full(moments.shape[:2], share)
         return NormalEquations(moments, count, self.names), short
 
-    def _equations(self, theta: Float[Array, " p"]) -> list[NormalEquations]:
+    def _equations(self, theta: Theta) -> list[NormalEquations]:
         """Of each equation, in the changes of the parameters."""
         values = {**self.known, **dict(zip(self.names, theta))}
         of_record = [
@@ -433,8 +425,8 @@ class IntegralError(AbstractObjective):
             names=specified.names,
             local=specified.local,
             sharing=specified.sharing,
-            labels=told_apart([name for name, _ in labels]),
-            units=tuple(criterion.row_unit(unit) for _, unit in labels),
+            labels=told_apart([name for name, *_ in labels]),
+            units=tuple(criterion.row_unit(unit) for _, unit, _ in labels),
         )
 
     def describe(self) -> dict[str, object]:

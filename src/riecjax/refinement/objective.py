@@ -33,6 +33,12 @@ from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.task import record_keys
 
 Values = Mapping[str, Leaf]
+Theta = Float[Array, " p"]
+"""Free parameters over all records."""
+Initial = Float[Array, "windows s"]
+"""Initial states that are estimated, of each window."""
+Energies = Float[Array, " quantities"]
+"""Sums of squares."""
 
 
 class AbstractParametric(eqx.Module):
@@ -244,7 +250,7 @@ class Expansion(NamedTuple):
     """
 
     pieces: list[Float[Array, "windows pieces columns columns"]]
-    energy: Float[Array, " quantities"]
+    energy: Energies
 
     def moments(self) -> Float[Array, "windows columns columns"]:
         """Of each window."""
@@ -268,7 +274,7 @@ class AbstractMisfit(eqx.Module):
         """Names of the states whose initial values are estimated."""
         return ()
 
-    def first_initial(self) -> Float[Array, "windows s"]:
+    def first_initial(self) -> Initial:
         """First guess of the initial states that are estimated."""
         return jnp.zeros((1, 0))
 
@@ -276,9 +282,7 @@ class AbstractMisfit(eqx.Module):
         """Size of these states."""
         return jnp.ones(0)
 
-    def profiled_energy(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
-    ) -> Float[Array, " quantities"]:
+    def profiled_energy(self, theta: Theta, initial: Initial) -> Energies:
         """`energy` at the initial states that leave least with these parameters."""
         return self.energy(theta, initial)
 
@@ -296,26 +300,22 @@ class AbstractMisfit(eqx.Module):
         """How many times as short its steps may be made without being asked; 1 for not at all."""
         return 1
 
-    def energy(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
-    ) -> Float[Array, " quantities"]:
+    def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Sum of squared residuals of each of `labels`, without derivatives."""
         raise NotImplementedError
 
-    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """The residuals at a point, to first order."""
         raise NotImplementedError
 
-    def curved(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], found: Expansion
-    ) -> Expansion:
+    def curved(self, theta: Theta, initial: Initial, found: Expansion) -> Expansion:
         """What was `found` at an optimum, with the curvature of what is made small.
 
         Other than what the search needs where that is no sum of squares.
         """
         return found
 
-    def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
+    def rms(self, energy: Energies) -> Energies:
         """Root mean square of what is left of each of `labels`, in its unit."""
         raise NotImplementedError
 

@@ -111,7 +111,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still, is_concrete, is_number
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
-from riecjax.refinement.objective import AbstractMisfit, Expansion
+from riecjax.refinement.objective import AbstractMisfit, Energies, Expansion, Initial, Theta
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.intervals import AbstractIntervals, Uncertainty, estimate_uncertainty
 
@@ -138,7 +138,7 @@ class Point(eqx.Module):
     """
 
     parameters: Float[Array, " p"]
-    initial: Float[Array, "windows s"]
+    initial: Initial
 
 
 class Linearised(eqx.Module):
@@ -385,9 +385,9 @@ class RefinementStatus(eqx.Enumeration):
 class Reached(NamedTuple):
     """Where a search ended: parameters, initial states, what these leave, and in how many steps."""
 
-    theta: Float[Array, " p"]
-    initial: Float[Array, "windows s"]
-    energy: Float[Array, " quantities"]
+    theta: Theta
+    initial: Initial
+    energy: Energies
     status: RefinementStatus
     steps: Int[Array, ""]
 
@@ -428,7 +428,7 @@ class Problem(eqx.Module):
         initial = point.initial * self.misfit.initial_scale()[None, :]
         return self.coordinates.values(point.parameters), initial
 
-    def point(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Point:
+    def point(self, theta: Theta, initial: Initial) -> Point:
         """The point of parameters and initial states in their units."""
         return Point(
             self.coordinates.inverse(theta), initial / self.misfit.initial_scale()[None, :]
@@ -590,7 +590,7 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
 def search(
     misfit: AbstractMisfit,
     constraints: Constraints,
-    start: Float[Array, " p"],
+    start: Theta,
     begun: Reached,
     sharing: Sharing,
     intervals: AbstractIntervals,
@@ -610,27 +610,7 @@ def search(
     )
     reached = Reached(theta, initial, expansion.energy, status, begun.steps + steps)
     at_bound = problem.coordinates.at_bound(theta)
-    return _with_uncertainty(misfit, expansion, reached, at_bound, constraints, sharing, intervals)
-
-
-def residual_variance(
-    misfit: AbstractMisfit, energy: Float[Array, " quantities"], unknown: int
-) -> Float[Array, ""]:
-    """Variance of a residual, of those that may be taken as independent."""
-    return jnp.sum(energy) / jnp.maximum(misfit.independent_rows() - unknown, 1)
-
-
-def _with_uncertainty(
-    misfit: AbstractMisfit,
-    expansion: Expansion,
-    reached: Reached,
-    at_bound: Bool[Array, " p"],
-    constraints: Constraints,
-    sharing: Sharing,
-    intervals: AbstractIntervals,
-) -> Optimum:
-    theta = reached.theta
-    blocks, short = misfit.blocks(misfit.curved(theta, reached.initial, expansion))
+    blocks, short = misfit.blocks(misfit.curved(theta, initial, expansion))
     variance = residual_variance(misfit, expansion.energy, at_bound.shape[0])
     # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
     # one that nothing depends on must not take the others with it.
@@ -641,7 +621,14 @@ def _with_uncertainty(
     tiny = SILENT * jnp.sum(expansion.energy)
     silent = (curvature * theta**2 <= tiny) & (theta != 0) | (curvature == 0)
     held = at_bound | silent & (known == 0)
-    held = held | _undetermined(gram + jnp.diag(known), held)
+    # Parameters that others can make up for are held as well.
+    free = jnp.where(held, 0.0, 1.0)
+    informed = gram + jnp.diag(known)
+    unit = unit_scale(jnp.diagonal(informed)) * free
+    scaled = informed * unit[:, None] * unit[None, :] + jnp.diag(1 - free)
+    sizes, directions = symmetric_eigen(jax.lax.stop_gradient(scaled))
+    weak = sizes < COLLINEAR * gram.shape[0]
+    held = held | jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)
     information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
     share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
     spread = jnp.diag(jnp.concatenate([jnp.zeros(1), information]))
@@ -673,11 +660,6 @@ def _with_uncertainty(
     )
 
 
-def _undetermined(gram: Float[Array, "p p"], held: Bool[Array, " p"]) -> Bool[Array, " p"]:
-    """Parameters that others can make up for, of those that are not held."""
-    free = jnp.where(held, 0.0, 1.0)
-    scale = unit_scale(jnp.diagonal(gram)) * free
-    scaled = gram * scale[:, None] * scale[None, :] + jnp.diag(1 - free)
-    sizes, directions = symmetric_eigen(jax.lax.stop_gradient(scaled))
-    weak = sizes < COLLINEAR * gram.shape[0]
-    return jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)
+def residual_variance(misfit: AbstractMisfit, energy: Energies, unknown: int) -> Float[Array, ""]:
+    """Variance of a residual, of those that may be taken as independent."""
+    return jnp.sum(energy) / jnp.maximum(misfit.independent_rows() - unknown, 1)

@@ -40,7 +40,7 @@ from riecjax.estimation.parameters import require_settings
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.records.record import Records, as_records
-from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
+from riecjax.refinement.objective import AbstractMisfit, AbstractObjective, Initial, Theta
 from riecjax.refinement.optimum import (
     Bounds,
     Constraints,
@@ -89,7 +89,7 @@ class StepHalving(NamedTuple):
 
 # Where a search diverged no number is finite, and the result says so.
 @np.errstate(all="ignore")
-def halve_steps(misfit: AbstractMisfit, at: Optimum, start: Float[Array, " p"]) -> StepHalving:
+def halve_steps(misfit: AbstractMisfit, at: Optimum, start: Theta) -> StepHalving:
     """What halving the steps of the simulation does to the optimum; nothing where there are none.
 
     Parameters that are not determined are passed over.
@@ -127,7 +127,7 @@ def halve_steps(misfit: AbstractMisfit, at: Optimum, start: Float[Array, " p"]) 
 
 @kept_jit
 def _normal_equations(
-    misfit: AbstractMisfit, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+    misfit: AbstractMisfit, theta: Theta, initial: Initial
 ) -> tuple[Float[Array, "p p"], Float[Array, " p"], Float[Array, ""]]:
     blocks, _ = misfit.blocks(misfit.expansion(theta, initial))
     total = blocks.flattened().total()
@@ -426,7 +426,7 @@ def refine_with_misfit(
 
 @kept_jit
 def _begin(
-    misfit: AbstractMisfit, theta: Float[Array, " p"], first: Float[Array, "windows s"]
+    misfit: AbstractMisfit, theta: Theta, first: Initial
 ) -> tuple[Reached, Float[Array, " quantities"]]:
     """What the start leaves at the initial states that suit it best, in all and as rms."""
     energy = misfit.profiled_energy(theta, first)
