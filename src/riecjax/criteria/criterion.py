@@ -59,19 +59,6 @@ class Rows(eqx.Module):
     parameters: tuple[str, ...] = eqx.field(static=True)
     valid: Bool[Array, " rows"] | None = None
 
-    @classmethod
-    def of(
-        cls,
-        columns: Float[Array, "columns rows"],
-        position: Array,
-        parameters: tuple[str, ...],
-        valid: Bool[Array, " rows"] | None,
-    ) -> "Rows":
-        """Rows of which those that are not valid become zero."""
-        if valid is not None:
-            columns = jnp.where(valid[None, :], columns, 0.0)
-        return cls(columns, position, parameters, valid)
-
     @property
     def target(self) -> Float[Array, " rows"]:
         """Left-hand side y."""
@@ -185,7 +172,9 @@ class AbstractCriterion(eqx.Module):
     def rows_of(self, columns: Columns, drawn: WindowSet, unpadded: Count | None = None) -> Rows:
         """One row of these columns for each window."""
         values, valid = self.test_function.integrals(columns, drawn, unpadded)
-        return Rows.of(values, drawn.start, columns.parameters, valid)
+        if valid is not None:
+            values = jnp.where(valid[None, :], values, 0.0)
+        return Rows(values, drawn.start, columns.parameters, valid)
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None = None) -> Rows:
         """The rows of this criterion; see the classes. The same key draws the same windows for

@@ -81,7 +81,11 @@ class SteppedLaw(AbstractLaw):
         self.weights = as_leaf(weights)
         if self.weights.ndim != 1 or not self.weights.shape[0]:
             raise ModelError("a law of window lengths in parts needs a list of weights.")
-        _require_weights(self.weights)
+        values = np.asarray(self.weights) if is_concrete(self.weights) else np.ones(1)
+        if not (np.isfinite(values).all() and (values >= 0).all() and values.any()):
+            raise ModelError(
+                "a law of window lengths needs weights of zero or more, not all zero, and finite."
+            )
 
     def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
         """One bin for each weight."""
@@ -116,16 +120,6 @@ def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
 def _normalised(first: Array, last: Array, weight: Array) -> LagBins:
     held = (last - first + 1).astype(weight.dtype)
     return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
-
-
-def _require_weights(weights: Leaf) -> None:
-    if not is_concrete(weights):
-        return
-    values = np.asarray(weights)
-    if not (np.isfinite(values).all() and (values >= 0).all() and values.any()):
-        raise ModelError(
-            "a law of window lengths needs weights of zero or more, not all zero, and finite."
-        )
 
 
 def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:

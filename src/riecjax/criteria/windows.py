@@ -127,13 +127,15 @@ class AbstractWindows(eqx.Module):
 
     @property
     def drawn(self) -> "RandomWindows":
-        """Random windows of these lengths, for what needs single rows."""
-        raise NotImplementedError
+        """Random windows of these lengths, for what needs single rows: these, or so many."""
+        if isinstance(self, RandomWindows):
+            return self
+        return RandomWindows(self.alpha, self.beta, DRAWN)
 
     @property
     def every(self) -> "AllWindows":
-        """All windows of these lengths."""
-        raise NotImplementedError
+        """All windows of these lengths: these, or what they converge to as their number grows."""
+        return self if isinstance(self, AllWindows) else AllWindows(self.alpha, self.beta)
 
     def fitted(self, records: Sequence[Record]) -> Self:
         """The same windows with what the records tell before tracing."""
@@ -234,16 +236,6 @@ class AllWindows(AbstractWindows):
         limit = power_of_two(samples + 2)
         return dataclasses.replace(self, longest_samples=limit)
 
-    @property
-    def drawn(self) -> "RandomWindows":
-        """A fixed number of them."""
-        return RandomWindows(self.alpha, self.beta, DRAWN)
-
-    @property
-    def every(self) -> "AllWindows":
-        """These."""
-        return self
-
     def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
         """The same windows with other lengths.
 
@@ -337,16 +329,6 @@ class RandomWindows(AbstractWindows):
         self.between_samples = between_samples
         if count < 1:
             raise ModelError(f"the number of windows must be at least 1; got {count}.")
-
-    @property
-    def drawn(self) -> "RandomWindows":
-        """These."""
-        return self
-
-    @property
-    def every(self) -> AllWindows:
-        """What they converge to as their number grows."""
-        return AllWindows(self.alpha, self.beta)
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""

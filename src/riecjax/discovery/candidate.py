@@ -142,20 +142,13 @@ def renamed(one: AnyCandidate, name: str) -> AnyCandidate:
     """The same by another name, and so a coefficient that is called like it."""
     if isinstance(one, Shaped):
         return replace(one, name=name)
-    return replace(one, name=name, terms=tuple(_called(t, one.name, name) for t in one.terms))
-
-
-def _called(term: AbstractTerm, before: str, name: str) -> AbstractTerm:
-    if not isinstance(term, Term) or term.name != before:
-        return term
-    return Term(
-        name,
-        term.of,
-        derivative=term.derivative,
-        measured=term.measured,
-        unit=term.unit,
-        sign=term.number,
+    terms = tuple(
+        Term(name, t.of, derivative=t.derivative, measured=t.measured, unit=t.unit, sign=t.number)
+        if isinstance(t, Term) and t.name == one.name
+        else t
+        for t in one.terms
     )
+    return replace(one, name=name, terms=terms)
 
 
 def named(reference: str, name: str) -> Candidate:

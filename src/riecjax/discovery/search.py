@@ -553,18 +553,6 @@ def _has_shape(term: AbstractTerm, kind: type[AbstractShape]) -> bool:
     return isinstance(term, Terms) and isinstance(term.basis, kind)
 
 
-def offers(candidates: Iterable[AnyCandidate], names: Container[str]) -> list[Offer]:
-    """What a search among coefficients of these names may choose: of a law with a width, one for
-    each."""
-    found: list[Offer] = []
-    for one in candidates:
-        for each in members([one]):
-            if all(name in names for name in each.columns):
-                simple = not isinstance(one, Shaped)
-                found.append(Offer(each.name, each.columns, one.name, simple))
-    return found
-
-
 def without_taken(
     candidates: Iterable[AnyCandidate], parameters: Sequence[str]
 ) -> list[AnyCandidate]:
@@ -614,16 +602,18 @@ class Sums:
         ]
         self.summary = summarise(extended(self.procedure, every), carrying, self.criterion)
 
-    def folds(self, stage: int, found: Mapping[str, float]) -> Folds:
-        """Of one stage, what earlier ones found being known."""
+    def search(self, stage: int, found: Mapping[str, float]) -> Search:
+        """A search of one stage, as the sums are now, what earlier ones found being known."""
         equations = self.summary.equations()[stage]
         names = tuple(dict.fromkeys(name for e in equations for name in e.parameters))
-        return Folds.of(sum_of_equations(equations, names).fix({**self.known, **found}))
-
-    def search(self, stage: int, found: Mapping[str, float]) -> Search:
-        """A search of one stage, as the sums are now."""
-        folds = self.folds(stage, found)
-        offered = offers(self.candidates, {*folds.parameters})
+        folds = Folds.of(sum_of_equations(equations, names).fix({**self.known, **found}))
+        # What may be chosen: of a law with a width, one for each.
+        offered = [
+            Offer(each.name, each.columns, one.name, not isinstance(one, Shaped))
+            for one in self.candidates
+            for each in members([one])
+            if {*each.columns} <= {*folds.parameters}
+        ]
         columns = {name for offer in offered for name in offer.columns}
         kept = [name for name in folds.parameters if name not in columns]
         return Search(folds, kept, offered, least=self.least, smallest=self.smallest)
@@ -653,7 +643,12 @@ class Sums:
                 self.candidates = fewer
                 self.sum_up()
                 continue
-            strongest = max(rough, key=lambda one: _without(search, chosen, one))
+
+            def without(one: Offer, search: Search = search, chosen: Sequence[Offer] = chosen):
+                left = search.left([other for other in chosen if other is not one])
+                return float("inf") if left is None else float(left.motion.sum())
+
+            strongest = max(rough, key=without)
             beside = [one for one in chosen if one.simple or one.family in near]
             # Of laws with a memory all of the same signal: rough widths tell none from the others.
             law, families = self.shape(strongest.family), [strongest.family]
@@ -710,8 +705,3 @@ class Sums:
         slopes = ((above - at) * low / high + (at - below) * high / low) / (low + high)
         bend = 2 * np.sum((above - at) / high - (at - below) / low) / (low + high)
         return float(np.sqrt(np.sum(slopes**2)) / bend) if bend > 0 else float("nan")
-
-
-def _without(search: Search, chosen: Sequence[Offer], one: Offer) -> float:
-    left = search.left([other for other in chosen if other is not one])
-    return float("inf") if left is None else float(left.motion.sum())

@@ -6,7 +6,6 @@ noise. A mode that is not there explains nothing of a fold but by chance, wherev
 put it.
 """
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -124,11 +123,8 @@ class ModeEvidence(Drawn):
             )
             for names, asked, found in self.strays
         ]
-        return [*self._not_carried(), *elsewhere]
-
-    def _not_carried(self) -> list[Finding]:
         if self.carried:
-            return []
+            return elsewhere
         names = self.parameters
         first = names == ModeParameters.of(0)
         close = "" if first else ", or cannot tell it from another that lies close"
@@ -141,7 +137,8 @@ class ModeEvidence(Drawn):
                     f"mass, stiffness or damping is negative, or its damping more than critical. "
                     f"Leave it out; something else is missing, such as a delay of one signal.",
                     parameters=tuple(names),
-                )
+                ),
+                *elsewhere,
             ]
         return [
             Finding(
@@ -152,7 +149,8 @@ class ModeEvidence(Drawn):
                 f"({self._shares}). Leave it out; something else is missing, such as friction or a "
                 f"delay, or nothing.",
                 parameters=tuple(names),
-            )
+            ),
+            *elsewhere,
         ]
 
 
@@ -176,8 +174,15 @@ def mode_evidence(
         own = [names for names in stage.sought if isinstance(names, ModeParameters)]
         if own:
             sums = summary.equations(found.bands[i])[i]
-            strays = tuple(_strays(procedure, own, values))
-            band = _seen(search_band(procedure, summary, own[-1]), own[-1], strays)
+            # Modes that lie far from the frequency asked for, and the band that shows the last one.
+            strays, (low, high) = [], search_band(procedure, summary, own[-1])
+            for names in own:
+                hz, at_hz = procedure.mode_named(names).hz, float(mode_frequency(values, names)[0])
+                if hz is not None and not hz / NEAR <= at_hz <= hz * NEAR:
+                    strays.append(Stray(names, hz, at_hz))
+                    if names == own[-1]:
+                        low, high = np.minimum(low, at_hz / NEAR), np.maximum(high, at_hz * NEAR)
+            band = low, high
             raw = on_host(_evidence(equations, sums, known, found.at[i], band))
             label = procedure.plan(set(known))[i][0]
             lengths = found.lengths[i] or summary.lengths_of(summary.band)
@@ -198,30 +203,12 @@ def mode_evidence(
             pairs = zip(mode_frequency(carried, own[-1]), errors)
             at, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in pairs)
             evidence.append(
-                ModeEvidence(own[-1], label, on, at, ratio, oscillates, *raw, lengths, strays)
+                ModeEvidence(
+                    own[-1], label, on, at, ratio, oscillates, *raw, lengths, tuple(strays)
+                )
             )
         known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}
     return evidence
-
-
-def _strays(
-    procedure: Procedure, modes: Sequence[ModeParameters], values: Values
-) -> Iterator[Stray]:
-    """Those of some modes that lie far from the frequency asked for."""
-    for names in modes:
-        asked, found = procedure.mode_named(names).hz, float(mode_frequency(values, names)[0])
-        if asked is not None and not asked / NEAR <= found <= asked * NEAR:
-            yield Stray(names, asked, found)
-
-
-def _seen(
-    band: tuple[Leaf, Leaf], names: ModeParameters, strays: Sequence[Stray]
-) -> tuple[Leaf, Leaf]:
-    """The band searched for a mode, and where it was found."""
-    low, high = band
-    for found in (stray.found for stray in strays if stray.parameters == names):
-        low, high = np.minimum(low, found / NEAR), np.maximum(high, found * NEAR)
-    return low, high
 
 
 @kept_jit
@@ -233,7 +220,13 @@ def _evidence(
     band: tuple[Leaf, Leaf],
 ) -> tuple[ModeMap, Array, Array, Array, Array, Array]:
     stage = ModeStage.of(equations, sums, known)
-    folds = [_in_folds(one) for one in sums]
+    # Clean moments of stretches of time, of all recordings one after the other, by windows rather
+    # than by blocks, some of which only fill the array up.
+    folds = []
+    for flat in (one.flattened() for one in sums):
+        before = jnp.cumsum(flat.count) - 0.5 * flat.count
+        place = jnp.clip(FOLDS * before / jnp.sum(flat.count), 0, FOLDS - 1).astype(int)
+        folds.append(jax.ops.segment_sum(flat.clean, place, num_segments=FOLDS))
 
     def of_fold(number: Array) -> tuple[Array, Array]:
         others = [whole - fold[number] for whole, fold in zip(stage.moments, folds)]
@@ -271,12 +264,3 @@ def _evidence(
         jnp.mean(gain),
         error,
     )
-
-
-def _in_folds(sums: NormalEquations) -> Float[Array, "folds columns columns"]:
-    """Clean moments of stretches of time, of all recordings one after the other."""
-    flat = sums.flattened()
-    # By windows rather than by blocks, some of which only fill the array up.
-    before = jnp.cumsum(flat.count) - 0.5 * flat.count
-    place = jnp.clip(FOLDS * before / jnp.sum(flat.count), 0, FOLDS - 1).astype(int)
-    return jax.ops.segment_sum(flat.clean, place, num_segments=FOLDS)

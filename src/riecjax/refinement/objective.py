@@ -467,10 +467,9 @@ class AbstractObjective(eqx.Module):
         if not free:
             raise ModelError("every parameter is known; nothing is left to refine.")
         dtype = records[0].time_step.dtype
-        numbers = {name: _number(values[name], dtype) for name in sharing.parameters}
+        numbers = {
+            name: (np if is_concrete(values[name]) else jnp).asarray(values[name], dtype)
+            for name in sharing.parameters
+        }
         keys = record_keys(key, len(records))
         return Specification(parametric, records, keys, numbers, free, local, sharing, units)
-
-
-def _number(value: float | Leaf, dtype: Any) -> Leaf:
-    return np.asarray(value, dtype) if is_concrete(value) else jnp.asarray(value, dtype)

@@ -342,10 +342,6 @@ class Constraints(eqx.Module):
             bool(priors),
         )
 
-    def coordinates(self, scale: Float[Array, " p"]) -> Coordinates:
-        """Coordinates of parameters of this size."""
-        return Coordinates(scale, self.lower, self.upper)
-
 
 def is_pair(given: Any, or_none: bool = False) -> bool:
     """Whether this is two numbers, or `None` in place of one if that is allowed."""
@@ -601,7 +597,9 @@ def search(
     """The optimum, searched from what was reached before; `start` gives the parameters' scale."""
     scale = jnp.where(start != 0, jnp.abs(start), 1.0)
     variance = residual_variance(misfit, begun.energy, start.shape[0])
-    problem = Problem(misfit, constraints.coordinates(scale), constraints, variance)
+    problem = Problem(
+        misfit, Coordinates(scale, constraints.lower, constraints.upper), constraints, variance
+    )
     first = problem.point(begun.theta, begun.initial)
     point, status, steps, expansion = find_optimum(problem, first, tolerance, max_steps, progress)
     theta, initial = problem.values(point)
