@@ -292,6 +292,14 @@ class Compared(NamedTuple):
     smooth: tuple[bool, ...] | None
 
 
+def _filled(record: Record) -> Record:
+    """A record of a length that others share, with no sample behind its end."""
+    filled = filled_up(record, shared_length(record.sample_count))
+    behind = np.arange(filled.sample_count) >= record.sample_count
+    missing = {name: filled.missing.get(name, False) | behind for name in filled.arrays}
+    return Record(filled.arrays, filled.time_step, missing=missing)
+
+
 @kept_jit
 def _cut(
     system: AbstractSystem,
