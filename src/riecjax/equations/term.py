@@ -420,12 +420,11 @@ class AbstractShape(AbstractBasis):
     **Raises:** `ModelError` unless the width is positive.
     """
 
-    width: Leaf
+    width: Leaf = eqx.field(converter=as_leaf)
     label: ClassVar[str]
     """What the coefficient is of."""
 
-    def __init__(self, width: float | Array):
-        self.width = as_leaf(width)
+    def __check_init__(self):
         if is_concrete(self.width) and not float(self.width) > 0:
             raise ModelError(f"a width must be positive; got {float(self.width):g}.")
 
