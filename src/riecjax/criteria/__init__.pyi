@@ -5,4 +5,3 @@ from .suited import criterion_for as criterion_for
 from .test_functions import AbstractSmoothTestFunction as AbstractSmoothTestFunction
 from .test_functions import AbstractTestFunction as AbstractTestFunction
 from .test_functions import GradedBump as GradedBump
-from .test_functions import expected_gain as expected_gain

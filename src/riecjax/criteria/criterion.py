@@ -131,7 +131,7 @@ class AbstractCriterion(eqx.Module):
 
     def in_chunks(self, record: Record) -> bool:
         """Whether a record is so long that it is worked through in chunks."""
-        return self.windows is not None and self.windows.in_chunks(record)
+        return isinstance(self.windows, AllWindows) and self.windows.in_chunks(record)
 
     def block_samples(self, record: Record) -> int:
         """Samples to one of the short blocks of start times that have moments of their own."""

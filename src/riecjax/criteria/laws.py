@@ -93,7 +93,9 @@ class SteppedLaw(AbstractLaw):
         share = jnp.linspace(0.0, 1.0, self.weights.shape[0] + 1)
         # Real numbers: lags times bins may pass 32-bit integers.
         first = low + rounded(share * (high - low + 1))
-        return _normalised(first[:-1], first[1:] - 1, jnp.asarray(self.weights, unit.dtype))
+        first, last, weight = first[:-1], first[1:] - 1, jnp.asarray(self.weights, unit.dtype)
+        held = (last - first + 1).astype(weight.dtype)
+        return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
 
     def describe(self) -> dict[str, object]:
         """The weights."""
@@ -115,11 +117,6 @@ def as_law(law: "AbstractLaw | ArrayLike | None") -> AbstractLaw:
 def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     """The nearest whole numbers."""
     return namespace(lags).round(lags).astype(np.int32)
-
-
-def _normalised(first: Array, last: Array, weight: Array) -> LagBins:
-    held = (last - first + 1).astype(weight.dtype)
-    return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
 
 
 def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:

@@ -47,7 +47,7 @@ from riecjax.criteria.noise_moments import (
 from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
 from riecjax.criteria.windows import AllWindows, Count, WindowSet, half_periods
 from riecjax.equations.noisy_columns import Columns
-from riecjax.errors import ModelError, require
+from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 
@@ -187,7 +187,13 @@ class AbstractTestFunction(eqx.Module):
     def mean_gain(
         self, frequency: Frequencies, alpha: float, beta: float, power: Literal[1, 2] = 1
     ) -> Frequencies:
-        """Mean of |H|^power over T ~ U(alpha, beta), eq. (14); see [`expected_gain`][]."""
+        """Mean of |H|^power over T ~ U(alpha, beta), eq. (14).
+
+        `power=1` is what Fig. 3 draws; `power=2` is what least squares sees: times the density of
+        an error, and integrated, it is the mean square of the windows' errors.
+
+        **Arguments:** `frequency` in hertz; `alpha`, `beta` in seconds.
+        """
         total = np.zeros_like(frequency)
         # One length at a time: at all of them spectra of long records would make a large table.
         for node, weight in zip(*_nodes()):
@@ -387,27 +393,6 @@ def valid_windows(
     first = jnp.floor(windows.start).astype(jnp.int32)
     last = jnp.ceil(windows.stop).astype(jnp.int32)
     return absent[last + 1] == absent[first]
-
-
-def expected_gain(
-    frequency: Float[np.ndarray, " frequencies"],
-    alpha: float,
-    beta: float,
-    test_function: AbstractTestFunction,
-    *,
-    power: Literal[1, 2] = 1,
-) -> Float[np.ndarray, " frequencies"]:
-    """Mean of |H|^power over T ~ U(alpha, beta), eq. (14), of the test function's `gain`.
-
-    `power=1` is what Fig. 3 draws; `power=2` is what least squares sees: times the density of an
-    error, and integrated, it is the mean square of the windows' errors.
-
-    **Arguments:** `frequency` in hertz; `alpha`, `beta` in seconds.
-
-    **Raises:** `ModelError` for what is no test function.
-    """
-    require("the test function", test_function, AbstractTestFunction, "rx.Hat(), an object")
-    return test_function.mean_gain(frequency, alpha, beta, power)
 
 
 # Smooth test functions, integrated by fast Fourier transform.

@@ -31,7 +31,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
-from riecjax.criteria.chunks import is_chunked
+from riecjax.criteria.chunks import chunk_length
 from riecjax.criteria.laws import AbstractLaw, LagBins, as_law, rounded
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
@@ -144,10 +144,6 @@ class AbstractWindows(eqx.Module):
     def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
         """The same windows with other lengths."""
         return dataclasses.replace(self, alpha=as_leaf(alpha), beta=as_leaf(beta))
-
-    def in_chunks(self, record: Record) -> bool:
-        """Whether a record is so long that it is worked through in chunks."""
-        return False
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
@@ -264,7 +260,7 @@ class AllWindows(AbstractWindows):
     def in_chunks(self, record: Record) -> bool:
         """Whether a record is so long that it is worked through in chunks."""
         n = record.sample_count
-        return is_chunked(record, self.block(n), self.reach(n))
+        return chunk_length(record, self.block(n), self.reach(n)) < n
 
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
         """The law of lags, which are multiples of so many samples."""

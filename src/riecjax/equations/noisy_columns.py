@@ -223,7 +223,18 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
 
     **Raises:** `DataError` for a missing signal or derivative.
     """
-    directions = noise_directions(record.noise, equation.terms_read(record, smoothness))
+    # Along which signals move together: ("white", source) or ("coloured", signal).
+    noise, read = record.noise, equation.terms_read(record, smoothness)
+    directions: dict[Key, Direction] = {}
+    variances: Direction = {}
+    for name in sorted(read):
+        for source, taps in noise.kernels.get(name, {}).items():
+            if is_white(noise, source, read):
+                directions.setdefault(("white", source), {})[name] = taps[..., 0]
+            else:
+                variances[name] = variances.get(name, np.zeros(())) + jnp.sum(taps**2, axis=-1)
+    for name, variance in variances.items():
+        directions[("coloured", name)] = {name: jnp.sqrt(variance)}
     moves: dict[Key, list[_Part]] = {key: [] for key in directions}
     bends: dict[tuple[Key, ...], list[tuple[_Part, ...]]] = {}
     clean, weights = [], []
@@ -256,21 +267,6 @@ def is_white(noise: Noise, source: str, read: Iterable[str]) -> bool:
     """Whether a source acts within the sample alone on each of these signals."""
     kernels = (noise.kernels.get(name, {}).get(source) for name in read)
     return all(taps is None or taps.shape[-1] == 1 for taps in kernels)
-
-
-def noise_directions(noise: Noise, read: Iterable[str]) -> dict[Key, Direction]:
-    """Along which signals move together: ("white", source) or ("coloured", signal)."""
-    found: dict[Key, Direction] = {}
-    variances: Direction = {}
-    for name in sorted(read):
-        for source, taps in noise.kernels.get(name, {}).items():
-            if is_white(noise, source, read):
-                found.setdefault(("white", source), {})[name] = taps[..., 0]
-            else:
-                variances[name] = variances.get(name, np.zeros(())) + jnp.sum(taps**2, axis=-1)
-    for name, variance in variances.items():
-        found[("coloured", name)] = {name: jnp.sqrt(variance)}
-    return found
 
 
 def _term_noise(

@@ -213,7 +213,7 @@ class AbstractEstimate(Saved, eqx.Module):
                 )
 
     def few_blocks(self) -> Iterator[Finding]:
-        """Parameters whose intervals fell back to a small-sample sandwich (not under jit)."""
+        """Intervals by a small-sample sandwich, and those that lean (not under jit)."""
         freedom = self.uncertainty.degrees_of_freedom
         names, listed = self._where(self.uncertainty.few_blocks, freedom)
         if names:
@@ -225,9 +225,7 @@ class AbstractEstimate(Saved, eqx.Module):
                 f"them all along.",
                 parameters=names,
             )
-
-    def leaning(self) -> Iterator[Finding]:
-        """Intervals that reach much farther than errors alike all along call for."""
+        # Intervals that reach much farther than errors alike all along call for.
         times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
         names, listed = self._where(times > NOTABLE_LEAN, times)
         if names:
@@ -436,7 +434,7 @@ class Estimate(AbstractEstimate):
                 f"{float(self.condition_number):.2g}); the least certain combination is "
                 f"{self.weakest_combination()}.",
             )
-        yield from (*self.few_blocks(), *self.leaning())
+        yield from self.few_blocks()
         sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
         ends = self.interval_by_name()
         for name, size in zip(self.parameters, sizes):

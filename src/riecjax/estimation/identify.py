@@ -22,7 +22,6 @@ from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameter
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
-    found_values,
     solve_stages,
     stages_over_records,
 )
@@ -269,8 +268,7 @@ def _solve(
     equations = [[e for e, _ in stage] for stage in both]
     stages, shared = stages_over_records(equations, sharing)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
-    solutions = solve_stages([stage.flattened() for stage in stages], known, rows, apart)
-    values = found_values(solutions, known)
+    solutions, values = solve_stages([stage.flattened() for stage in stages], known, rows, apart)
     # What belongs to one recording cannot differ between recordings.
     common = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(

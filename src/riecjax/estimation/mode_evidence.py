@@ -100,17 +100,6 @@ class ModeEvidence(Drawn):
         much = float(self.gain) > least and self.explained > LITTLE
         return much and self.oscillates
 
-    @property
-    def _shares(self) -> str:
-        # Less than nothing is left where more noise was taken off than there was.
-        if not float(self.without) > 0:
-            return "noise accounts for all that is left"
-        return (
-            f"{100 * float(self.without):.2g} % of the signal is left without it and "
-            f"{100 * max(float(self.unexplained), 0.0):.2g} % with it, difference "
-            f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %"
-        )
-
     def findings(self) -> list[Finding]:
         """Warnings if nothing speaks for the mode, or little, and of modes found elsewhere."""
         elsewhere = [
@@ -125,6 +114,14 @@ class ModeEvidence(Drawn):
         ]
         if self.carried:
             return elsewhere
+        # Less than nothing is left where more noise was taken off than there was.
+        shares = "noise accounts for all that is left"
+        if float(self.without) > 0:
+            shares = (
+                f"{100 * float(self.without):.2g} % of the signal is left without it and "
+                f"{100 * max(float(self.unexplained), 0.0):.2g} % with it, difference "
+                f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %"
+            )
         names = self.parameters
         first = names == ModeParameters.of(0)
         close = "" if first else ", or cannot tell it from another that lies close"
@@ -146,7 +143,7 @@ class ModeEvidence(Drawn):
                 f"{self.stage}: the recordings do not carry this mode{close}: on time "
                 f"that it was not found from, {mode} explains "
                 f"{100 * max(self.explained, 0.0):.2g} % of what is left without it "
-                f"({self._shares}). Leave it out; something else is missing, such as friction or a "
+                f"({shares}). Leave it out; something else is missing, such as friction or a "
                 f"delay, or nothing.",
                 parameters=tuple(names),
             ),

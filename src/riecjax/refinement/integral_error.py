@@ -185,9 +185,35 @@ class ParametricBalance(eqx.Module):
     def _levels(
         self, record: Record, values: Values, smoothness: int
     ) -> tuple[Levels, Bool[Array, " n"] | None]:
-        if not isinstance(self.model, Equation):
-            return _of_balance(self.model.build(values), record, smoothness)
         levels: Levels = {}
+        if not isinstance(self.model, Equation):
+            timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
+            signals = timed.signals
+            balance = self.model.build(values)
+            for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
+                with users_code(f"{balance.name}.{part.__name__}"):
+                    level = part(signals)
+                if level is None:
+                    continue
+                level = jnp.asarray(level, record.time_step.dtype)
+                if level.shape not in ((), (record.sample_count,)):
+                    raise ModelError(
+                        f"{balance.name}.{part.__name__} must return one number for each of the "
+                        f"{record.sample_count} samples; it returned shape {level.shape}."
+                    )
+                levels[order] = jnp.broadcast_to(level, (record.sample_count,))
+            if not levels:
+                raise ModelError(
+                    f"{balance.name}: a balance needs a force, a momentum or a first moment."
+                )
+            if max(levels) > smoothness:
+                raise DataError(
+                    f"{balance.name}: this criterion takes {smoothness} time derivative(s) off the "
+                    f"motion, and the balance needs {max(levels)}. Use windows that need no "
+                    f"derivative, rx.Hat(), or write its inertia as a momentum of a recorded "
+                    f"velocity."
+                )
+            return levels, record.present(signals.read)
         present = None
         for term in self.model.terms:
             # As criteria read it: derivatives that the test function cannot take off are recorded.
@@ -203,35 +229,6 @@ class ParametricBalance(eqx.Module):
             levels[order] = levels[order] + total if order in levels else total
             present = both_present(present, sampled.present)
         return levels, present
-
-
-def _of_balance(
-    balance: AbstractBalance, record: Record, smoothness: int
-) -> tuple[Levels, Bool[Array, " n"] | None]:
-    timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
-    signals = timed.signals
-    levels: Levels = {}
-    for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
-        with users_code(f"{balance.name}.{part.__name__}"):
-            level = part(signals)
-        if level is None:
-            continue
-        level = jnp.asarray(level, record.time_step.dtype)
-        if level.shape not in ((), (record.sample_count,)):
-            raise ModelError(
-                f"{balance.name}.{part.__name__} must return one number for each of the "
-                f"{record.sample_count} samples; it returned shape {level.shape}."
-            )
-        levels[order] = jnp.broadcast_to(level, (record.sample_count,))
-    if not levels:
-        raise ModelError(f"{balance.name}: a balance needs a force, a momentum or a first moment.")
-    if max(levels) > smoothness:
-        raise DataError(
-            f"{balance.name}: this criterion takes {smoothness} time derivative(s) off the motion, "
-            f"and the balance needs {max(levels)}. Use windows that need no derivative, rx.Hat(), "
-            f"or write its inertia as a momentum of a recorded velocity."
-        )
-    return levels, record.present(signals.read)
 
 
 Balances = (

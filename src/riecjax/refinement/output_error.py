@@ -559,7 +559,16 @@ class OutputMisfit(AbstractMisfit):
         for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
 
             def of_window(initial: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
-                level, slopes = self._columns(theta, initial, window, i)
+                # Residuals, and their derivatives by parameters and initial states.
+                p, unknown = theta.shape[0], jnp.concatenate([theta, initial])
+
+                def along(direction: Array) -> tuple[Array, Array]:
+                    return jax.jvp(
+                        lambda u: self._error(u[:p], u[p:], window, i), (unknown,), (direction,)
+                    )
+
+                directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
+                level, slopes = jax.vmap(along, out_axes=(None, 2))(directions)
                 left, right = columns(level, slopes, self.threshold)
                 cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
                 moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
@@ -649,19 +658,6 @@ class OutputMisfit(AbstractMisfit):
     ) -> Float[Array, "compared channels"]:
         found = self.simulated(theta, initial, window, index)
         return jnp.where(window.present, (found - window.measured) / self.sigma[None, :], 0.0)
-
-    def _columns(
-        self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
-    ) -> tuple[Float[Array, "compared channels"], Float[Array, "compared channels p+s"]]:
-        """Residuals of one window, and their derivatives by parameters and initial states."""
-        p = theta.shape[0]
-        unknown = jnp.concatenate([theta, initial])
-        return jax.vmap(
-            lambda along: jax.jvp(
-                lambda u: self._error(u[:p], u[p:], window, index), (unknown,), (along,)
-            ),
-            out_axes=(None, 2),
-        )(jnp.eye(unknown.shape[0], dtype=unknown.dtype))
 
     def _of_records(self, initial: Initial) -> list[Float[Array, "windows s"]]:
         edges = np.cumsum([part.windows for part in self.recorded])[:-1]

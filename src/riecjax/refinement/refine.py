@@ -282,7 +282,7 @@ class Refined(AbstractEstimate):
                 f"{silent[0]}=VALUE), or compare another signal.",
                 parameters=tuple(silent),
             )
-        yield from (*self.negative_values(), *self.few_blocks(), *self.leaning())
+        yield from (*self.negative_values(), *self.few_blocks())
         yield from (*self.rarely_excited(), *self.disagreement())
 
 

@@ -163,25 +163,24 @@ class SpringElement(eqx.Module):
     """A force element with a spring in series.
 
     **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
-    `stiffness`, the name of the spring's parameter.
+    `stiffness`, the name of the spring's parameter; `points`, break points of the element's law,
+    `None` of a linear one.
     """
 
     element: AbstractTerm
     state: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
     stiffness: str = eqx.field(static=True)
+    points: Float[Array, " points"] | None = None
 
     def rate(
         self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
     ) -> Float[Array, " 1"]:
         """Time derivative of the force."""
-        own = jnp.stack([values[name] for name in self.element.parameters])
-        if isinstance(self.element, Term):
+        own, points = jnp.stack([values[n] for n in self.element.parameters]), self.points
+        if points is None:
             inner = force / own[0]
         else:
-            assert isinstance(self.element, Terms)
-            assert isinstance(self.element.basis, RoofFunctions)
-            points = self.element.basis.break_points
             inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
         return values[self.stiffness] * (velocity - inner)
 
@@ -189,13 +188,10 @@ class SpringElement(eqx.Module):
         self, velocity: Float[Array, " n"], values: Mapping[str, Array]
     ) -> Float[Array, " n"]:
         """The force at a velocity that does not change: the spring takes up none of it."""
-        own = jnp.stack([values[name] for name in self.element.parameters])
-        if isinstance(self.element, Term):
+        own, points = jnp.stack([values[n] for n in self.element.parameters]), self.points
+        if points is None:
             return own[0] * velocity
-        assert isinstance(self.element, Terms)
-        assert isinstance(self.element.basis, RoofFunctions)
-        forces = _rising(own, self.element.basis.break_points)
-        return self.element.basis.interpolate(forces, velocity)
+        return RoofFunctions(points).interpolate(_rising(own, points), velocity)
 
 
 def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
@@ -220,13 +216,15 @@ def with_springs(
             for equation in equations
             if (e := spring.element(equation)) is not None
         )
-        if isinstance(first, Terms) and not isinstance(first.basis, RoofFunctions):
+        basis, law = (first.basis, first.prefix) if isinstance(first, Terms) else (None, spring.of)
+        if basis is not None and not isinstance(basis, RoofFunctions):
             raise ModelError(
-                f"a spring in series with {first.prefix} needs the inverse of its law, which is "
-                f"known of one coefficient and of roof functions (rx.roof) only."
+                f"a spring in series with {law} needs the inverse of its law, which is known of "
+                f"one coefficient and of roof functions (rx.roof) only."
             )
         name = "series_force" if number == 0 else f"series_{number + 1}_force"
-        found.append(SpringElement(first, name, force, stiffness_name(number)))
+        points = None if basis is None else basis.break_points
+        found.append(SpringElement(first, name, force, stiffness_name(number), points))
     replaced = []
     for equation in equations:
         terms = []
