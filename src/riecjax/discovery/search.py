@@ -506,13 +506,11 @@ def extended(procedure: Procedure, candidates: Iterable[Candidate]) -> Procedure
 
 def members(candidates: Iterable[AnyCandidate]) -> list[Candidate]:
     """Candidates as they are summed: of a law with a width one for each width."""
-    found: list[Candidate] = []
-    for one in candidates:
-        if isinstance(one, Shaped):
-            found += [one.at(i) for i in range(one.widths.size)]
-        else:
-            found.append(one)
-    return found
+    return [
+        each
+        for one in candidates
+        for each in (map(one.at, range(one.widths.size)) if isinstance(one, Shaped) else [one])
+    ]
 
 
 def without_twins(

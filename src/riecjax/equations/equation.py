@@ -122,12 +122,6 @@ class Equation(Shown, eqx.Module):
             for pair in zip((term.of, *term.measured), term.measured)
         )
 
-    @property
-    def functions(self) -> list[Expression]:
-        """Its expressions that are functions of the signals, the mask's included."""
-        found = [term.of for term in self.terms] + ([self.where] if self.where else [])
-        return [expression for expression in found if not isinstance(expression, str)]
-
     def trusted(self, record: Record) -> Bool[Array, " n"] | None:
         """Where `where` holds and its signals are present; `None` without `where`."""
         if self.where is None:
@@ -167,7 +161,12 @@ def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
     A mean, a difference between neighbours or a filter would see only a chunk of the record, or
     what fills it up. Each is tried on samples from all over the record, and on halves of these.
     """
-    functions = [(e.name, f) for e in equations for f in e.functions]
+    functions = [
+        (equation.name, expression)
+        for equation in equations
+        for expression in (*(term.of for term in equation.terms), equation.where)
+        if expression is not None and not isinstance(expression, str)
+    ]
     if not functions:
         return []
     at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)

@@ -33,6 +33,7 @@ for the element's own. Of a map F(v) no multiplication rids the equation, since 
 linear in K.
 """
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -422,10 +423,7 @@ class Expanded(eqx.Module):
 
 def _product(polynomials: Sequence[Float[Array, " powers"]]) -> Float[Array, " powers"]:
     """Coefficients of a product of polynomials; 1 of none."""
-    found = jnp.ones(1)
-    for number, one in enumerate(polynomials):
-        found = one if number == 0 else jnp.convolve(found, one)
-    return found
+    return functools.reduce(jnp.convolve, polynomials) if polynomials else jnp.ones(1)
 
 
 def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]:

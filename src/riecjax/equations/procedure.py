@@ -484,9 +484,7 @@ def _require_equations(equations: tuple[object, ...], name: str) -> None:
 
 def told_apart(names: Sequence[str]) -> tuple[str, ...]:
     """The names, numbered where several are equal: `spring (1)`, `spring (2)`."""
-    place = {name: 0 for name in names}
-    unique = []
-    for name in names:
-        place[name] += 1
-        unique.append(f"{name} ({place[name]})" if names.count(name) > 1 else name)
-    return tuple(unique)
+    return tuple(
+        f"{name} ({1 + names[:i].count(name)})" if names.count(name) > 1 else name
+        for i, name in enumerate(names)
+    )

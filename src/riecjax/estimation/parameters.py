@@ -65,13 +65,10 @@ class Sharing:
 
     def everywhere(self, names: Iterable[str]) -> tuple[str, ...]:
         """The names over all records."""
-        expanded = []
-        for name in names:
-            if name in self.own:
-                expanded += [f"{name}[{i + 1}]" for i in range(self.record_count)]
-            else:
-                expanded.append(name)
-        return tuple(expanded)
+        numbers = [f"[{i + 1}]" for i in range(self.record_count)]
+        return tuple(
+            name + ending for name in names for ending in (numbers if name in self.own else [""])
+        )
 
     def values(self, given: Mapping[str, Value]) -> dict[str, Value]:
         """Values by name over all records.

@@ -106,7 +106,7 @@ class ByFields(AbstractParametric):
         found: dict[str, tuple[int, tuple[int, ...] | None]] = {}
         leaves = jax.tree_util.tree_leaves_with_path(self.module)
         for place, (path, leaf) in enumerate(leaves):
-            name = ".".join(_key(part) for part in path)
+            name = jax.tree_util.keystr(path, simple=True, separator=".")
             if not (eqx.is_inexact_array(leaf) or isinstance(leaf, float)):
                 continue
             for entry in np.ndindex(np.shape(leaf)):
@@ -229,13 +229,6 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
         f"a {type(model).__name__} cannot be simulated; give an Equation, a Procedure, a Model, an "
         f"AbstractSystem, or a function of the parameters that returns one."
     )
-
-
-def _key(part: Any) -> str:
-    for attribute in ("name", "key", "idx"):
-        if hasattr(part, attribute):
-            return str(getattr(part, attribute))
-    return str(part)
 
 
 class Expansion(NamedTuple):

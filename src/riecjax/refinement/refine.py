@@ -341,8 +341,11 @@ def refine(
     that cannot be simulated; `DataError` for missing signals or records that are too short. A
     search that fails raises nothing: see `status` of the result.
     """
-    given = (known, bounds, priors, per_record, key, intervals, tolerance, max_steps, progress)
-    return refine_with_misfit(model, records, start, by, *given)[0]
+    refined, _ = refine_with_misfit(
+        model, records, start, by, known, bounds, priors, per_record, key, intervals, tolerance,
+        max_steps, progress,
+    )  # fmt: skip
+    return refined
 
 
 def refine_with_misfit(

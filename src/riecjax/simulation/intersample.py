@@ -99,19 +99,25 @@ def bends_of(
     own = jnp.pad(there[2:] & there[1:-1] & there[:-2], (1, 1))
     second = jnp.pad(levels[2:] - 2 * levels[1:-1] + levels[:-2], ((1, 1), (0, 0)))
     resolved = _resolved(second, own)
-    bends = jnp.where(resolved, _of_mean(second, own), _medians(second, own))
-    return jnp.where((there & ~own)[:, None], _held_on(bends, own, resolved), bends)
-
-
-def _of_mean(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Float[Array, "n inputs"]:
-    """Curvatures that give every interval its mean, of as many differences as are there."""
-    found, kernel, power = second, np.zeros(1), np.ones(1)
+    # Curvatures that give every interval its mean, of as many differences as are there.
+    of_mean, kernel, power = second, np.zeros(1), np.ones(1)
     for reach, coefficient in enumerate(OF_MEAN):
         kernel = np.pad(kernel, min(reach, 1)) + coefficient * power
         power = np.convolve(power, [1, -2, 1])
         whole = _weighted(own.astype(int), np.ones(2 * reach + 1, int)) == 2 * reach + 1
-        found = jnp.where(whole[:, None], _weighted(second, kernel), found)
-    return found
+        of_mean = jnp.where(whole[:, None], _weighted(second, kernel), of_mean)
+    # Where it is not smooth, medians of the second differences around that are there.
+    around, beside = _around(second), _around(own)[:, :, None]
+    count = jnp.sum(beside, axis=0, keepdims=True)
+    ordered = jnp.sort(jnp.where(beside, around, jnp.inf), axis=0)
+    middle = [
+        jnp.take_along_axis(ordered, jnp.broadcast_to(index, (1, *second.shape)), axis=0)[0]
+        for index in (jnp.maximum(count - 1, 0) // 2, count // 2)
+    ]
+    told = own[:, None] & (count[0] >= FEWEST)
+    medians = jnp.where(told, 0.5 * (middle[0] + middle[1]), 0.0)
+    bends = jnp.where(resolved, of_mean, medians)
+    return jnp.where((there & ~own)[:, None], _held_on(bends, own, resolved), bends)
 
 
 def _resolved(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Bool[Array, "n inputs"]:
@@ -147,19 +153,6 @@ def _held_on(
     return jnp.where(beside(own, 1)[0][:, None], *lines)
 
 
-def _medians(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Float[Array, "n inputs"]:
-    """Of the second differences around each sample, those that are there."""
-    around, held = _around(second, REACH), _around(own, REACH)[:, :, None]
-    count = jnp.sum(held, axis=0, keepdims=True)
-    ordered = jnp.sort(jnp.where(held, around, jnp.inf), axis=0)
-    middle = [
-        jnp.take_along_axis(ordered, jnp.broadcast_to(index, (1, *second.shape)), axis=0)[0]
-        for index in (jnp.maximum(count - 1, 0) // 2, count // 2)
-    ]
-    told = own[:, None] & (count[0] >= FEWEST)
-    return jnp.where(told, 0.5 * (middle[0] + middle[1]), 0.0)
-
-
 def _weighted(values: Array, weights: np.ndarray) -> Array:
     """Weighted sums of the samples around each, of which none is written down."""
     n, rest = values.shape[0], [(0, 0)] * (values.ndim - 1)
@@ -168,11 +161,11 @@ def _weighted(values: Array, weights: np.ndarray) -> Array:
     return functools.reduce(jnp.add, parts)
 
 
-def _around(values: Array, reach: int) -> Array:
+def _around(values: Array) -> Array:
     """Values of the samples around each, one after the other on a new leading axis."""
     n, rest = values.shape[0], [(0, 0)] * (values.ndim - 1)
-    padded = jnp.pad(values, [(reach, reach), *rest])
-    return jnp.stack([padded[i : i + n] for i in range(2 * reach + 1)])
+    padded = jnp.pad(values, [(REACH, REACH), *rest])
+    return jnp.stack([padded[i : i + n] for i in range(2 * REACH + 1)])
 
 
 def curves_of(

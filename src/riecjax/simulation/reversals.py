@@ -102,11 +102,7 @@ def _regime_of(rise: Rises, state: State, system: AbstractSystem) -> Regime:
 
 def regime_at(system: AbstractSystem, state: Array, inputs: Array) -> Regime:
     """The same of a system at a sample."""
-
-    def rise(regime: Regime, state: Array, at: float | Array) -> Array:
-        return regime.derivative(system, state, inputs)
-
-    return _regime_of(rise, state, system)
+    return _regime_of(lambda regime, at, _: regime.derivative(system, at, inputs), state, system)
 
 
 def derivative_at(system: AbstractSystem, state: Array, inputs: Array) -> State:
