@@ -341,11 +341,8 @@ def refine(
     that cannot be simulated; `DataError` for missing signals or records that are too short. A
     search that fails raises nothing: see `status` of the result.
     """
-    refined, _ = refine_with_misfit(
-        model, records, start, by, known, bounds, priors, per_record, key, intervals, tolerance,
-        max_steps, progress,
-    )  # fmt: skip
-    return refined
+    given = (known, bounds, priors, per_record, key, intervals, tolerance, max_steps, progress)
+    return refine_with_misfit(model, records, start, by, *given)[0]
 
 
 def refine_with_misfit(
