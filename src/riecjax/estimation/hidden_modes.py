@@ -251,7 +251,8 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
             place = jnp.argmin(found.unexplained)
             best = jnp.stack([jnp.log(found.frequency[place]), found.damping[place]])
         else:
-            rows = jnp.linspace(*(jnp.log(jnp.asarray(f)) for f in band), FREQUENCIES)[:, None]
+            low, high = (jnp.log(jnp.asarray(f)) for f in band)
+            rows = jnp.linspace(low, high, FREQUENCIES)[:, None]
 
             def share(row: Array, part: ModeStage = part, at: Array = at) -> Array:
                 fit = part.projected(jnp.concatenate([at, row]))

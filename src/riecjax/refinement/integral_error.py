@@ -56,7 +56,6 @@ from riecjax.refinement.objective import (
     Energies,
     Expansion,
     Initial,
-    Parameters,
     Specification,
     Theta,
     Values,
@@ -389,16 +388,6 @@ class IntegralError(AbstractObjective):
             )
         return balances
 
-    def parameters(self, parametric: tuple[ParametricBalance, ...]) -> Parameters:
-        """Of all equations."""
-        units: dict[str, str] = {}
-        defaults = {}
-        for balance in parametric:
-            units |= {n: u for n, u in balance.units.items() if u or n not in units}
-            defaults |= balance.defaults
-        names = dict.fromkeys(name for balance in parametric for name in balance.parameters)
-        return Parameters(tuple(names), defaults, units)
-
     def misfit(self, specified: Specification) -> IntegralMisfit:
         """Over all windows of the criterion."""
         for record in specified.records:
@@ -406,13 +395,13 @@ class IntegralError(AbstractObjective):
         criterion = self._criterion.fitted(specified.records)
         free = set(specified.sharing.free_somewhere(specified.local, specified.names))
         # An equation without free parameters would only add a constant.
-        chosen = [i for i, b in enumerate(specified.model) if set(b.parameters) & free]
-        labels = [specified.model[i].label(specified.values) for i in chosen]
+        chosen = tuple(balance for balance in specified.model if free & {*balance.parameters})
+        labels = [balance.label(specified.values) for balance in chosen]
         rows = [
             [criterion.row_count(record) or 0.0 for record in specified.records] for _ in chosen
         ]
         return IntegralMisfit(
-            balances=tuple(specified.model[i] for i in chosen),
+            balances=chosen,
             records=specified.records,
             criterion=criterion,
             keys=specified.keys,

@@ -329,14 +329,14 @@ class Specification(NamedTuple):
 
     **Fields:**
 
-    - `model`: as the objective made it, for every value of its parameters.
+    - `model`: what the objective made of it, for every value of its parameters.
     - `records` and `keys`, one for each.
     - `values`: of every parameter over all records, free or not; `names` of the free ones.
     - `local`: names of the parameters as one record knows them; `sharing` between records.
     - `units` of the parameters, by local name.
     """
 
-    model: Any
+    model: tuple[Any, ...]
     records: list[Record]
     keys: list[Key[Array, ""] | None]
     values: dict[str, Leaf]
@@ -374,14 +374,6 @@ class Specification(NamedTuple):
         return found
 
 
-class Parameters(NamedTuple):
-    """Names, values and units that a model comes with."""
-
-    names: tuple[str, ...]
-    defaults: Values
-    units: Mapping[str, str]
-
-
 class AbstractObjective(eqx.Module):
     """A sum of squares over windows: of equation errors, or of output errors."""
 
@@ -394,15 +386,12 @@ class AbstractObjective(eqx.Module):
         """This objective with what the model says where nothing was asked for."""
         return self
 
-    def parametric(self, model: Any, record: Record) -> Any:
-        """The model for every value of its parameters.
+    def parametric(self, model: Any, record: Record) -> "tuple[Any, ...]":
+        """What the model consists of, each with `parameters`, their `defaults` and `units`: its
+        system, or its equations of motion, for every value of the parameters.
 
         **Raises:** `ModelError` for a model that this objective cannot use.
         """
-        raise NotImplementedError
-
-    def parameters(self, parametric: Any) -> Parameters:
-        """What is known of the parameters; no names where any may be given."""
         raise NotImplementedError
 
     def misfit(self, specified: Specification) -> AbstractMisfit:
@@ -434,7 +423,13 @@ class AbstractObjective(eqx.Module):
         parametric = self.parametric(model, records[0])
         if self.needs_key and key is None:
             raise ModelError("random windows need a key: key=jax.random.key(seed).")
-        names, defaults, units = self.parameters(parametric)
+        # No names where any may be given.
+        names = tuple(dict.fromkeys(name for part in parametric for name in part.parameters))
+        defaults: dict[str, Leaf] = {}
+        units: dict[str, str] = {}
+        for part in parametric:
+            units |= {n: u for n, u in part.units.items() if u or n not in units}
+            defaults |= part.defaults
         carried: Mapping[str, float | Array] = {}
         if isinstance(start, AbstractEstimate):
             units = {**units, **dict(start.units)} if not names else units

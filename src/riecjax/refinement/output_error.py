@@ -72,7 +72,6 @@ from riecjax.refinement.objective import (
     Energies,
     Expansion,
     Initial,
-    Parameters,
     Specification,
     Theta,
     as_parametric_system,
@@ -780,17 +779,14 @@ class OutputError(AbstractObjective):
                 f"differentiate the result in reverse."
             )
 
-    def parametric(self, model: Any, record: Record) -> AbstractParametric:
+    def parametric(self, model: Any, record: Record) -> tuple[AbstractParametric]:
         """The system to simulate."""
-        return as_parametric_system(model, record)
-
-    def parameters(self, parametric: AbstractParametric) -> Parameters:
-        """Of the system."""
-        return Parameters(parametric.parameters, parametric.defaults, parametric.units)
+        return (as_parametric_system(model, record),)
 
     def misfit(self, specified: Specification) -> OutputMisfit:
         """Over the windows of all records."""
-        system: AbstractSystem = specified.model.build(specified.of_record(0))
+        (model,) = specified.model
+        system: AbstractSystem = model.build(specified.of_record(0))
         channels = _channels(system, specified.records, self.channels)
         for record in specified.records:
             for name in system.input_names:
@@ -835,7 +831,7 @@ class OutputError(AbstractObjective):
             simulated,
         )
         return OutputMisfit(
-            system=specified.model,
+            system=model,
             recorded=recorded,
             known=specified.fixed,
             sigma=sigma,
