@@ -18,10 +18,13 @@ from riecjax.cli.main import ORDER, run
 from riecjax.errors import DataError, ModelError
 from riecjax.extensions import NEEDS, ExtensionError, element, extension, require_packages
 from riecjax.records.reading import endings, read_channels
+from riecjax.settings import Elements
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 
 FOREIGN = """
+import dataclasses
+
 import click
 import numpy as np
 from riecjax.records.reading import Channels, foreign_reader, read_apart
@@ -40,9 +43,8 @@ def read_here(file, decimal):
 def greet(name):
     click.echo(f"Hello {name}")
 
-class Backlash:
-    def __init__(self, of):
-        self.of = of
+def backlash(model, signal, hertz):
+    return dataclasses.replace(model, name=f"{model.name} with play of {signal} at {hertz}")
 
 NUMBER = 3
 
@@ -54,7 +56,7 @@ def read_wrongly(file):
 """
 READERS = {"xyz": "read", "rows": "read_rows", "wrong": "read_wrongly", "npz": "read", "h5": "read",
            "lost": "nobody"}  # fmt: skip
-COMMANDS_TOO = {"greet": "greet", "number": "Backlash", "models": "greet", "fleet": "greet"}
+COMMANDS_TOO = {"greet": "greet", "number": "backlash", "models": "greet", "fleet": "greet"}
 
 
 @pytest.fixture
@@ -81,7 +83,7 @@ def install(tmp_path, monkeypatch):
 @pytest.fixture
 def foreign(install):
     install("foreign", FOREIGN, readers=READERS, commands=COMMANDS_TOO,
-            elements={"backlash": "Backlash", "number": "NUMBER"})  # fmt: skip
+            elements={"backlash": "backlash", "number": "NUMBER"})  # fmt: skip
 
 
 def test_a_foreign_reader_takes_part(foreign, tmp_path):
@@ -104,8 +106,11 @@ def test_foreign_commands_and_elements_take_part(foreign, capfd):
     assert run(["--help"]) == 0
     listed = re.findall(r"^  ([a-z]+)  ", capfd.readouterr().out, flags=re.MULTILINE)
     assert listed == [*ORDER, "greet", "number"]
-    assert element("backlash")("x").of == "x"
-    with pytest.raises(ModelError, match=r"no element 'absent'; installed are: backlash, number\."):
+    duffing = rx.find_model("duffing")
+    play = Elements(added=[("backlash", "dy", 12.0), ("offset", "u", None)])
+    assert duffing.with_elements(play).name == "duffing with play of dy at 12.0"
+    assert duffing.with_elements(play).sensors == duffing.with_sensor_errors(("u",)).sensors
+    with pytest.raises(ModelError, match=r"no element 'absent'; there are: backlash, number\."):
         element("absent")
     with pytest.raises(ExtensionError, match=r"from foreign:NUMBER: TypeError: 3 cannot be ca"):
         element("number")
@@ -198,7 +203,7 @@ print(*sys.modules, file=sys.stderr)
 """
 MOST_MODULES = [
     (("--version",), 10),
-    *nightly([(("identify", "a.csv", "--model", "duffing"), 139)]),
+    *nightly([(("identify", "a.csv", "--model", "duffing"), 142)]),
 ]
 """Command lines, and how many modules of this package they load at the most."""
 

@@ -37,7 +37,7 @@ MANY_IMPORTS = {
     "riecjax.estimation.check": 22,
     "riecjax.estimation.identify": 24,
     "riecjax.estimation.mode_windows": 13,
-    "riecjax.fleets.fleet": 15,
+    "riecjax.fleets.fleet": 14,
     "riecjax.records.recording": 17,
     "riecjax.refinement.output_error": 14,
     "riecjax.reporting.identification_figures": 16,

@@ -26,7 +26,7 @@ from benchmarks.fleet.breaks import breaks
 from benchmarks.fleet.commands import MODEL, command, run
 from benchmarks.fleet.weeks import long
 from benchmarks.recorded import FOLDER, filled_in, write_json
-from riecjax.fleets.engine import SETTINGS, cores
+from riecjax.fleets.engine import SETTINGS
 from riecjax.records.writing import write_record
 from riecjax.runtime import start_jax
 
@@ -130,10 +130,10 @@ def speed(folder: Path, work: Path) -> dict[str, Any]:
 
 def scaling(folder: Path, work: Path) -> dict[str, Any]:
     """1, 2, 4 and more workers, to one a core: of machines with more than two."""
-    counts = [2**n for n in range(cores().bit_length())]
+    counts = [2**n for n in range(len(os.sched_getaffinity(0)).bit_length())]
     run(folder, work / "compiles", 1)
     return {
-        "cores": cores(),
+        "cores": len(os.sched_getaffinity(0)),
         "recordings": sum(1 for _ in folder.rglob("*.parquet")),
         "runs": [run(folder, work / f"scaling{workers}", workers) for workers in counts],
     }

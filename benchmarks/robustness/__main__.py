@@ -10,7 +10,6 @@ its number, so that one can be run again alone.
 
 import argparse
 import contextlib
-import functools
 import io
 import json
 import logging
@@ -159,15 +158,12 @@ def run_case(kind: str, seed: int, number: int, names: list[str], quick: bool) -
     logging.disable()
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        case = mutated(name, _rigs(), rng, formats)
+        case = mutated(name, rigs(), rng, formats)
     logging.disable(logging.NOTSET)
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         if kind == "reading":
             return case, read_outcome(case)
         return case, outcome(case, QUICK if quick else ())
-
-
-_rigs = functools.cache(rigs)
 
 
 def fuzzed(

@@ -14,6 +14,7 @@ alone:
 """
 
 import contextlib
+import functools
 import io
 import warnings
 import zipfile
@@ -54,6 +55,7 @@ def force(t: np.ndarray | float) -> np.ndarray | float:
     return sum(size * np.sin(w * t + phase) for w, phase, size in TONES)
 
 
+@functools.cache
 def rigs(seed: int = 0) -> tuple[Rig, Rig]:
     """An oscillator with drag: with its velocity recorded, and with its position only.
 
@@ -320,9 +322,7 @@ COLUMN_MUTATIONS = {
     "shuffled rows": lambda columns, rng: _rows(columns, rng.permutation(COUNT)),
     **_named(shuffled_signals, swapped_blocks, repeated_rows, repeated_block, swapped_columns),
     **_named(dropped_column, duplicated_column, renamed_column, many_nan),
-    "nan in time": lambda columns, rng: _changed(
-        columns, "t", _place(rng, int(rng.integers(1, 4))), np.nan
-    ),
+    "nan in time": lambda c, rng: _changed(c, "t", _place(rng, int(rng.integers(1, 4))), np.nan),
     **_named(text_entry),
     "text column": _any(lambda values: np.full(COUNT, "on")),
     "numbers as text": _any(_texts),
@@ -330,9 +330,7 @@ COLUMN_MUTATIONS = {
     "half precision": _any(lambda values: values.astype(np.float16).astype(np.float32)),
     **_named(wrapped, huge, infinite, scaled_time, changed_stamp),
     "still time": lambda columns, rng: _with(columns, "t", np.full(COUNT, 5.0)),
-    "coarse time": lambda columns, rng: _with(
-        columns, "t", np.round(columns["t"], int(rng.choice([0, 1, 2])))
-    ),
+    "coarse time": lambda c, rng: _with(c, "t", np.round(c["t"], int(rng.choice([0, 1, 2])))),
     **_named(reversed_rows, spliced, offset_jump, huge_spikes, extreme_scale),
     **_named(silent, hostile_names, mixed),
 }

@@ -6,6 +6,7 @@ from . import fleets as fleets
 from . import records as records
 from . import refinement as refinement
 from . import reporting as reporting
+from . import settings as settings
 from . import simulation as simulation
 from . import studies as studies
 from . import summaries as summaries

@@ -16,7 +16,7 @@ extensions with one name this distribution's own wins; where neither is its own,
 import functools
 import importlib.util
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
@@ -101,15 +101,17 @@ def extension(kind: Kind, name: str) -> Callable[..., Any] | None:
         ) from None
 
 
-def element(name: str) -> Callable[..., Any]:
-    """What makes the element of this name.
+def element(name: str, own: Sequence[str] = ()) -> Callable[..., Any]:
+    """What adds the element of this name to a model, given a signal and perhaps a frequency in Hz.
+
+    **Arguments:** `own`, names that the core has, for an error to list.
 
     **Raises:** `ModelError` if no distribution has it; `ExtensionError` as `extension`.
     """
     made = extension("elements", name)
     if made is None:
-        listed = ", ".join(extension_names("elements")) or "none"
-        raise ModelError(f"there is no element '{name}'; installed are: {listed}.")
+        listed = ", ".join([*own, *extension_names("elements")])
+        raise ModelError(f"there is no element '{name}'; there are: {listed}.")
     return made
 
 

@@ -6,7 +6,10 @@ has a row in docs/warnings.md, a test that raises it, and one that must not.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 class Finding(NamedTuple):
@@ -32,6 +35,20 @@ class Finding(NamedTuple):
 def option_for(option: str, signals: Iterable[str], value: str) -> tuple[str, ...]:
     """An option of the command line for each of these signals, `--shift v=0.005`."""
     return tuple(word for name in signals for word in (option, f"{name}={value}"))
+
+
+def line_taken_off(name: str, time: "np.ndarray", offset: float, change: float) -> tuple[str, ...]:
+    """The option that takes an offset off a signal, and a change along the record about its middle.
+
+    A formula, and not the mean or the straight line of what was recorded: those are the machine's
+    as well, as far as it does not come back to where it began. None for a name that no formula has.
+    """
+    if not name.isidentifier():
+        return ()
+    rate, middle = change / float(time[-1] - time[0]), 0.5 * (time[0] + time[-1])
+    constant = f"-({offset:.6g})" if offset else ""
+    line = f"-({rate:.6g})*(t-{middle:.15g})" if change else ""
+    return ("--derive", f"{name}={name}{constant}{line}")
 
 
 Kind = Literal["undetermined", "sensors", "model", "noise", "data", "computation", "reproduction"]

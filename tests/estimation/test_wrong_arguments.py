@@ -32,7 +32,7 @@ ASKED = {
         {"key": jax.random.split(jax.random.key(0), 2)},
         "an array of 2 keys. Write key=keys[0]",
     ),
-    "known names": ((EQUATION, RECORD, ALL), {"known": ["k"]}, "known={'m': 2.0}"),
+    "known names": ((EQUATION, RECORD, ALL), {"known": ["k"]}, "known={'x': ...}, by name"),
     "known as nan": (
         (TWO, RECORD, ALL),
         {"known": {"k": np.nan}},
@@ -41,7 +41,7 @@ ASKED = {
     "known as two": (
         (TWO, RECORD, ALL),
         {"known": {"k": [1.0, 2.0]}},
-        "known values are single numbers, k=2.0",
+        "known of 'k' is a list. Write a number.",
     ),
     "per record, one name": ((EQUATION, RECORD, ALL), {"per_record": "k"}, "per_record=('k',)"),
 }

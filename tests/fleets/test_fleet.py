@@ -87,28 +87,21 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bits(
     _, out = by_vehicle
     monkeypatch.setattr(engine, "TOGETHER", 2)
     monkeypatch.setattr(kept, "MOST_WAITING", 1)
-    summed = []
+    summed, given = [], {"by": "vehicle", "workers": 0, "out": tmp_path}
 
     def interrupted(what: str, done: int, total: int, samples: int) -> None:
         if done >= 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fleet(MODEL, folder, by="vehicle", workers=0, out=tmp_path, progress=interrupted)
+        fleet(MODEL, folder, **given, progress=interrupted)
     parts = sorted((tmp_path / kept.PARTS).glob("*.parquet"))
     assert len(parts) == 2
-    # One of them is damaged meanwhile, and another is of an order that was another one.
+    # One of them is damaged meanwhile.
     content = bytearray(parts[1].read_bytes())
     content[len(content) // 2] ^= 1
     parts[1].write_bytes(bytes(content))
-    fleet(
-        MODEL,
-        folder,
-        by="vehicle",
-        workers=0,
-        out=tmp_path,
-        progress=lambda what, done, total, samples: summed.append((what, done)),
-    )
+    fleet(MODEL, folder, **given, progress=lambda what, done, *_: summed.append((what, done)))
     assert ("summing", 2) in summed  # and not from none
     for name in ("summaries.parquet", "estimates.parquet"):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
@@ -120,15 +113,13 @@ def test_a_later_run_sums_only_what_is_new_or_has_changed(folder, tmp_path):
     shutil.copytree(folder / "vehicle=0", drives_of)
     done = []
 
+    def count(what: str, n: int, *_: int) -> None:
+        done.extend([n] if what == "summing" else [])
+
     def run() -> Fleet:
         done.clear()
-        return fleet(
-            MODEL,
-            drives_of,
-            workers=0,
-            out=tmp_path / "out",
-            progress=lambda what, n, total, _: done.append(n) if what == "summing" else None,
-        )
+        settings = {"workers": 0, "out": tmp_path / "out", "progress": count}
+        return fleet(MODEL, drives_of, **settings)
 
     first = run()
     assert done[0] == 0

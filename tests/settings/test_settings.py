@@ -1,6 +1,7 @@
 """A setting is said once: one field is a keyword, an option, a line of a job, and documented."""
 
 import inspect
+import json
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -154,6 +155,22 @@ def test_every_command_says_what_each_option_is_for():
             assert kind.help(field) or not one.options[field].flag, f"{name} --{field}"
 
 
+APPROVED = sorted((Path(__file__).parents[1] / "approved" / "outputs").glob("*.json"))
+
+
+def test_jobs_of_results_that_are_kept_say_the_same_again():
+    """Approved results, which earlier versions wrote too."""
+    jobs = [json.loads(file.read_text(encoding="utf-8")).get("document") for file in APPROVED]
+    jobs = [document["job"] for document in jobs if document and "job" in document]
+    assert len(jobs) > 50
+    identify = commands()["identify"]
+    options = {option.key: option for option in identify.options.values()}
+    for job in jobs:
+        for key, written in job.items():
+            value = options[key].of_plain(written)
+            assert options[key].of_plain(options[key].plain(value)) == value, (key, written)
+
+
 @pytest.mark.parametrize(
     ("settings", "keywords", "typed"),
     [
@@ -168,7 +185,7 @@ def test_every_command_says_what_each_option_is_for():
             "--loss goes with --refine output-error.",
         ),
         (
-            lambda: tree.Assess(per_record=("k",), validate_on=[1]),
+            lambda: tree.Assess(per_record=("k",), validate_on=[Path("b.csv")]),
             "per_record gives a parameter no value on the recordings of validate_on: use one of",
             "--per-record gives a parameter no value on the recordings of --validate: use one of",
         ),

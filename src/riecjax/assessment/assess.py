@@ -6,13 +6,13 @@ beforehand whether there is an answer.
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from jaxtyping import Array
 
 from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import criterion_for, suited
+from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
 from riecjax.errors import DataError, IdentifiabilityError, ModelError
@@ -35,9 +35,8 @@ from riecjax.leaves import on_host
 from riecjax.models.model import as_model
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Assess
-from riecjax.settings.tree import Check as CheckSettings
+from riecjax.settings import Assess, taking
+from riecjax.settings import Check as CheckSettings
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import ready
@@ -88,7 +87,6 @@ def assess(
     recordings = ready(procedure, recordings, settings.noise)
     plain = [each.record for each in recordings]
     criterion = criterion_for(settings, procedure, model.band, plain)
-    criterion = criterion or suited(procedure, model.band, plain)
     if settings.horizon is not None and not settings.horizon > 0:
         raise ModelError(f"horizon is a positive number of seconds; got {settings.horizon:g}.")
 
@@ -99,8 +97,8 @@ def assess(
     fitted, held = concerned(recordings), []
     if settings.hold_out is not None:
         fitted, held = map(list, zip(*(each.split(settings.hold_out) for each in fitted)))
-    further = settings.validate_on
-    further = concerned(ready(procedure, further)) if len(further) else []  # type: ignore[arg-type]
+    further: Any = settings.validate_on
+    further = concerned(ready(procedure, further)) if further else []
     plan = {"known": settings.known, "per_record": settings.per_record}
     intervals = intervals_of(settings.intervals)
     parts = model, procedure, criterion, fitted, held, further, settings.key, plan, intervals
@@ -191,7 +189,7 @@ def assess_summary(
     lengths: Summary | None = None,
     findings: Sequence[Finding] = (),
     known: Mapping[str, float | Array] | None = None,
-    intervals: AbstractIntervals | None = None,
+    intervals: Literal["bootstrap", "sandwich", "naive"] | AbstractIntervals | None = None,
 ) -> "Assessment":
     """As [`assess`][riecjax.assess], without what needs samples: tests of residuals, refinement
     and simulation (not under jit).
@@ -279,7 +277,6 @@ def check_answering(
     procedure, recordings = described.build_procedure(), as_recordings(records)
     plain, key = [each.record for each in recordings], settings.key
     criterion = criterion_for(settings, procedure, described.band, plain)
-    criterion = criterion or suited(procedure, described.band, plain)
     require_memory_to_assess(procedure, plain, criterion, checking=True)
     plan = {"known": settings.known, "per_record": settings.per_record}
     summary = summarise(procedure, recordings, criterion, key=key, survey=True)

@@ -155,10 +155,15 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
         for stage in assessment.checked.excitations
         for name, share in zip(stage.parameters, stage.own_share)
     }
-    blamed = _blamed(assessment)
+    # Equations of which some test says that what they leave is the model's.
+    tests = () if assessment.residuals is None else assessment.residuals.equations
+    blamed = {t.name for t in tests if any(f.code in OF_THE_MODEL for f in t.findings())}
+    if assessment.sweep is not None:
+        drifting = {name for f in assessment.sweep.findings() for name in f.parameters}
+        fits = estimate.equations.items()
+        blamed |= {name for name, fit in fits if drifting & set(fit.parameters)}
     # By equation, the share of its windows' errors, as energy, that all of them have in common. A
     # constant error is orthogonal to motion about a mean, and biases nothing.
-    tests = () if assessment.residuals is None else assessment.residuals.equations
     constant = {
         test.name: min(test.windows.correlation, 1.0)
         for test in tests
@@ -184,19 +189,3 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
             if reach > 0:
                 found[name] = along / reach
     return found
-
-
-def _blamed(assessment: "Assessment") -> set[str]:
-    """Equations of which some test says that what they leave is the model's."""
-    blamed: set[str] = set()
-    if assessment.residuals is not None:
-        for equation in assessment.residuals.equations:
-            if any(finding.code in OF_THE_MODEL for finding in equation.findings()):
-                blamed.add(equation.name)
-    if assessment.sweep is not None:
-        drifting = {name for f in assessment.sweep.findings() for name in f.parameters}
-        estimate = assessment.estimate
-        for name, fit in estimate.equations.items():
-            if drifting & set(fit.parameters):
-                blamed.add(name)
-    return blamed

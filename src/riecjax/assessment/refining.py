@@ -8,7 +8,7 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import jax
@@ -30,12 +30,14 @@ from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, Prior, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refine_with_misfit
-from riecjax.settings.tree import Assess, Refine
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
+
+if TYPE_CHECKING:
+    from riecjax.settings import Assess, Refine
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
@@ -68,7 +70,7 @@ Answered = tuple[Refinement | None, list[ValidationRun], list[Finding]]
 """A refinement, simulations with the answer along what it was not fitted to, and what failed."""
 
 
-def answered(asked: Asked, estimate: Estimate, refused: bool, settings: Assess) -> Answered:
+def answered(asked: Asked, estimate: Estimate, refused: bool, settings: "Assess") -> Answered:
     """The refinement and the validation of an estimate, which may be no more than a start (it was
     `refused`).
 
@@ -123,7 +125,7 @@ def answered(asked: Asked, estimate: Estimate, refused: bool, settings: Assess) 
     return (found, after, failed_after) if found.chosen else (found, before, failed)
 
 
-def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None:
+def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | None:
     """What a refinement makes small; `None` for no refinement."""
     if settings.refine in (None, "none"):
         return None
@@ -158,7 +160,7 @@ def _search(
     asked: Asked,
     estimate: AbstractEstimate,
     by: AbstractObjective,
-    settings: Refine,
+    settings: "Refine",
     max_steps: int,
     progress: Progress = None,
 ) -> tuple[Refined, AbstractMisfit]:
@@ -181,7 +183,7 @@ def _search(
 def _by_itself(
     asked: Asked,
     estimate: Estimate,
-    settings: Refine,
+    settings: "Refine",
     horizon: float | None,
 ) -> Refinement:
     """By output error where that is possible, quick and warranted."""
@@ -225,7 +227,7 @@ def _warranted(
     asked: Asked,
     estimate: AbstractEstimate,
     by: OutputError,
-    settings: Refine,
+    settings: "Refine",
 ) -> Refinement:
     refined, misfit = _search(asked, estimate, by, settings, STEPS_BY_ITSELF)
     left = _left(misfit, refined, asked.records)

@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from riecjax.cli.job import digest, job_file, read_job
-from riecjax.models.model import Model
-from riecjax.records.recording import Recording
+from riecjax.cli.job import job_file, read_job
+from riecjax.settings import Contradiction, Elements, Option, Reading, Settings
 from riecjax.settings.kinds import TEST_FUNCTIONS
-from riecjax.settings.option import Contradiction, Option, Settings
-from riecjax.settings.tree import Elements, Reading
 from riecjax.whole_files import seen_from
 
 if TYPE_CHECKING:
     from riecjax.findings import Finding
+    from riecjax.models.model import Model
+    from riecjax.records.recording import Recording
 
 SMALL_FILES = 2**24
 """Bytes of all recordings below which compiling code takes longer than running it."""
@@ -198,35 +197,23 @@ class Given:
 
     def digests(self, folder: Path | None = None) -> list[dict[str, Any]]:
         """Size and SHA-256 of these files, as `provenance` keeps them."""
-        return [digest(file, folder) for file in self.inputs() if os.path.isfile(file)]
+        from riecjax.reporting.provenance import digests
+
+        return digests(self.inputs(), folder)
 
     def changed_files(self) -> "list[Finding]":
         """Files that are others than those the job's results were made from, told at once.
 
         Files typed beside a job are no change of the job's.
         """
-        from riecjax.findings import Finding
-
         if self.job is None or not self.recorded:
             return []
-        folder, name = os.path.dirname(self.job), self.job.name
-        known = {
-            os.path.normpath(os.path.join(folder, d["file"])): d["sha256"] for d in self.recorded
-        }
-        found = []
-        for file in self.inputs():
-            if file in known and os.path.isfile(file):
-                now, before = digest(file)["sha256"], known[file]
-                if now != before:
-                    said = (
-                        f"{seen_from(None, file)} is not the file that {name} was made from (its "
-                        f"SHA-256 begins with {now[:8]}, not {before[:8]}): these numbers are of "
-                        f"the new file."
-                    )
-                    found.append(Finding("file_changed", said))
-        for finding in found:
+        from riecjax.reporting.provenance import changed_files
+
+        changed = changed_files(self.inputs(), self.recorded, self.job)
+        for finding in changed:
             click.echo(f"warning [{finding.code}]: {finding.message}", err=True)
-        return found
+        return changed
 
     def with_options(self, words: Sequence[str]) -> list[str]:
         """Arguments of the command with further options, in place of those that they replace.
@@ -248,8 +235,10 @@ class Given:
             typed = {k: v for k, v in typed.items() if k not in option.excludes}
         said = [(self.command.options[name], value) for name, value in typed.items()]
         arguments_first = sorted(said, key=lambda each: each[0].flag != "")
-        words = (word for option, value in arguments_first for word in option.words(value))
-        return [str(self.command.name), *words]
+        return [
+            str(self.command.name),
+            *(word for option, value in arguments_first for word in option.words(value)),
+        ]
 
 
 class SettingsCommand(click.Command):

@@ -19,9 +19,9 @@ SETTINGS = (
 def command(given: Given) -> None:
     """Identify a model's parameters from one or several recordings.
 
-    A recording is a file of text (CSV), JSON, Parquet, MATLAB, HDF5 or NPZ, or with an extra a
-    spreadsheet, MDF4, TDMS or ROS bag. Units that it states are converted to SI; --map says which
-    column is which signal, --unit in which unit it is where the file states none.
+    A recording is a file of text (CSV), JSON, Parquet, NPZ or MATLAB, or with an extra HDF5 (and
+    MATLAB v7.3), a spreadsheet, MDF4, TDMS or ROS bag. Units that it states are converted to SI;
+    --map says which column is which signal, --unit in which unit it is where the file states none.
     """
     asked = given.take(settings.Assess)
     start_jax(once=given.is_small, keep_compiled=True)

@@ -7,8 +7,8 @@ import click
 
 from riecjax.cli import identify
 from riecjax.cli.command import Given, settings_command
+from riecjax.settings import Read
 from riecjax.settings.toml import form, toml_value
-from riecjax.settings.tree import Read
 
 
 @settings_command(

@@ -1,15 +1,13 @@
 """Job files: the options of a command in TOML, or in the results.json that they led to."""
 
 import codecs
-import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import click
 
-from riecjax.whole_files import read_plain, seen_from
+from riecjax.whole_files import read_plain
 
 
 def job_file(path: Path) -> Path:
@@ -58,13 +56,3 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     except ValueError as error:  # of TOML and JSON
         toml = "" if file.suffix.lower() == ".json" else " Words stand in quotes in TOML."
         raise click.UsageError(f"--job {file}: it is not understood: {error}.{toml}") from None
-
-
-def digest(file: str, folder: Path | None = None) -> dict[str, Any]:
-    """Size and SHA-256 of a file, as `provenance` keeps them.
-
-    **Arguments:** `folder`, where names of files start from; here if `None`.
-    """
-    with open(file, "rb") as stream:
-        sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
-    return {"file": seen_from(folder, file), "bytes": os.path.getsize(file), "sha256": sha256}

@@ -26,8 +26,7 @@ from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record
-from riecjax.settings.option import Contradiction
-from riecjax.settings.tree import Fit
+from riecjax.settings import Contradiction, Fit
 
 LENGTHS = 8
 """Of bumps, evenly spaced: their rows change slowly with the length."""
@@ -44,23 +43,31 @@ MOST = 2
 
 
 def criterion_for(
-    fit: Fit, procedure: Procedure, band: tuple[float, float] | None, records: Sequence[Record]
-) -> AbstractCriterion | None:
-    """The criterion that settings ask for; `None` for the one that is [`suited`][].
+    fit: Fit | AbstractCriterion | None,
+    procedure: Procedure,
+    band: tuple[float, float] | None,
+    records: Sequence[Record],
+) -> AbstractCriterion:
+    """The criterion that settings ask for; the one that is [`suited`][] if they ask for none.
 
-    **Arguments:** `band` in hertz of the model, which `fit.band` replaces.
+    **Arguments:** `fit`, settings or already a criterion; `band` in hertz of the model, which
+    `fit.band` replaces.
 
     **Raises:** `ModelError` for what is no criterion; `Contradiction` for a quadrature where the
     test function has none.
     """
-    if isinstance(fit.criterion, AbstractCriterion):
-        return fit.criterion
-    if fit.criterion not in (None, "riec", "dols"):
-        require("the criterion", fit.criterion, AbstractCriterion, WRITE_CRITERION)
-    if fit.criterion == "dols":
+    criterion = fit.criterion if isinstance(fit, Fit) else fit
+    if isinstance(criterion, AbstractCriterion):
+        return criterion
+    if not isinstance(fit, Fit):
+        require("the criterion", fit, AbstractCriterion | None, WRITE_CRITERION)
+        return suited(procedure, band, records)
+    if criterion not in (None, "riec", "dols"):
+        require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
+    if criterion == "dols":
         return DOLS()
     if not fit.says_of_windows:
-        return None
+        return suited(procedure, band, records)
     band = fit.band or band or DEFAULT_BAND
     # Bumps have no quadrature: to ask for one is to ask for boxcars.
     if fit.test_function in (None, "auto") and fit.quadrature is None:

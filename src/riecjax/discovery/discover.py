@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import criterion_for, suited, with_velocities
+from riecjax.criteria.suited import criterion_for, with_velocities
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates, default_candidates
 from riecjax.discovery.discovery import Chosen, Discovery, Identified, Rejected, with_mode
 from riecjax.discovery.search import (
@@ -38,8 +38,8 @@ from riecjax.models.model import Model, as_model
 from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Discover as DiscoverSettings
+from riecjax.settings import Discover as DiscoverSettings
+from riecjax.settings import taking
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals, intervals_of
 from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
@@ -106,8 +106,7 @@ def discover(
     plan_parameters(with_all, 1, settings.known, ())
     whole = ready(with_all, recordings, settings.noise)
     plain = [one.record for one in whole]
-    criterion = criterion_for(settings, procedure, found.band, plain)
-    own = criterion or suited(procedure, found.band, plain)
+    own = criterion_for(settings, procedure, found.band, plain)
     # Without draws of its own, standard errors by blocks are the same.
     usual = settings.intervals in (None, "bootstrap") and settings.seed == 0
     intervals = None if usual else intervals_of(settings.intervals, settings.seed)
@@ -121,7 +120,7 @@ def discover(
     if not answer.leaves_more or any(one.code in IN_DISORDER for one in answer.amiss):
         return answer
     # Hidden elements have criteria of their own.
-    of_all, by_blocks = asked.identifying(in_time, criterion)
+    of_all, by_blocks = asked.identifying(in_time, own if settings.says_of_criterion else None)
     return with_mode(
         answer, of_all, by_blocks, lambda chosen: _with_chosen(found, procedure, chosen)
     )

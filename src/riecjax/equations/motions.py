@@ -61,7 +61,13 @@ def motions_and_unread(
             continue
         of_velocity = units.get(velocity, "")
         unit = units.get(position) or (per(of_velocity, "1/s") if of_velocity else "")
-        one = Motion(held[0], held[1], unit or _unit_by_terms(equation, position))
+        for term in equation.terms if not unit and equation.unit else ():
+            # By the units of the equation and of coefficients.
+            if isinstance(term, Term) and term.of == position and term.unit and not unit:
+                of_inertia = OF_INERTIA.get((equation.unit, term.unit), "")
+                by_order = {0: per(equation.unit, term.unit), 2: of_inertia}
+                unit = by_order.get(term.derivative, "")
+        one = Motion(held[0], held[1], unit)
         # What is read as a velocity here may be the derivative of a position there.
         for key in filter(None, held):
             before = found.get(key)
@@ -115,17 +121,6 @@ def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, 
                 yield of, ""
             elif units.get(of) in VELOCITIES:
                 yield "", of
-
-
-def _unit_by_terms(equation: Equation, position: str) -> str:
-    """The unit of a position by those of the equation and of coefficients."""
-    for term in equation.terms:
-        if isinstance(term, Term) and term.of == position and term.unit and equation.unit:
-            if not term.derivative:
-                return per(equation.unit, term.unit)
-            if term.derivative == 2 and (found := OF_INERTIA.get((equation.unit, term.unit))):
-                return found
-    return ""
 
 
 _FACTOR = re.compile(r"([^\W\d]+|1)(?:\^?(-?\d+))?")

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.equations.term import RoofFunctions, Terms
@@ -23,8 +22,8 @@ from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Check as CheckSettings
+from riecjax.settings import Check as CheckSettings
+from riecjax.settings import Fit, taking
 from riecjax.shows import Shown
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
@@ -138,13 +137,10 @@ def check(
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    recordings = ready(as_procedure(model), records, settings.noise)
-    band, plain = getattr(model, "band", None), [recording.record for recording in recordings]
-    criterion = criterion_for(settings, as_procedure(model), band, plain)
     return check_sums(
         model,
-        recordings,
-        criterion,
+        ready(as_procedure(model), records, settings.noise),
+        settings,
         key=settings.key,
         known=settings.known,
         per_record=settings.per_record,
@@ -154,7 +150,7 @@ def check(
 def check_sums(
     model: Equation | Procedure | HasProcedure,
     recordings: list[Recording],
-    criterion: AbstractCriterion | None,
+    criterion: AbstractCriterion | Fit,
     *,
     key: Key[Array, ""] | None = None,
     known: Mapping[str, float | Array] | None = None,

@@ -190,28 +190,24 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
             ):
                 return ""
             still = all(seen.rounding < seen.share(columns[name]) <= STILL for name in names)
-            return _words(names, hidden, still)
+            who, others, alone = ", ".join(names), ", ".join(hidden), len(names) == 1
+            explains, leaves = ("explains", "leaves") if alone else ("explain", "leave")
+            if still:
+                why = (
+                    f"neither the input nor what {who} multiplies varies, so {who} alone "
+                    f"{explains} the input, as a ratio of two constants that every sensor's zero "
+                    f"shifts, and {others} follow{'s' * (len(hidden) == 1)} from that."
+                )
+            else:
+                why = (
+                    f"the input never varies, so {who} alone {explains} all of it and {leaves} "
+                    f"{others} at zero: the record cannot tell {who} from the rest."
+                )
+            return (
+                f"{why} Record from before the step on, excite the system more richly, or hold "
+                f"{names[0]} at a known value (on the command line: --set {names[0]}=VALUE)."
+            )
     return ""
-
-
-def _words(names: list[str], hidden: list[str], still: bool) -> str:
-    who, others, one = ", ".join(names), ", ".join(hidden), len(names) == 1
-    explains, leaves = ("explains", "leaves") if one else ("explain", "leave")
-    if still:
-        why = (
-            f"neither the input nor what {who} multiplies varies, so {who} alone {explains} the "
-            f"input, as a ratio of two constants that every sensor's zero shifts, and "
-            f"{others} follow{'s' * (len(hidden) == 1)} from that."
-        )
-    else:
-        why = (
-            f"the input never varies, so {who} alone {explains} all of it and {leaves} {others} at "
-            f"zero: the record cannot tell {who} from the rest."
-        )
-    return (
-        f"{why} Record from before the step on, excite the system more richly, or hold {names[0]} "
-        f"at a known value (on the command line: --set {names[0]}=VALUE)."
-    )
 
 
 class _Averaged:

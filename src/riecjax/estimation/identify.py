@@ -10,7 +10,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
-from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import IdentifiabilityError, ModelError
@@ -27,10 +26,9 @@ from riecjax.estimation.stages import (
 )
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
-from riecjax.records.record import Records, as_records
+from riecjax.records.record import Records
 from riecjax.records.recording import as_recordings, explaining_errors
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Identify
+from riecjax.settings import Identify, taking
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
@@ -82,9 +80,7 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    band = getattr(model, "band", None)
-    criterion = criterion_for(settings, as_procedure(model), band, as_records(records))
-    asked = task(model, records, criterion, settings.key, settings.noise, settings.at_rest)
+    asked = task(model, records, settings, settings.key, settings.noise, settings.at_rest)
     plan = plan_parameters(asked.procedure, len(asked.records), settings.known, settings.per_record)
     intervals = intervals_of(settings.intervals)
     with explaining_errors(as_recordings(records)):

@@ -91,7 +91,8 @@ class Cluster(contextlib.AbstractContextManager):
         import dask.config
         import distributed
 
-        self._scheduler, self._processes = scheduler, None
+        self._scheduler = scheduler
+        self._processes: Any = None
         with contextlib.ExitStack() as opened:
             # What Dask logs of lost workers is told by the tasks that they cost.
             log = logging.getLogger("distributed")
@@ -101,17 +102,16 @@ class Cluster(contextlib.AbstractContextManager):
             try:
                 if scheduler is None:
                     folder = tempfile.TemporaryDirectory(prefix="riecjax-")
-                    self._processes = opened.enter_context(
-                        distributed.LocalCluster(
-                            n_workers=workers,
-                            threads_per_worker=1,
-                            processes=True,
-                            dashboard_address=None,
-                            host="127.0.0.1",
-                            local_directory=opened.enter_context(folder),
-                            silence_logs=logging.CRITICAL,
-                        )
-                    )
+                    settings = {
+                        "n_workers": workers,
+                        "threads_per_worker": 1,
+                        "processes": True,
+                        "dashboard_address": None,
+                        "host": "127.0.0.1",
+                        "local_directory": opened.enter_context(folder),
+                        "silence_logs": logging.CRITICAL,
+                    }
+                    self._processes = opened.enter_context(distributed.LocalCluster(**settings))
                 self._client = opened.enter_context(
                     distributed.Client(
                         scheduler or self._processes,

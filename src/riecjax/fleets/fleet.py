@@ -7,24 +7,28 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from riecjax import BlockBootstrap, DataError, Equation, ModelError, Summary
-from riecjax.criteria import criterion_for
+from riecjax import BlockBootstrap, DataError, Equation, Summary
 from riecjax.equations import HasProcedure, Procedure
 from riecjax.errors import require
-from riecjax.estimation import plan_parameters
 from riecjax.extensions import require_packages
 from riecjax.fleets.engine import Engine, Lost, engine
 from riecjax.fleets.groups import Entry, estimated, grouped, named
-from riecjax.fleets.kept import ESTIMATES, SumStore, is_result, is_table, read_rows, write_batches
+from riecjax.fleets.kept import (
+    ESTIMATES,
+    SumStore,
+    is_result,
+    is_table,
+    make_folder,
+    read_rows,
+    write_batches,
+)
 from riecjax.fleets.order import Order
 from riecjax.fleets.report import Fleet
 from riecjax.fleets.settings import Fleets, Progress
 from riecjax.fleets.sources import Piece, Source, find_sources
-from riecjax.fleets.spread import changes, spreads
 from riecjax.fleets.sums import DONE, Row, lost, sum_up
 from riecjax.models import as_model
-from riecjax.settings import Reading, taking
-from riecjax.whole_files import no_folder
+from riecjax.settings import taking
 
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
 
@@ -63,9 +67,9 @@ def fleet(
     for pattern in listed or [None]:
         require("a pattern", pattern, str | os.PathLike, PATTERNS)
     tell: Progress = settings.progress or (lambda *_: None)
-    if settings.intervals in (None, "bootstrap"):
-        settings = dataclasses.replace(settings, intervals=BlockBootstrap(seed=settings.seed))
-    settings = dataclasses.replace(settings, progress=None, storage=settings.storage or {})
+    is_usual = settings.intervals in (None, "bootstrap")
+    intervals = BlockBootstrap(seed=settings.seed) if is_usual else settings.intervals
+    settings = dataclasses.replace(settings, intervals=intervals, progress=None)
     asked = Order(as_model(model), settings)
     with contextlib.ExitStack() as stack:
         folder = Path(
@@ -73,19 +77,18 @@ def fleet(
         )
 
         def look() -> list[Source]:
-            return find_sources(listed, settings.storage, lambda path: is_result(folder, path))
+            return find_sources(listed, asked.storage, lambda path: is_result(folder, path))
 
         table, sources = Path(listed[0]), []
         if has_table := len(listed) == 1 and is_table(table):
-            order = _order_of(table, asked)
+            row = next((row for row in read_rows(table) if row.status == DONE), None)
+            if row is None:
+                raise DataError(f"{table.name}: no recording of it could be summed.")
+            order = asked.of_table(table.name, Summary.from_bytes(row.sums))
         else:
             sources = look()
             order = asked.fitted(sources)
-            plan_parameters(order.procedure, 1, settings.known, ())
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(no_folder(folder, error)) from None
+        make_folder(folder)
         store = None if has_table else SumStore(folder, order)
         runs = stack.enter_context(engine(settings.workers, settings.scheduler))
         changed: list[str] = []
@@ -106,8 +109,6 @@ def fleet(
         order.criterion,
         entries,
         over_time,
-        spreads(entries),
-        changes(over_time),
         [row for _, row in pairs],
         changed,
     )
@@ -116,39 +117,8 @@ def fleet(
     return found
 
 
-def _order_of(table: Path, asked: Order) -> Order:
-    """The order with what the recordings of an earlier run were summed by.
-
-    **Raises:** `DataError` for settings by which no sample can be read again; `ModelError` for sums
-    of another model, or by another criterion than is asked for.
-    """
-    settings = asked.settings
-    if unheeded := [name for name in Reading.options() if settings.says(name)]:
-        raise DataError(
-            f"{table.name} holds sums, of which no sample is read again: it cannot heed "
-            f"{', '.join(unheeded)}. Leave that out, or give the recordings."
-        )
-    row = next((row for row in read_rows(table) if row.status == DONE), None)
-    if row is None:
-        raise DataError(f"{table.name}: no recording of it could be summed.")
-    summary = Summary.from_bytes(row.sums)
-    order = dataclasses.replace(asked, criterion=summary.criterion)
-    summary.require_model(order.procedure)
-    criterion = criterion_for(settings, order.procedure, order.model.band, ())
-    if criterion is not None and criterion.describe() != summary.criterion.describe():
-        raise ModelError(
-            f"{table.name} holds sums by {summary.criterion.describe()}; for another criterion sum "
-            f"the recordings anew."
-        )
-    return order
-
-
 def _sum(
-    order: Order,
-    pieces: Sequence[Piece],
-    store: SumStore,
-    runs: Engine,
-    tell: Progress,
+    order: Order, pieces: Sequence[Piece], store: SumStore, runs: Engine, tell: Progress
 ) -> None:
     """Keep the rows of all pieces, of which those that are kept already are not summed again.
 
@@ -164,10 +134,9 @@ def _sum(
         for some, rows in runs.each(sum_up, order.packed, missing, lambda p: p.source.size):
             if isinstance(rows, Lost):
                 rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
-            if order.settings.strict and (
-                reason := next((r.status for r in rows if r.status != DONE), "")
-            ):
-                raise DataError(reason)
+            failures = [row.status for row in rows if row.status != DONE]
+            if failures and order.settings.strict:
+                raise DataError(failures[0])
             store.add(rows)
             done += len(some)
             samples += sum(row.samples for row in rows)

@@ -16,7 +16,7 @@ from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.fleets.engine import batches
 from riecjax.fleets.order import Order
 from riecjax.fleets.sums import DONE, Row
-from riecjax.whole_files import write_file
+from riecjax.whole_files import no_folder, write_file
 
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
 ESTIMATES = "estimates.parquet"
@@ -33,6 +33,17 @@ def is_result(folder: Path, path: str) -> bool:
     """Whether a path is one of those that a run writes into a folder, and no recording."""
     below = os.path.relpath(path, folder).replace(os.sep, "/")
     return below in RESULTS or below.startswith(f"{PARTS}/")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder that is to be written to.
+
+    **Raises:** `DataError` where that cannot be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(no_folder(folder, error)) from None
 
 
 def write_batches(

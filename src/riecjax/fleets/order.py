@@ -7,17 +7,19 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from riecjax import DOLS, Model, Recording, read_recordings
+from riecjax import DOLS, Model, Recording, Summary, read_recordings
 from riecjax.criteria import AbstractCriterion, criterion_for
 from riecjax.equations import Procedure, with_rests
 from riecjax.errors import DataError, ModelError, reason_of
+from riecjax.estimation import plan_parameters
 from riecjax.fleets.settings import Fleets
 from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, rows_at_hand, stretches
 from riecjax.runtime import collect_seldom, start_jax
@@ -67,6 +69,11 @@ class Order:
     def procedure(self) -> Procedure:
         """The model's equations, built once."""
         return with_rests(self.model.build_procedure(), self.settings.at_rest)
+
+    @property
+    def storage(self) -> Mapping[str, Any]:
+        """What fsspec is told of the store."""
+        return self.settings.storage or {}
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -121,11 +128,14 @@ class Order:
         """The same with what the first recording that can be read says of how all are sampled.
 
         **Raises:** what the first recording fails by, where none of the first can be read;
-        `ModelError` for a criterion that draws windows.
+        `ModelError` for a criterion that draws windows, and for known values that are none.
         """
         first = self._first(sources)
-        criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
-        criterion = criterion or default_criterion(self.model, first, self.settings.noise)
+        plan_parameters(self.procedure, 1, self.settings.known, ())
+        if self.settings.says_of_criterion:
+            criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
+        else:
+            criterion = default_criterion(self.model, first, self.settings.noise)
         if criterion.needs_key:
             raise ModelError(
                 "a fleet sums all windows: give rx.RIEC(rx.AllWindows(alpha, beta)) (on the "
@@ -147,6 +157,27 @@ class Order:
             window=math.ceil(order.longest / step) + 2,
         )
 
+    def of_table(self, name: str, summary: Summary) -> "Order":
+        """The same with what the recordings of an earlier run were summed by, as one of them says.
+
+        **Raises:** `DataError` for settings by which no sample can be read again; `ModelError` for
+        sums of another model, or by another criterion than is asked for.
+        """
+        if unheeded := [n for n in self.settings.reading.options() if self.settings.says(n)]:
+            raise DataError(
+                f"{name} holds sums, of which no sample is read again: it cannot heed "
+                f"{', '.join(unheeded)}. Leave that out, or give the recordings."
+            )
+        summary.require_model(self.procedure)
+        criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
+        asked_for = self.settings.says_of_criterion
+        if asked_for and criterion.describe() != summary.criterion.describe():
+            raise ModelError(
+                f"{name} holds sums by {summary.criterion.describe()}; for another criterion sum "
+                f"the recordings anew."
+            )
+        return dataclasses.replace(self, criterion=summary.criterion)
+
     def _first(self, sources: Sequence[Source]) -> Recording:
         """The first recording that can be read, or as much of it as is enough."""
         errors: list[Exception] = []
@@ -155,11 +186,11 @@ class Order:
             # What is wrong with one recording is told by its row.
             try:
                 if source.is_long or (source.is_parquet and columns):
-                    piece = recordings_of(source, columns, self.settings.storage)[0]
+                    piece = recordings_of(source, columns, self.storage)[0]
                     high = min(piece.high, piece.low + LOOKED_AT)
-                    opening = rows_at_hand(piece, piece.low, high, self.settings.storage)
+                    opening = rows_at_hand(piece, piece.low, high, self.storage)
                 else:
-                    opening = at_hand(source, self.settings.storage)
+                    opening = at_hand(source, self.storage)
                 with opening as file:
                     return self.recordings_in(file)[0]
             except Exception as error:
@@ -177,9 +208,7 @@ class Order:
             if source.is_long:
                 # Whoever sums it says why not.
                 with contextlib.suppress(Exception):
-                    recordings = recordings_of(
-                        source, self.columns_in(source), self.settings.storage
-                    )
+                    recordings = recordings_of(source, self.columns_in(source), self.storage)
             for recording in recordings:
                 if recording.stop:
                     yield from stretches(recording, self.starts, self.window)

@@ -1,5 +1,6 @@
 """Results of a fleet: the document, what is said in a sentence, and tables on a terminal."""
 
+import functools
 import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -13,7 +14,7 @@ from riecjax import Model
 from riecjax.criteria import AbstractCriterion
 from riecjax.extensions import require_packages
 from riecjax.fleets.groups import Entry
-from riecjax.fleets.spread import ALARMS, RATE, Change, Spread
+from riecjax.fleets.spread import ALARMS, RATE, Change, Spread, changes, spreads
 from riecjax.fleets.sums import DONE, Row
 from riecjax.reporting import (
     SCHEMA,
@@ -70,10 +71,8 @@ class Fleet(Shown):
     - `model`; `by`, what groups are; `criterion` that made the sums.
     - `entries`: one for each parameter of each group, and one for each recording that failed.
     - `over_time`: the same for each span of time of each recording, if asked for.
-    - `spreads` of each parameter over groups, and `changes` over time.
     - `recordings`: one row for each, or for each stretch of a long one, without its sums.
     - `changed`: sources that went on changing while they were summed, and count as they were then.
-    - `rate` of false discoveries among groups that are called different.
     """
 
     model: Model
@@ -81,11 +80,18 @@ class Fleet(Shown):
     criterion: AbstractCriterion
     entries: Sequence[Entry]
     over_time: Sequence[Entry]
-    spreads: Sequence[Spread]
-    changes: Sequence[Change]
     recordings: Sequence[Row]
     changed: Sequence[str] = ()
-    rate: float = RATE
+
+    @functools.cached_property
+    def spreads(self) -> list[Spread]:
+        """Of each parameter, how it is spread over groups."""
+        return spreads(self.entries)
+
+    @functools.cached_property
+    def changes(self) -> list[Change]:
+        """Steps of parameters over time."""
+        return changes(self.over_time)
 
     @property
     def failures(self) -> list[Row]:
@@ -178,7 +184,7 @@ def fleet_document(fleet: Fleet, command: Sequence[str] = (), seconds: float = 0
             }
             for row, some, worst in amiss[:LISTED]
         ],
-        "rate": fleet.rate,
+        "rate": RATE,
         "warnings": [],
         "provenance": {
             "versions": versions(),
@@ -234,47 +240,62 @@ def tables_of(document: Document, most: int) -> dict[str, Table]:
     """Tables of a document by what they are of; lists are cut short after so many rows."""
     spreads = document["parameters"]
 
+    def texts(entry: Document, *names: str) -> list[str]:
+        return [str(entry[name]) for name in names]
+
+    def numbers(entry: Document, *names: str, digits: int = 6) -> list[str]:
+        return [number(entry[name], digits) for name in names]
+
     def further(whole: int, rows: Sequence[object]) -> str:
         return f" {whole - len(rows)} more: estimates.parquet." if whole > len(rows) else ""
 
     estimates = [
         [
-            *(e[name] for name in ("group", "parameter", "unit")),
-            *(number(e[name]) for name in ("value", "low95", "high95")),
-            e["verdict"],
+            *texts(entry, "group", "parameter", "unit"),
+            *numbers(entry, "value", "low95", "high95"),
+            entry["verdict"],
         ]
-        for e in document["estimates"]
+        for entry in document["estimates"]
     ]
     over_groups = [
         [
-            *(name, spread["unit"], str(spread["groups"]), number(spread["mean"])),
-            *(number(spread[each], 2) for each in ("std_error", "between", "within")),
-            *(f"{100 * spread['share']:.0f} %", probability(spread["p_value"])),
+            name,
+            *texts(spread, "unit", "groups"),
+            number(spread["mean"]),
+            *numbers(spread, "std_error", "between", "within", digits=2),
+            f"{100 * spread['share']:.0f} %",
+            probability(spread["p_value"]),
             str(spread["differing_count"]),
         ]
         for name, spread in spreads.items()
     ]
     differing = [
         [
-            *(group["group"], name, number(group["value"]), number(spread["centre"])),
-            *(f"{100 * group['away']:+.2g} %", probability(group["adjusted"])),
+            group["group"],
+            name,
+            *(number(group["value"]), number(spread["centre"])),
+            f"{100 * group['away']:+.2g} %",
+            probability(group["adjusted"]),
         ]
         for name, spread in spreads.items()
         for group in spread["differing"][:most]
     ]
     changes = [
         [
-            *(change["group"], change["parameter"], number(change["time"], 4)),
-            *(number(change[side]) for side in ("before", "after")),
+            *texts(change, "group", "parameter"),
+            number(change["time"], 4),
+            *numbers(change, "before", "after"),
         ]
         for change in document["changes"][:most]
     ]
-    left_out = [[each["recording"], each["why"]] for each in document["left_out"][:most]]
-    left_out += [[each["group"], each["why"]] for each in document["unanswered"][:most]]
+    left_out = [texts(each, "recording", "why") for each in document["left_out"][:most]]
+    left_out += [texts(each, "group", "why") for each in document["unanswered"][:most]]
     worst = [
         [
-            *(each["recording"], ", ".join(each["codes"])),
-            *(f"{100 * each['doubt']:.2g} %" if each["doubt"] else "", each["message"]),
+            each["recording"],
+            ", ".join(each["codes"]),
+            f"{100 * each['doubt']:.2g} %" if each["doubt"] else "",
+            each["message"],
         ]
         for each in document["worst"][:most]
     ]

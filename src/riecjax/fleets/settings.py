@@ -45,7 +45,7 @@ class Groups(Settings):
     """End at the first recording that cannot be summed."""
 
     def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.Contradiction]; `ModelError` for numbers that are none."""
+        """**Raises:** [`Contradiction`][riecjax.Contradiction]; `ModelError` for no number."""
         if not self.keys or not all(isinstance(key, str) and key for key in self.keys):
             raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
         if self.span is not None and not 0 < self.span < math.inf:

@@ -75,12 +75,9 @@ class Spread(NamedTuple):
     differing: tuple[Differing, ...]
 
 
-def spreads(entries: Iterable[Entry], rate: float = RATE) -> list[Spread]:
-    """Of each parameter that enough groups have a value of that is not ruled out.
-
-    **Arguments:** `rate` of false discoveries among groups that are called different, over all
-    parameters together.
-    """
+def spreads(entries: Iterable[Entry]) -> list[Spread]:
+    """Of each parameter that enough groups have a value of that is not ruled out; false discoveries
+    are counted over all parameters together."""
     from statsmodels.stats.meta_analysis import combine_effects
 
     by_name: dict[str, list[Entry]] = {}
@@ -102,7 +99,7 @@ def spreads(entries: Iterable[Entry], rate: float = RATE) -> list[Spread]:
         differing = [
             Differing(entry.group, value, value / centre - 1, p, q)
             for entry, value, p, q in zip(every, values, chances, own)
-            if q <= rate
+            if q <= RATE
         ]
         found.append(
             Spread(

@@ -74,17 +74,16 @@ def rows_of(order: Order, piece: Piece) -> list[Row]:
             add(piece.part, _row_of_stretch, piece)
             release_memory()
         elif source.is_parquet and columns:
-            for run in recordings_of(source, columns, order.settings.storage):
+            for run in recordings_of(source, columns, order.storage):
                 add(run.part, _row_of_stretch, run)
         else:
-            with at_hand(source, order.settings.storage) as file:
+            with at_hand(source, order.storage) as file:
                 for recording in order.recordings_in(file):
                     add(recording.part, _row, piece, recording)
     except Exception as error:
         rows = [lost(piece, reason_of(error))]
-    return [row._replace(piece=piece.identity) for row in rows] or [
-        lost(piece, "it holds no rows.")
-    ]
+    rows = rows or [lost(piece, "it holds no rows.")]
+    return [row._replace(piece=piece.identity) for row in rows]
 
 
 def lost(piece: Piece, why: str, part: str = "") -> Row:
@@ -95,7 +94,7 @@ def lost(piece: Piece, why: str, part: str = "") -> Row:
 def _row_of_stretch(order: Order, piece: Piece) -> Row:
     """The row of some rows of a source."""
     low, high = piece.reach(order.window)
-    with rows_at_hand(piece, low, high, order.settings.storage) as file:
+    with rows_at_hand(piece, low, high, order.storage) as file:
         (recording,) = order.recordings_in(file)
     if recording.record.sample_count != high - low:
         raise DataError(
@@ -128,10 +127,8 @@ def _row(
         starts=starts,
     )
     (sums,), (digest,) = summary.recordings, summary.digests
-    samples, findings = (
-        int(sums.samples),
-        recording_findings(order.procedure, recording, order.criterion),
-    )
+    samples = int(sums.samples)
+    findings = recording_findings(order.procedure, recording, order.criterion)
     return Row(
         piece.identity,
         piece.source.name,

@@ -9,7 +9,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from riecjax.criteria.test_functions import AbstractTestFunction
 from riecjax.errors import ModelError, require, users_code
 from riecjax.models.model import Model, Quantity, as_model
 from riecjax.whole_files import no_file

@@ -13,8 +13,8 @@ from riecjax.records.reading.channels import Channels
 from riecjax.records.reading.selection import column_named, record_from_channels
 from riecjax.records.reading.times import find_time, is_called_time
 from riecjax.records.reading.units import readings, split_unit, unit_behind
+from riecjax.settings import Select
 from riecjax.settings.toml import quoted_key, toml_value
-from riecjax.settings.tree import Select
 
 
 def _commented(text: str) -> str:

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from riecjax.errors import ModelError, require, users_code
-from riecjax.settings.tree import Elements
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from riecjax.equations.term import AbstractTerm
     from riecjax.records.record import Record
     from riecjax.refinement.objective import AbstractParametric
-    from riecjax.settings.tree import Elements
+    from riecjax.settings import Elements
     from riecjax.simulation.equation_system import Attachment
     from riecjax.simulation.system import AbstractSystem
 
@@ -124,6 +123,7 @@ class Model(Shown):
         self,
         added: Mapping[str, Sequence[AbstractTerm]],
         memories: Sequence[Memory] = (),
+        values: Mapping[str, float] | None = None,
         meanings: Mapping[str, str] | None = None,
     ) -> Model:
         """The same model with further terms, see [`Procedure.with_terms`][].
@@ -132,8 +132,8 @@ class Model(Shown):
         before hidden elements are added.
 
         **Arguments:** `added`, terms by the name of their equation; `memories`, states that they
-        read and recordings lack, see [`Procedure.with_memories`][]; `meanings` of parameters that
-        are added.
+        read and recordings lack, see [`Procedure.with_memories`][]; `values` of parameters to
+        simulate with; `meanings` of those that are added.
 
         **Raises:** as [`Procedure.with_terms`][].
         """
@@ -151,7 +151,7 @@ class Model(Shown):
         return replace(
             self,
             procedure=lambda: procedure,
-            parameters=tuple(own),
+            parameters=_with_defaults(own, values),
             system=None,
             own_simulation_parameters=(),
             written=(),
@@ -216,7 +216,7 @@ class Model(Shown):
             if kind not in added:
                 from riecjax.extensions import element
 
-                others.append((element(kind), signal, hertz))
+                others.append((element(kind, [*added]), signal, hertz))
             elif kind == "mode":
                 added[kind].append((signal, hertz))
             else:

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.findings import Finding, option_for
-from riecjax.records.derived import line_taken_off
+from riecjax.findings import Finding, line_taken_off, option_for
 from riecjax.records.faults.derivative_pairs import GROSS, PPM, Pair, compare
 from riecjax.records.faults.relations import Pairs, Relation, relations, with_sum
 from riecjax.records.faults.rows import cut_rows

@@ -38,20 +38,6 @@ OPERATIONS: dict[type, Callable[..., np.ndarray]] = {
 }
 
 
-def line_taken_off(name: str, time: np.ndarray, offset: float, change: float) -> tuple[str, ...]:
-    """The option that takes an offset off a signal, and a change along the record about its middle.
-
-    A formula, and not the mean or the straight line of what was recorded: those are the machine's
-    as well, as far as it does not come back to where it began. None for a name that no formula has.
-    """
-    if not name.isidentifier():
-        return ()
-    rate, middle = change / float(time[-1] - time[0]), 0.5 * (time[0] + time[-1])
-    constant = f"-({offset:.6g})" if offset else ""
-    line = f"-({rate:.6g})*(t-{middle:.15g})" if change else ""
-    return ("--derive", f"{name}={name}{constant}{line}")
-
-
 def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """The values of a formula of numbers, columns, `+ - * / **` and a few functions.
 
@@ -79,17 +65,6 @@ def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         raise ModelError(f"the formula {formula[:40]!r}... is nested too deep.") from None
     length = next((values.size for values in columns.values()), 1)
     return np.array(np.broadcast_to(value, (length,)), dtype=float)
-
-
-def with_derived(
-    values: dict[str, np.ndarray], time: np.ndarray | None, derive: Mapping[str, str]
-) -> dict[str, np.ndarray]:
-    """Columns, and those of formulas of them and of the time `t`; shapes `(n,)`."""
-    values = dict(values)
-    for name, formula in derive.items():
-        known = values if time is None or "t" in values else {**values, "t": time}
-        values[name] = derived(formula, known)
-    return values
 
 
 def sensitivities(

@@ -11,8 +11,7 @@ from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import split_unit
 from riecjax.records.record import Record
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Frame
+from riecjax.settings import Frame, taking
 
 
 @taking(Frame)

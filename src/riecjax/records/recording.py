@@ -24,8 +24,7 @@ from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import same, split_unit
 from riecjax.records.record import Record, Records, as_records
-from riecjax.settings.option import taking
-from riecjax.settings.tree import Reading, Select
+from riecjax.settings import Reading, Select, taking
 from riecjax.shows import Drawn
 
 

@@ -34,10 +34,7 @@ def check_document(
         "by_refinement": by_refinement,
         "records": [
             {
-                "file": printable(recording.source),
-                "part": recording.part or None,
-                "samples": recording.record.sample_count,
-                "time_step": float(recording.record.time_step),
+                **recording_entry(recording),
                 "duration": float(recording.record.duration),
                 "stretches": len(recording.record.segments(checked.signals)),
             }
@@ -52,6 +49,16 @@ def check_document(
             "preparation": common_steps([r.concerning(checked.signals) for r in recordings]),
             "versions": versions(),
         },
+    }
+
+
+def recording_entry(recording: Recording) -> Document:
+    """Where a recording is from, and how it is sampled."""
+    return {
+        "file": printable(recording.source),
+        "part": recording.part or None,
+        "samples": recording.record.sample_count,
+        "time_step": float(recording.record.time_step),
     }
 
 

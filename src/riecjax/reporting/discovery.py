@@ -21,7 +21,7 @@ from riecjax.reporting.document import (
     versions,
 )
 from riecjax.reporting.equations import equation_in_words
-from riecjax.reporting.estimate import parameter_entries, parameter_table
+from riecjax.reporting.estimate import known_entries, parameter_entries, parameter_table
 from riecjax.reporting.page import Page, Section
 from riecjax.reporting.tables import Table, in_rich, print_table, say
 
@@ -38,7 +38,6 @@ def discovery_document(
     was written to.
     """
     procedure = found.model.build_procedure()
-    units = dict(found.estimate.units)
     return {
         "schema": SCHEMA,
         "model": found.start.name,
@@ -77,10 +76,7 @@ def discovery_document(
         "held_out": found.held_out,
         "delays": {name: finite(late) for name, late in found.delays.items()},
         "parameters": _parameters(found),
-        "known": {
-            name: {"value": finite(found.estimate[name]), "unit": units.get(name, "")}
-            for name in found.estimate.known
-        },
+        "known": known_entries(found.estimate),
         "equation": "; ".join(
             [
                 *map(equation_in_words, procedure.equations),

@@ -8,6 +8,7 @@ from jaxtyping import Array
 from rich.console import Console
 
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
+from riecjax.refinement.refine import Refined
 from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number
 from riecjax.reporting.tables import Table, in_rich, print_table, say
 
@@ -32,7 +33,7 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
             estimate.stage_names, estimate.equation_names, estimate.stages
         )
     ]
-    units, parameters = dict(estimate.units), parameter_entries(estimate)
+    parameters = parameter_entries(estimate)
     # Of each parameter, what only the linear estimate says of its windows too.
     for i, name in enumerate(estimate.parameters):
         parameters[name] |= {
@@ -44,10 +45,7 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
         "model": model,
         "criterion": estimate.criterion.describe(),
         "parameters": parameters,
-        "known": {
-            name: {"value": finite(estimate[name]), "unit": units.get(name, "")}
-            for name in estimate.known
-        },
+        "known": known_entries(estimate),
         "condition_number": finite(estimate.condition_number),
         "rank": _whole(estimate.rank),
         "residual": {
@@ -124,6 +122,21 @@ def parameter_table(document: Mapping[str, Any], interval: str = "{} .. {}") -> 
         for row in rows:
             row.insert(place, number(beside[row[0]]["value"]) if row[0] in beside else "")
     return Table(header, rows)
+
+
+def known_entries(estimate: AbstractEstimate) -> dict[str, Any]:
+    """Value and unit of each parameter that was not estimated; lists of a batch."""
+    units = dict(estimate.units)
+    return {n: {"value": finite(estimate[n]), "unit": units.get(n, "")} for n in estimate.known}
+
+
+def intervals_entry(estimate: Estimate | Refined) -> Document:
+    """Where the intervals of one estimate come from."""
+    return {
+        "method": estimate.uncertainty.label,
+        "blocks": int(estimate.block_count),
+        "block_seconds": float(estimate.block_length),
+    }
 
 
 def parameter_entries(estimate: AbstractEstimate) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.extensions import require_packages
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
-from riecjax.reporting.document import Document, finite
-from riecjax.reporting.estimate import estimate_entries, parameter_entries
+from riecjax.reporting.document import Document
+from riecjax.reporting.estimate import estimate_entries, known_entries, parameter_entries
 from riecjax.reporting.identification import identification_document
 from riecjax.reporting.tables import Table, in_latex, in_markdown, with_error
 
@@ -38,11 +38,7 @@ def document_of(source: Any) -> Document:
 
 @document_of.register
 def _(source: AbstractEstimate) -> Document:
-    units = dict(source.units)
-    known = {
-        name: {"value": finite(source[name]), "unit": units.get(name, "")} for name in source.known
-    }
-    return {"parameters": parameter_entries(source), "known": known}
+    return {"parameters": parameter_entries(source), "known": known_entries(source)}
 
 
 @document_of.register

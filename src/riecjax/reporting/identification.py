@@ -9,19 +9,20 @@ import numpy as np
 from rich.console import Console
 
 from riecjax.assessment.assessment import Assessment, Refinement
-from riecjax.errors import printable
 from riecjax.records.recording import common_steps
 from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import (
     excitation_entries,
     noise_entries,
     noise_in_words,
+    recording_entry,
     start_times,
 )
 from riecjax.reporting.document import Document, finite, number, versions
 from riecjax.reporting.equations import procedure_in_words
 from riecjax.reporting.estimate import (
     estimate_entries,
+    intervals_entry,
     parameter_entries,
     print_estimate,
 )
@@ -85,23 +86,11 @@ def identification_document(
         "provenance": {
             "command": as_typed(command) if command else None,
             "seed": seed,
-            "records": [
-                {
-                    "file": printable(recording.source),
-                    "part": recording.part or None,
-                    "samples": recording.record.sample_count,
-                    "time_step": float(recording.record.time_step),
-                }
-                for recording in result.recordings
-            ],
+            "records": [recording_entry(recording) for recording in result.recordings],
             "start_times": start_times(result.recordings),
             "preparation": common_steps(result.recordings),
             "converted": {k: u for r in result.recordings for k, u in r.converted.items()},
-            "intervals": {
-                "method": estimate.uncertainty.label,
-                "blocks": int(estimate.block_count),
-                "block_seconds": float(estimate.block_length),
-            },
+            "intervals": intervals_entry(estimate),
             "versions": versions(),
         },
     }
@@ -296,11 +285,7 @@ def _search(refined: Refined | None) -> Document:
                 refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
             )
         },
-        "intervals": {
-            "method": refined.uncertainty.label,
-            "blocks": int(refined.block_count),
-            "block_seconds": float(refined.block_length),
-        },
+        "intervals": intervals_entry(refined),
         "at_bound": [n for n, there in zip(refined.parameters, refined.at_bound) if bool(there)],
     }
 

@@ -44,19 +44,17 @@ def identification_page(document: Document) -> Page:
         _choice(document["window_choice"]),
         _recordings(document),
     ]
+    groups = []  # what lies behind some warnings, and what it concerns
+    for cause in document["verdict"]["causes"]:
+        names, said = ", ".join(cause["parameters"]), _sentence(cause["phrase"])[:-1]
+        groups.append((said if said.endswith(names) else f"{said}: {names}", cause["codes"]))
     return Page(
         f"{document['model']} from {files}",
         document["verdict"]["sentence"],
         [section for section in sections if section is not None],
         _answer(document),
-        [(_title(cause), cause["codes"]) for cause in document["verdict"]["causes"]],
+        groups,
     )
-
-
-def _title(cause: Document) -> str:
-    """What lies behind some warnings, and what it concerns."""
-    names, said = ", ".join(cause["parameters"]), _sentence(cause["phrase"])[:-1]
-    return said if said.endswith(names) else f"{said}: {names}"
 
 
 def _answer(document: Document) -> Section:

@@ -28,7 +28,7 @@ class Kind:
 
 def number_text(value: float) -> str:
     """The shortest text that is read as the same number."""
-    return str(int(value)) if float(value).is_integer() else repr(float(value))
+    return str(value) if isinstance(value, int) else repr(float(value)).removesuffix(".0")
 
 
 def number(name: str, condition: Callable[[float], bool], words: str, kind: type = float) -> Kind:
@@ -93,20 +93,23 @@ FINITE = number("number", math.isfinite, "is not a finite number")
 SHARE = number("share", lambda value: 0 < value < 1, "must lie between 0 and 1")
 
 
+def word_or(word: str, kind: Kind, form: str) -> Kind:
+    """A word, or a value of a kind."""
+
+    def parse(text: str) -> Any:
+        if text == word:
+            return word
+        try:
+            return kind.parse(text)
+        except ValueError as error:
+            raise ValueError(f"{str(error).rstrip('.')}, nor '{word}'.") from None
+
+    return Kind(form, parse, lambda value: word if value == word else kind.write(value))
+
+
 MOST_WINDOWS = 100_000_000
-
-
-def _window_count(text: str) -> int | str:
-    if text == "all":
-        return text
-    with refusing(f"'{text}' is neither a whole number nor 'all'."):
-        count = int(text)
-    if not 1 <= count <= MOST_WINDOWS:
-        raise ValueError(f"{count} is not between 1 and {MOST_WINDOWS}.")
-    return count
-
-
-WINDOW_COUNT = Kind("N|all", _window_count)
+WINDOW_COUNT = word_or("all", whole(1, MOST_WINDOWS), "N|all")
+HERTZ_OR_AUTO = word_or("auto", POSITIVE, "HZ|auto")
 
 TEST_FUNCTIONS = ("auto", "boxcar", "hat", "bump")
 """As in `criteria.test_functions`, whose import takes JAX."""
@@ -120,17 +123,6 @@ def _test_function(text: str) -> str:
 
 
 TEST_FUNCTION = Kind("|".join((*TEST_FUNCTIONS, "FILE.py:CLASS")), _test_function, path="code")
-
-
-def _hertz(text: str) -> float | str:
-    return text if text == "auto" else POSITIVE.parse(text)
-
-
-def _hertz_text(value: float | str) -> str:
-    return value if isinstance(value, str) else number_text(value)
-
-
-HERTZ_OR_AUTO = Kind("HZ|auto", _hertz, _hertz_text)
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -10,6 +10,8 @@ import difflib
 import functools
 import inspect
 import itertools
+import json
+import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -232,14 +234,12 @@ def _encodes(text: str) -> bool:
 
 def _number(text: str) -> float | str:
     """The number that is written so and not otherwise, or the text."""
-    for kind in (int, float):
-        try:
-            value = kind(text)
-        except ValueError:
-            continue
-        if number_text(value) == text:
-            return value
-    return text
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return text
+    is_number = type(value) in (int, float) and math.isfinite(value)
+    return value if is_number and number_text(value) == text else text
 
 
 PYTHON_FILE = re.compile(r"(?P<file>.+\.py)(?P<object>:[^:/\\]*)?")
@@ -381,9 +381,11 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
         return {} if option.default == {} else None
     if option.free or value in option.alone:
         return value
+    named = option.form.rpartition("|")[2].partition("=")[0].lower()
+    one = value if isinstance(value, str) else "x"
     shapes: dict[str, tuple[Any, str]] = {
-        "named": (Mapping, f"{name}={{'x': ...}}, by the signal's name"),
-        "many": (list | tuple, f"{name}=('x',), a tuple of names"),
+        "named": (Mapping, f"{name}={{'x': ...}}, by {named}"),
+        "many": (list | tuple, f"{name}=({one!r},), a tuple"),
         "once": (list | tuple if option.count > 1 else object, f"{name}=(1.0, 10.0)"),
         "flag": (bool, f"{name}=True"),
         "switch": (bool, f"{name}=False"),

@@ -255,6 +255,11 @@ class Fit(Fitted):
     """Order of the integrals in the time step, for test functions that have one."""
 
     @property
+    def says_of_criterion(self) -> bool:
+        """Whether a criterion is asked for, so that it is not the one that suits."""
+        return self.criterion not in (None, "riec") or self.says_of_windows
+
+    @property
     def says_of_windows(self) -> bool:
         """Whether anything is said of the windows."""
         return self.says(*WINDOWS)
@@ -412,14 +417,14 @@ class Assess(Validate, Uncertainty, Sharing, Known, Refine, Fit):
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
         Fit.require_sense(self)
         Refine.require_sense(self)
-        simulates = self.hold_out is not None or len(self.validate_on) or self.refine == "auto"  # type: ignore[arg-type]
-        if self.horizon is not None and self.refine in (None, "none", "integral") and not simulates:
+        validates = self.hold_out is not None or bool(self.validate_on)
+        if self.horizon is not None and self.refine in (None, "none", "integral") and not validates:
             raise Contradiction(
                 "{horizon} goes with {refine:auto} or {refine:output-error}, or with {hold_out} or "
                 "{validate_on}: nothing else is simulated.",
                 self.options(),
             )
-        if self.per_record and len(self.validate_on):  # type: ignore[arg-type]
+        if self.per_record and self.validate_on:
             raise Contradiction(
                 "{per_record} gives a parameter no value on the recordings of {validate_on}: use "
                 "one of the two.",

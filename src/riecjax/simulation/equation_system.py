@@ -405,26 +405,21 @@ def _motions(
             chain.append(names.get(chain[-1], f"d{chain[-1]}"))
         motions.append(Motion(signal, tuple(chain)))
     if not motions:
-        raise ModelError(f"{label} cannot be simulated: {_why_static(equations)}")
-    return tuple(motions)
-
-
-def _why_static(equations: tuple[Equation, ...]) -> str:
-    """Why no signal is a state, and what to write."""
-    for equation in equations:
-        for term in equation.terms:
+        why = (
+            "it holds no derivative of a signal, so it is static and says nothing about motion. "
+            "Write what moves as a derivative, such as Term('m', 'x', derivative=2)."
+        )
+        for term in (term for equation in equations for term in equation.terms):
             if term.derivative and not isinstance(term.of, str):
-                read = ", ".join(signals_read(term.of))
-                return (
-                    f"it holds a derivative of the expression {label_of(term.of)} (of {read}) and "
-                    f"no derivative of a signal, so that no signal is a state. Make the expression "
-                    f"a signal first (on the command line: --derive NAME=FORMULA), and write the "
-                    f"term of that name."
+                why = (
+                    f"it holds a derivative of the expression {label_of(term.of)} (of "
+                    f"{', '.join(signals_read(term.of))}) and no derivative of a signal, so that "
+                    f"no signal is a state. Make the expression a signal first (on the command "
+                    f"line: --derive NAME=FORMULA), and write the term of that name."
                 )
-    return (
-        "it holds no derivative of a signal, so it is static and says nothing about motion. Write "
-        "what moves as a derivative, such as Term('m', 'x', derivative=2)."
-    )
+                break
+        raise ModelError(f"{label} cannot be simulated: {why}")
+    return tuple(motions)
 
 
 def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]) -> str:

@@ -100,23 +100,26 @@ def bends_of(
     second = jnp.pad(levels[2:] - 2 * levels[1:-1] + levels[:-2], ((1, 1), (0, 0)))
     resolved = _resolved(second, own)
     # Curvatures that give every interval its mean, of as many differences as are there.
-    of_mean, kernel, power = second, np.zeros(1), np.ones(1)
+    smooth_ones, kernel, power = second, np.zeros(1), np.ones(1)
     for reach, coefficient in enumerate(OF_MEAN):
         kernel = np.pad(kernel, min(reach, 1)) + coefficient * power
         power = np.convolve(power, [1, -2, 1])
         whole = _weighted(own.astype(int), np.ones(2 * reach + 1, int)) == 2 * reach + 1
-        of_mean = jnp.where(whole[:, None], _weighted(second, kernel), of_mean)
-    # Where it is not smooth, medians of the second differences around that are there.
-    around, beside = _around(second), _around(own)[:, :, None]
-    count = jnp.sum(beside, axis=0, keepdims=True)
-    ordered = jnp.sort(jnp.where(beside, around, jnp.inf), axis=0)
+        smooth_ones = jnp.where(whole[:, None], _weighted(second, kernel), smooth_ones)
+    # Elsewhere medians of the differences around each sample, of those that are there.
+    places = range(2 * REACH + 1)
+    differences, held = jnp.pad(second, ((REACH, REACH), (0, 0))), jnp.pad(own, REACH)
+    around = jnp.stack([differences[i : i + n] for i in places])
+    there_too = jnp.stack([held[i : i + n] for i in places])[:, :, None]
+    count = jnp.sum(there_too, axis=0, keepdims=True)
+    ordered = jnp.sort(jnp.where(there_too, around, jnp.inf), axis=0)
     middle = [
         jnp.take_along_axis(ordered, jnp.broadcast_to(index, (1, *second.shape)), axis=0)[0]
         for index in (jnp.maximum(count - 1, 0) // 2, count // 2)
     ]
     told = own[:, None] & (count[0] >= FEWEST)
     medians = jnp.where(told, 0.5 * (middle[0] + middle[1]), 0.0)
-    bends = jnp.where(resolved, of_mean, medians)
+    bends = jnp.where(resolved, smooth_ones, medians)
     return jnp.where((there & ~own)[:, None], _held_on(bends, own, resolved), bends)
 
 
@@ -159,13 +162,6 @@ def _weighted(values: Array, weights: np.ndarray) -> Array:
     padded = jnp.pad(values, [(weights.size // 2, weights.size // 2), *rest])
     parts = [weight * padded[i : i + n] for i, weight in enumerate(weights.tolist()) if weight]
     return functools.reduce(jnp.add, parts)
-
-
-def _around(values: Array) -> Array:
-    """Values of the samples around each, one after the other on a new leading axis."""
-    n, rest = values.shape[0], [(0, 0)] * (values.ndim - 1)
-    padded = jnp.pad(values, [(REACH, REACH), *rest])
-    return jnp.stack([padded[i : i + n] for i in range(2 * REACH + 1)])
 
 
 def curves_of(

@@ -487,7 +487,12 @@ class OnePass:
                     return None
                 in_groups = [np.concatenate([getattr(p, of) for p in group]) for group in groups]
                 in_bins = np.moveaxis(np.concatenate(in_groups, axis=1)[:count], 1, 0)
-                return _sum_of_groups(in_bins, grouped)
+                if grouped == 1:
+                    return in_bins
+                bins, blocks, *rest = in_bins.shape
+                missing = -blocks % grouped
+                padded = np.pad(in_bins, [(0, 0), (0, missing)] + [(0, 0)] * len(rest))
+                return padded.reshape(bins, -1, grouped, *rest).sum(2)
 
             def of_sources() -> np.ndarray | None:
                 groups = zip(*(part.moments for part in every))
@@ -501,10 +506,16 @@ class OnePass:
                     else None
                 )
 
-            sums = {name: joined(name) for name in ("moments", "noise", "constant")}
+            sums: dict[str, Any] = {n: joined(n) for n in ("moments", "noise", "constant")}
             sums["count"] = joined("number")
-            equation = self.procedure.stages[i][j]
-            return self._equation(equation, every, **sums, noise_of_source=of_sources())
+            surveys = [part.survey for part in every if part.survey is not None]
+            return EquationSums(
+                survey=_survey(surveys, float(self.record.skipped)) if surveys else None,
+                factor=None,
+                parameters=self.procedure.stages[i][j].parameters,
+                **sums,
+                noise_of_source=of_sources(),
+            )
 
         shape = [len(stage) for stage in self.procedure.stages]
         return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
@@ -568,7 +579,13 @@ class OnePass:
         given = (self.procedure, self.criterion, part, self.key)
         found = jax.tree.map(np.asarray, of_rows(*given, request))
         stages = self._stages([found], block, 1)
-        if not self._moments_suffice(stages):
+        # Whether some stage's moments lose more digits than its rows would. What is not finite is
+        # for the fit to refuse.
+        totals = []
+        for stage, names in zip(stages, self.procedure.stage_parameters):
+            apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
+            totals.append(np.asarray(sum_of_equations(apart, names).total().gram))
+        if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in totals):
             rows = all_rows(*given)
             stages = [
                 [
@@ -579,25 +596,6 @@ class OnePass:
             ]
         return block, stages
 
-    def _moments_suffice(self, stages: list[list[EquationSums]]) -> bool:
-        """Whether no stage's moments lose more digits than its rows would."""
-        for stage, names in zip(stages, self.procedure.stage_parameters):
-            apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
-            total = np.asarray(sum_of_equations(apart, names).total().gram)
-            # What is not finite is for the fit to refuse.
-            if np.isfinite(total).all() and not gram_suffices(total):
-                return False
-        return True
-
-    def _equation(self, equation: Equation, parts: list[PartSums], **sums: Any) -> EquationSums:
-        surveys = [p.survey for p in parts if p.survey is not None]
-        return EquationSums(
-            survey=_survey(surveys, float(self.record.skipped)) if surveys else None,
-            factor=None,
-            parameters=equation.parameters,
-            **sums,
-        )
-
 
 def _each(law: LagBins, index: slice | None) -> LagBins:
     """Some bins of a law; of `None`, all of it as one bin."""
@@ -607,16 +605,6 @@ def _each(law: LagBins, index: slice | None) -> LagBins:
 def _filled(samples: int) -> int:
     """How many samples a record is filled up to."""
     return next((length for length in FILLED if length >= samples), power_of_two(samples))
-
-
-def _sum_of_groups(values: np.ndarray, size: int) -> np.ndarray:
-    """Sums over groups of so many blocks that follow one another."""
-    if size == 1:
-        return values
-    count = -(-values.shape[1] // size)
-    behind = [(0, 0), (0, count * size - values.shape[1])] + [(0, 0)] * (values.ndim - 2)
-    filled = np.pad(values, behind)
-    return filled.reshape(values.shape[0], count, size, *values.shape[2:]).sum(2)
 
 
 def _survey(parts: Sequence[Surveyed], skipped: float) -> Survey:

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.suited import WRITE_CRITERION, suited, with_velocities
+from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.procedure import (
@@ -29,6 +29,9 @@ from riecjax.records.computed import without_computed
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
+
+if TYPE_CHECKING:
+    from riecjax.settings import Fit
 
 LARGEST = 1e150
 """Size of a value past which its square is no number."""
@@ -65,12 +68,14 @@ class Task(NamedTuple):
 def task(
     model: Equation | Procedure | HasProcedure,
     records: Records,
-    criterion: AbstractCriterion | None,
+    criterion: "AbstractCriterion | Fit | None",
     key: Key[Array, ""] | None,
     noise: GivenNoise = "auto",
     at_rest: AtRest | None = None,
 ) -> Task:
     """What can be refused of records before arithmetic; see [`identify`][] for the arguments.
+
+    `criterion` may be what settings say of one.
 
     Of the records' noise something is known from here on.
 
@@ -90,10 +95,8 @@ def task(
             f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
         )
     recordings = ready(procedure, records, noise)
-    if criterion is None:
-        of_records = [recording.record for recording in recordings]
-        criterion = suited(procedure, getattr(model, "band", None), of_records)
-    require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
+    band, sampled = getattr(model, "band", None), [each.record for each in recordings]
+    criterion = criterion_for(criterion, procedure, band, sampled)
     _require_derivatives(procedure, criterion)
     require_key(key)
     if criterion.needs_key and key is None:

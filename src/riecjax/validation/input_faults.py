@@ -16,8 +16,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding
-from riecjax.records.derived import line_taken_off
+from riecjax.findings import Finding, line_taken_off
 from riecjax.records.noise import noise_level
 from riecjax.records.record import Record
 from riecjax.validation.equation_errors import EquationError, errors_over_records
@@ -62,10 +61,8 @@ def drifting_inputs(
     time = np.asarray(record.time)
     line = (time - 0.5 * (time[0] + time[-1])) / (time[-1] - time[0])
     for index, (equation, (error,)) in enumerate(zip(procedure.equations, errors, strict=True)):
-        inputs = [t.of for t in equation.terms if not t.parameters and isinstance(t, Term)]
-        if len(inputs) != 1 or not isinstance(inputs[0], str):
+        if (name := _only_input(equation)) is None:
             continue
-        name = inputs[0]
         left = _left(error, np.asarray(error.centred(record[name])))
         if left is None or not left.stands_out:
             continue
@@ -84,6 +81,12 @@ def drifting_inputs(
             if n in estimate.parameters and float(estimate[n])
         }
         yield _finding(equation, record, name, drift, moved)
+
+
+def _only_input(equation: Equation) -> str | None:
+    """The signal of an equation's only known term."""
+    inputs = [t.of for t in equation.terms if not t.parameters and isinstance(t, Term)]
+    return inputs[0] if len(inputs) == 1 and isinstance(inputs[0], str) else None
 
 
 def _finding(
@@ -153,10 +156,8 @@ def silent_inputs(
     **Arguments:** `errors` of each equation on each record.
     """
     for equation, of_records in zip(equations, errors, strict=True):
-        inputs = [t.of for t in equation.terms if not t.parameters and isinstance(t, Term)]
-        if len(inputs) != 1 or not isinstance(inputs[0], str):
+        if (name := _only_input(equation)) is None:
             continue
-        name = inputs[0]
         for number, (record, error) in enumerate(zip(records, of_records, strict=True), 1):
             # In words, that a signal says nothing; values too large to be squared are no silence.
             with np.errstate(over="ignore", invalid="ignore"):

@@ -24,7 +24,7 @@ from riecjax.records.preparation import (
 )
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
-from riecjax.settings.tree import Prepare
+from riecjax.settings import Prepare
 
 
 class Step(NamedTuple):

@@ -10,8 +10,6 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.derived import sensitivities, with_derived
-from riecjax.records.faults.spikes import Treatment
 from riecjax.records.noise_judgement import given_noise, judged
 from riecjax.records.preparation.repair import signed, treat_all
 from riecjax.records.reading import times as clocks
@@ -25,7 +23,7 @@ from riecjax.records.reading.units import (
 )
 from riecjax.records.record import Record
 from riecjax.records.time_base import StampError
-from riecjax.settings.tree import Read, Select
+from riecjax.settings import Read, Select
 
 
 class Selected(NamedTuple):
@@ -125,7 +123,7 @@ def record_from_channels(
     matter = asked or {*signals.values}
     step, formulas = selection.time_step, selection.derive
     # What a program hands over as arrays is left as it is.
-    how: Treatment = selection.outliers if isinstance(selection, Read) else "keep"
+    how = selection.outliers if isinstance(selection, Read) else "keep"
     columns, axis, axes = signals.values, None, times
     try:
         if selection.resample is None:
@@ -137,7 +135,7 @@ def record_from_channels(
         if selection.resample is not None:
             record = _resampled(signals, times, selection, matter)
         else:
-            computed = _finite(with_derived(signals.values, axis, formulas), selection)
+            computed = _finite(_with_derived(signals.values, axis, formulas), selection)
             units = _with_labels(signals, selection)
             record = Record.from_samples(computed, time=axis, time_step=step, units=units)
             judged_on = computed if axis is None else {"t": axis, **computed}
@@ -368,7 +366,7 @@ def _resampled(
         pairs[name] = time[known], values[known]
     rate = float(selection.resample or 0.0)
     time, values = on_grid(pairs, rate, matter)
-    computed = with_derived(values, time, selection.derive)
+    computed = _with_derived(values, time, selection.derive)
     record = Record.from_samples(
         computed,
         time=time,
@@ -377,6 +375,19 @@ def _resampled(
     given = given_noise(selection.noise, record.arrays)
     record = record.with_noise(on_grid_noise(pairs, time, rate, given))
     return _with_noise(record, selection, {"t": time, **computed})
+
+
+def _with_derived(
+    values: dict[str, np.ndarray], time: np.ndarray | None, derive: Mapping[str, str]
+) -> dict[str, np.ndarray]:
+    """Columns, and those of formulas of them and of the time `t`; shapes `(n,)`."""
+    values = dict(values)
+    for name, formula in derive.items():
+        from riecjax.records.derived import derived
+
+        known = values if time is None or "t" in values else {**values, "t": time}
+        values[name] = derived(formula, known)
+    return values
 
 
 def _with_noise(record: Record, selection: Select, columns: Mapping[str, np.ndarray]) -> Record:
@@ -390,6 +401,8 @@ def _with_noise(record: Record, selection: Select, columns: Mapping[str, np.ndar
     measured = [name for name in record.arrays if name not in formulas]
     noise = judged(record.with_noise(noise).select(*measured)).noise if measured else noise
     for name, formula in formulas.items():
+        from riecjax.records.derived import sensitivities
+
         levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
         noise = noise.combined(name, sensitivities(formula, columns, levels))
     return record.with_noise(noise)
