@@ -28,7 +28,7 @@ from benchmarks.recorded import write_json
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
 from riecjax.estimation.identify import identify
-from riecjax.estimation.stages import found_values, solve_stages
+from riecjax.estimation.stages import solve_stages
 from riecjax.models.quarter_car.identification import (
     QuarterCar,
     quarter_car_by_body,
@@ -145,8 +145,8 @@ def limit(side: str, known: dict[str, float], moments: list[Array]) -> dict[str,
         NormalEquations(jnp.sum(m, axis=0)[None], jnp.ones(1), n) for m, n in zip(moments, names)
     ]
     given = {name: jnp.asarray(value) for name, value in known.items()}
-    found = found_values(solve_stages(stages, given), {})
-    return {name: float(value) for name, value in found.items()}
+    _, found = solve_stages(stages, given)
+    return {name: float(value) for name, value in found.items() if name not in given}
 
 
 def covered(uncertainty: Uncertainty, errors: np.ndarray) -> np.ndarray:

@@ -153,7 +153,7 @@ class Plain(AbstractIntervals):
         covariance, replicates = sandwich_covariance(statistics), None
         if self.bootstrap:
             covariance = jackknife_covariance(statistics)
-            replicates = BlockBootstrap().studentized(statistics)
+            replicates = BlockBootstrap().uncertainty(statistics).studentized
         freedom = effective_freedom(statistics)
         nowhere, once = jnp.zeros(freedom.shape, bool), jnp.ones(freedom.shape)
         return Uncertainty(covariance, replicates, freedom, nowhere, once, "plain")

@@ -9,7 +9,7 @@ from tests.machines import MACHINES, Shape
 
 from nightly import nightly
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.laws import DensityLaw, SteppedLaw
+from riecjax.criteria.laws import SteppedLaw
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.noisy_columns import sampled_columns
@@ -56,10 +56,6 @@ def one_by_one(record, weight, length_weights):
     return np.linalg.solve(total[1:, 1:], total[1:, 0])
 
 
-def density(length):
-    return jnp.exp(-5 * length) * length
-
-
 STEPS = [1.0, 0.0, 3.0]
 
 
@@ -69,8 +65,6 @@ def length_weights(law, weight):
     lengths = multiple * np.arange(6 // multiple, 30 // multiple + 1)
     if isinstance(weight, Bump):
         lengths = np.array([6, 14, 22, 30])
-    if law is density:
-        return {int(k): float(density(k * STEP)) for k in lengths}
     edges = np.round(np.linspace(0, 1, 4) * lengths.size).astype(int)
     steps = STEPS if law is STEPS else [1.0] * 3
     parts = zip(steps, edges[:-1], edges[1:])
@@ -82,12 +76,10 @@ def length_weights(law, weight):
     [
         (STEPS, Boxcar()),
         (None, Boxcar(4)),
-        (density, Bump(4, lengths=4)),
+        (STEPS, Bump(4, lengths=4)),
         *nightly(
             [
                 (STEPS, Hat(4)),
-                (density, Boxcar(4)),
-                (density, Hat()),
                 (None, Hat(6)),
                 (None, Bump(4, lengths=4)),
             ]
@@ -104,10 +96,10 @@ def test_the_estimate_is_that_of_every_window_one_by_one(law, weight):
 
 def test_a_flat_law_is_no_law_whatever_its_size():
     plain = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA)))
-    for law in (SteppedLaw(7.0 * np.ones(5)), DensityLaw(lambda length: 0.1 + 0 * length)):
-        same = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=law)))
-        np.testing.assert_allclose(same.theta, plain.theta, rtol=1e-9)
-        np.testing.assert_allclose(same.stages[0].count, plain.stages[0].count, rtol=1e-12)
+    law = SteppedLaw(7.0 * np.ones(5))
+    same = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=law)))
+    np.testing.assert_allclose(same.theta, plain.theta, rtol=1e-9)
+    np.testing.assert_allclose(same.stages[0].count, plain.stages[0].count, rtol=1e-12)
 
 
 @pytest.mark.slow

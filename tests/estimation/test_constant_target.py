@@ -64,7 +64,7 @@ def findings(model, records, criterion=HATS, **settings):
     sums = rx.summarise(model, records, criterion)
     given = {"known": None, "per_record": (), **settings}
     asked = plan_parameters(procedure, len(records), given["known"], given["per_record"])
-    return constant_targets(procedure, asked.sharing, sums, asked.given)
+    return constant_targets(procedure, asked, sums)
 
 
 HUM = FORCE * (1 + 0.02 * np.sin(2 * np.pi * 49 * TIME))

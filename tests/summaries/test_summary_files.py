@@ -240,10 +240,6 @@ def test_a_file_that_declares_too_much_is_refused_before_it_is_read(tmp_path, mo
 
 def test_what_cannot_be_saved_is_refused_in_one_line(tmp_path, monkeypatch):
     file = tmp_path / "kept.npz"
-    by_density = rx.RIEC(rx.AllWindows(0.1, 0.6, law=jnp.square))
-    summary = rx.summarise(OSCILLATOR, record(), by_density)
-    with pytest.raises(rx.ModelError, match=r"the density of DensityLaw.*law=\[1, 2, 1\]"):
-        summary.save(file)
     summary = rx.summarise(OSCILLATOR, record(), rx.DOLS())
     with pytest.raises(rx.DataError, match="No such file or directory"):
         summary.save(tmp_path / "none" / "kept.npz")

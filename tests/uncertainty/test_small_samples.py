@@ -9,7 +9,7 @@ import riecjax as rx
 from nightly import nightly
 from riecjax.criteria.criterion import Rows
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
-from riecjax.uncertainty.block_statistics import unknowns_of
+from riecjax.uncertainty.block_statistics import BlockStatistics, unknowns_of
 from riecjax.uncertainty.covariances import OVERLAP, few_blocks_sandwich, record_inflation
 
 STEP = 0.05
@@ -117,11 +117,18 @@ def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(use
     values = {"a": jnp.asarray(theta[0]), "b": jnp.asarray(theta[1])}
     flat = [fine.flattened()]
     found = few_blocks_sandwich(
-        [fine],
-        unknowns_of(flat, {}),
-        values,
-        ShortBlocks(np.array([6]), jnp.array([1.0])),
-        jnp.array([used]),
+        BlockStatistics(
+            unknowns_of(flat, {}),
+            {},
+            values,
+            jnp.array(1.0),
+            jnp.array([used]),
+            [],
+            jnp.zeros((0, 2)),
+            ShortBlocks(np.array([6]), jnp.array([1.0])),
+            [fine],
+            jnp.zeros((1, 0, 2)),
+        )
     )
     beside = np.eye(6, k=1) + np.eye(6, k=-1) if used == 3 else np.zeros((6, 6))
     n, p = 6, 2

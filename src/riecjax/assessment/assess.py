@@ -124,7 +124,7 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     excited = excitations(ordinary, plan)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
-    doubted = refusal_by(excited)
+    doubted = refusal_by(finding for stage in excited for finding in stage.findings())
     if doubted is None or doubted.code != "unidentifiable" or settings.refine != "auto":
         raise_if_refused(excited)
     if settings.on_estimate is not None and doubted is None:

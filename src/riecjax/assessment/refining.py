@@ -290,7 +290,7 @@ def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) 
     specified = OutputError().specify(
         asked.model, asked.records, estimate, {}, tuple(asked.settings["per_record"]), None
     )
-    system = specified.model.build(specified.of_record(0))
+    system = specified.model[0].build(specified.of_record(0))
     channels = _channels(system, asked.records)
     return OutputError(shooting, channels=channels, sigma=_noise(asked.records, channels))
 

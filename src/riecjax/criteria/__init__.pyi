@@ -1,9 +1,7 @@
 from .criterion import AbstractCriterion as AbstractCriterion
 from .criterion import Rows as Rows
-from .laws import DensityLaw as DensityLaw
 from .laws import SteppedLaw as SteppedLaw
 from .suited import criterion_for as criterion_for
 from .test_functions import AbstractSmoothTestFunction as AbstractSmoothTestFunction
 from .test_functions import AbstractTestFunction as AbstractTestFunction
 from .test_functions import GradedBump as GradedBump
-from .test_functions import expected_gain as expected_gain

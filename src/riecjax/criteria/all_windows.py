@@ -125,7 +125,14 @@ def moments_in_blocks(
         first = blocks.first + index * size
         begin = jnp.clip(first, 0, n - width)
         part = jax.lax.dynamic_slice_in_dim(values, begin, width, axis=1)
-        phi = _referred(part, primitives.mean, primitives.difference)
+        # With their polynomial put back, less what their differences do not see: the mean for first
+        # differences and the straight line of least squares for second ones.
+        place, order = jnp.arange(width) - (width - 1) / 2, primitives.difference
+        phi = part + primitives.mean[:, None] * (place**order / order)[None, :]
+        phi = phi - jnp.mean(phi, axis=1, keepdims=True)
+        if order > 1:
+            slope = (phi @ place) / jnp.maximum(jnp.sum(place**2), 1.0)
+            phi = phi - slope[:, None] * place[None, :]
         there = jax.lax.dynamic_slice_in_dim(valid, begin, width)
         starts = StartRange(first - begin, first - begin + size)
         return each_bin(lambda own: window_moments(phi, there, starts, own), lags)
@@ -134,23 +141,6 @@ def moments_in_blocks(
     if lags.first.ndim == 1:
         return moments, number
     return jnp.swapaxes(moments, 0, 1), jnp.swapaxes(number, 0, 1)
-
-
-def _referred(
-    values: Float[Array, "columns n"], mean: Float[Array, " columns"], order: int
-) -> Float[Array, "columns n"]:
-    """Primitives with their polynomial put back, less what their differences do not see.
-
-    That is the mean for first differences and the straight line of least squares for second ones.
-    """
-    n = values.shape[1]
-    place = jnp.arange(n) - (n - 1) / 2
-    whole = values + mean[:, None] * (place**order / order)[None, :]
-    whole = whole - jnp.mean(whole, axis=1, keepdims=True)
-    if order == 1:
-        return whole
-    slope = (whole @ place) / jnp.maximum(jnp.sum(place**2), 1.0)
-    return whole - slope[:, None] * place[None, :]
 
 
 def unbroken_boxcar_moments(

@@ -24,16 +24,7 @@ def chunk_length(record: Record, block: int, reach: int) -> int:
     uncut = WHOLE if record.time_step.dtype == jnp.float64 else WHOLE_32_BIT
     if record.sample_count <= max(uncut, 4 * reach):
         return record.sample_count
-    return _in_whole_blocks(max(CHUNK, 4 * reach), block)
-
-
-def _in_whole_blocks(samples: int, block: int) -> int:
-    return -(-samples // block) * block
-
-
-def is_chunked(record: Record, block: int, reach: int) -> bool:
-    """Whether a record is worked through in several chunks."""
-    return chunk_length(record, block, reach) < record.sample_count
+    return -(-max(CHUNK, 4 * reach) // block) * block
 
 
 class StartBlocks(NamedTuple):
@@ -79,7 +70,7 @@ def in_chunks(
     if unpadded is None:
         length = chunk_length(record, block, reach)
     else:
-        length = _in_whole_blocks(max(ROUND, 4 * reach), block)
+        length = -(-max(ROUND, 4 * reach) // block) * block
     width = length + reach + 2 * margin
     if width >= n:
         return of_chunk(

@@ -59,19 +59,6 @@ class Rows(eqx.Module):
     parameters: tuple[str, ...] = eqx.field(static=True)
     valid: Bool[Array, " rows"] | None = None
 
-    @classmethod
-    def of(
-        cls,
-        columns: Float[Array, "columns rows"],
-        position: Array,
-        parameters: tuple[str, ...],
-        valid: Bool[Array, " rows"] | None,
-    ) -> "Rows":
-        """Rows of which those that are not valid become zero."""
-        if valid is not None:
-            columns = jnp.where(valid[None, :], columns, 0.0)
-        return cls(columns, position, parameters, valid)
-
     @property
     def target(self) -> Float[Array, " rows"]:
         """Left-hand side y."""
@@ -82,13 +69,6 @@ class Rows(eqx.Module):
         """Regressor matrix A."""
         return self.columns[1:].T
 
-    def embed(self, parameters: tuple[str, ...]) -> "Rows":
-        """The same rows among more parameters, with zeros for those that do not occur."""
-        zero = jnp.zeros_like(self.target)
-        own = dict(zip(self.parameters, self.columns[1:]))
-        columns = jnp.stack([self.target, *(own.get(name, zero) for name in parameters)])
-        return Rows(columns, self.position, parameters, self.valid)
-
     def fix(self, known: Mapping[str, Array]) -> "Rows":
         """The rows left when these parameters take these values: their columns join the target."""
         own = dict(zip(self.parameters, self.columns[1:]))
@@ -98,29 +78,11 @@ class Rows(eqx.Module):
         columns = jnp.stack([target, *(own[name] for name in unknown)])
         return Rows(columns, self.position, unknown, self.valid)
 
-    def rename(self, parameters: tuple[str, ...]) -> "Rows":
-        """The same rows with other names for the regressors."""
-        return Rows(self.columns, self.position, parameters, self.valid)
-
     def count(self) -> Float[Array, ""]:
         """Number of valid rows."""
         if self.valid is None:
             return jnp.asarray(self.columns.shape[1], self.columns.dtype)
         return jnp.sum(self.valid, dtype=self.columns.dtype)
-
-    @staticmethod
-    def concatenate(parts: Sequence["Rows"]) -> "Rows":
-        """Rows of the same parameters, one after the other."""
-        columns = jnp.concatenate([part.columns for part in parts], axis=1)
-        position = jnp.concatenate([part.position for part in parts])
-        valid = None
-        if any(part.valid is not None for part in parts):
-            masks = [
-                jnp.ones(part.columns.shape[1], bool) if part.valid is None else part.valid
-                for part in parts
-            ]
-            valid = jnp.concatenate(masks)
-        return Rows(columns, position, parts[0].parameters, valid)
 
 
 class AbstractCriterion(eqx.Module):
@@ -169,7 +131,7 @@ class AbstractCriterion(eqx.Module):
 
     def in_chunks(self, record: Record) -> bool:
         """Whether a record is so long that it is worked through in chunks."""
-        return self.windows is not None and self.windows.in_chunks(record)
+        return isinstance(self.windows, AllWindows) and self.windows.in_chunks(record)
 
     def block_samples(self, record: Record) -> int:
         """Samples to one of the short blocks of start times that have moments of their own."""
@@ -210,7 +172,9 @@ class AbstractCriterion(eqx.Module):
     def rows_of(self, columns: Columns, drawn: WindowSet, unpadded: Count | None = None) -> Rows:
         """One row of these columns for each window."""
         values, valid = self.test_function.integrals(columns, drawn, unpadded)
-        return Rows.of(values, drawn.start, columns.parameters, valid)
+        if valid is not None:
+            values = jnp.where(valid[None, :], values, 0.0)
+        return Rows(values, drawn.start, columns.parameters, valid)
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None = None) -> Rows:
         """The rows of this criterion; see the classes. The same key draws the same windows for
@@ -239,15 +203,6 @@ class AbstractCriterion(eqx.Module):
         """
         raise ModelError("this criterion has no windows, and so no law of their lengths.")
 
-    def moments_of(
-        self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int
-    ) -> Moments:
-        """Moments of columns for given window lengths, no longer than `reach` samples.
-
-        Of lags with two axes the sums of each of the first stay apart, along a leading axis.
-        """
-        return self.test_function.moments(columns, lags, blocks, reach)
-
     corrects_noise: ClassVar[bool] = True
     """Whether what sensor noise adds to the moments is to be taken off."""
 
@@ -258,36 +213,28 @@ class AbstractCriterion(eqx.Module):
         return without_noise(sampled_columns(equation, record, self.smoothness))
 
     def noise_of(
-        self, noisy: NoisyColumns, noise: Noise, lags: LagBins, blocks: StartBlocks, reach: int
-    ) -> NoiseMoments | None:
-        """What noise adds to the moments of [`moments_of`][], `None` without any."""
-        if not noisy.moves:
-            return None
-
-        def weighed(law: LagBins) -> list[Array] | None:
-            weights = self.test_function.noise_weights(noisy.columns, law, blocks)
-            return in_closed_form(noisy, weights, blocks)
-
-        return noise_moments(
-            noisy,
-            noise,
-            lambda: each_bin(weighed, lags),
-            lambda columns: self.moments_of(columns, lags, blocks, reach)[0],
-        )
-
-    def noise_of_rows(
         self,
         noisy: NoisyColumns,
         noise: Noise,
-        drawn: WindowSet,
-        products: Callable[[Columns], Array],
+        windows: LagBins | WindowSet,
         blocks: StartBlocks,
+        products: Callable[[Columns], Array],
     ) -> NoiseMoments | None:
-        """What noise adds to `products` of rows, windows being drawn; `None` without any."""
+        """What noise adds to `products` of rows over windows, `None` without any.
+
+        **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
+        """
         if not noisy.moves:
             return None
-        weights = self.test_function.noise_weights(noisy.columns, drawn, blocks)
-        return noise_moments(noisy, noise, lambda: in_closed_form(noisy, weights, blocks), products)
+
+        def weighed(law: LagBins | WindowSet) -> list[Array] | None:
+            weights = self.test_function.noise_weights(noisy.columns, law, blocks)
+            return in_closed_form(noisy, weights, blocks)
+
+        def white() -> list[Array] | None:
+            return each_bin(weighed, windows) if isinstance(windows, LagBins) else weighed(windows)
+
+        return noise_moments(noisy, noise, white, products)
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
@@ -462,9 +409,14 @@ class RIEC(AbstractCriterion):
 
         def of_chunk(part: Record, blocks: StartBlocks) -> Any:
             noisy = self.noisy_columns(equation, part)
-            noise = self.noise_of(noisy, part.noise, lags, blocks, reach)
+
+            def products(columns: Columns) -> Array:
+                return self.test_function.moments(columns, lags, blocks, reach)[0]
+
+            noise = self.noise_of(noisy, part.noise, lags, blocks, products)
             added = None if noise is None else (flipped(noise.total), noise.of_source[None])
-            return flipped(self.moments_of(noisy.columns, lags, blocks, reach)), added
+            moments = self.test_function.moments(noisy.columns, lags, blocks, reach)
+            return flipped(moments), added
 
         size, beyond = windows.block(n), self.test_function.margin
         moments, added = in_chunks(record, of_chunk, block=size, reach=reach, margin=beyond)

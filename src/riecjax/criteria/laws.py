@@ -20,6 +20,7 @@ from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 
 Sums = TypeVar("Sums")
+Scalar = Float[Array, ""]
 
 
 class LagBins(NamedTuple):
@@ -37,13 +38,7 @@ class LagBins(NamedTuple):
 class AbstractLaw(eqx.Module):
     """A weight for every window length from alpha to beta; only ratios of weights matter."""
 
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
+    def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
         """The law in bins.
 
         **Arguments:** `shortest` and `longest` window in lags, to be rounded; `unit`, seconds to a
@@ -59,13 +54,7 @@ class AbstractLaw(eqx.Module):
 class UniformLaw(AbstractLaw):
     """Every length alike: eq. (14)."""
 
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
+    def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
         """One bin."""
         xp = namespace(shortest, longest, unit)
         first, last = rounded(shortest), rounded(longest)
@@ -89,102 +78,45 @@ class SteppedLaw(AbstractLaw):
     weights: Leaf
 
     def __init__(self, weights: ArrayLike | Array):
-        self.weights = _weights(weights)
+        self.weights = as_leaf(weights)
+        if self.weights.ndim != 1 or not self.weights.shape[0]:
+            raise ModelError("a law of window lengths in parts needs a list of weights.")
+        values = np.asarray(self.weights) if is_concrete(self.weights) else np.ones(1)
+        if not (np.isfinite(values).all() and (values >= 0).all() and values.any()):
+            raise ModelError(
+                "a law of window lengths needs weights of zero or more, not all zero, and finite."
+            )
 
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
+    def bins(self, shortest: Scalar, longest: Scalar, unit: Scalar, most: int) -> LagBins:
         """One bin for each weight."""
         low, high = rounded(shortest), rounded(longest)
         share = jnp.linspace(0.0, 1.0, self.weights.shape[0] + 1)
         # Real numbers: lags times bins may pass 32-bit integers.
         first = low + rounded(share * (high - low + 1))
-        return _normalised(first[:-1], first[1:] - 1, jnp.asarray(self.weights, unit.dtype))
+        first, last, weight = first[:-1], first[1:] - 1, jnp.asarray(self.weights, unit.dtype)
+        held = (last - first + 1).astype(weight.dtype)
+        return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
 
     def describe(self) -> dict[str, object]:
         """The weights."""
         return {"law": np.asarray(self.weights).tolist()}
 
 
-class DensityLaw(AbstractLaw):
-    """A weight from any function of the length.
-
-    Exact: every length on samples has its own weight, and the cost grows with their number.
-
-    **Arguments:** `density`, from lengths in seconds, shape `(lengths,)`, to weights of the same
-    shape; an `eqx.Module` if its parameters are to be differentiated.
-    """
-
-    density: Callable[[Float[Array, " lengths"]], Float[Array, " lengths"]]
-
-    def bins(
-        self,
-        shortest: Float[Array, ""],
-        longest: Float[Array, ""],
-        unit: Float[Array, ""],
-        most: int,
-    ) -> LagBins:
-        """One bin for each lag.
-
-        **Raises:** `ModelError` for weights below zero, not finite, or all zero (not under jit).
-        """
-        high = rounded(longest)
-        lag = rounded(shortest) + jnp.arange(most)
-        weight = self._at(jnp.minimum(lag, high) * unit)
-        _require_weights(weight)
-        return _normalised(lag, jnp.where(lag <= high, lag, lag - 1), weight)
-
-    def _at(self, lengths: Float[Array, " lengths"]) -> Float[Array, " lengths"]:
-        return jnp.broadcast_to(jnp.asarray(self.density(lengths), lengths.dtype), lengths.shape)
-
-    def describe(self) -> dict[str, object]:
-        """The function's name."""
-        name = getattr(self.density, "__name__", type(self.density).__name__)
-        return {"law": name}
-
-
-def as_law(law: "AbstractLaw | ArrayLike | Callable[[Array], Array] | None") -> AbstractLaw:
-    """A law from what a user may give: weights, a function of the length, or nothing."""
+def as_law(law: "AbstractLaw | ArrayLike | None") -> AbstractLaw:
+    """A law from what a user may give: weights, or nothing."""
     if law is None:
         return UniformLaw()
     if isinstance(law, AbstractLaw):
         return law
-    if isinstance(law, str | type):
+    if isinstance(law, str | type) or callable(law):
         write = "law=[1, 2, 1], weights from the shortest windows to the longest, or leave it out"
         require("the law", law, (), f"{write} for lengths that count alike")
-    return DensityLaw(law) if callable(law) else SteppedLaw(law)
+    return SteppedLaw(law)
 
 
 def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     """The nearest whole numbers."""
     return namespace(lags).round(lags).astype(np.int32)
-
-
-def _normalised(first: Array, last: Array, weight: Array) -> LagBins:
-    held = (last - first + 1).astype(weight.dtype)
-    return LagBins(first, last, weight * (jnp.sum(held) / jnp.sum(weight * held)))
-
-
-def _weights(weights: ArrayLike | Array) -> Leaf:
-    found = as_leaf(weights)
-    if found.ndim != 1 or not found.shape[0]:
-        raise ModelError("a law of window lengths in parts needs a list of weights.")
-    _require_weights(found)
-    return found
-
-
-def _require_weights(weights: Leaf) -> None:
-    if not is_concrete(weights):
-        return
-    values = np.asarray(weights)
-    if not (np.isfinite(values).all() and (values >= 0).all() and values.any()):
-        raise ModelError(
-            "a law of window lengths needs weights of zero or more, not all zero, and finite."
-        )
 
 
 def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:

@@ -102,7 +102,18 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
     """W_kl of hats, k and l of 0 to 2."""
     # Beside each of the three points weights differ from a triangle and its slope, by offsets j.
     start, middle, by_half, end = points
-    once, twice = _interval_ends(quadrature), _knot_pattern(quadrature)
+    # p, `twice`: what two running quadratures in a row leave at an end of a triangle, beside the
+    # triangle. With z a shift by one sample, a running quadrature is N(z) / (1 - z), where N holds
+    # the weights of one interval; a triangle from 0 on is z / (1 - z)^2. So
+    # p(z) = (N(z)^2 - z) / (1 - z)^2. The interval that ends at a sample has weights from reach - 1
+    # samples after it on, backwards: their product begins at z^(-2 (reach - 1)).
+    once, first = _interval_ends(quadrature), 2 * (quadrature // 2 - 1)
+    weights = interval_weights(quadrature, first // 2)
+    product = np.convolve(weights, weights)
+    product[1 + first] -= 1.0
+    quotient, rest = np.polynomial.polynomial.polydiv(product, [1.0, -2.0, 1.0])
+    assert np.allclose(rest, 0.0, atol=1e-12)
+    twice = {j - first: float(p) for j, p in enumerate(np.asarray(quotient))}
     ends = {j: (max(j, 0) + twice.get(j, 0.0), once[j]) for j in once}
     triangle = _square_ramp(start) - 4 * _ramp(by_half) - _square_ramp(end)
     ramp = 2 * (jnp.cumsum(by_half) - 0.5 * by_half) - _ramp(start) + _ramp(end)
@@ -190,22 +201,6 @@ def _interval_ends(quadrature: int) -> dict[int, float]:
 
 def _end_squares(quadrature: int) -> dict[int, float]:
     return {j: w**2 - (j >= 0) for j, w in _interval_ends(quadrature).items()}
-
-
-def _knot_pattern(quadrature: int) -> dict[int, float]:
-    """p: what two running quadratures in a row leave at an end of a triangle, beside the triangle.
-
-    With z a shift by one sample, a running quadrature is N(z) / (1 - z), where N holds the weights
-    of one interval; a triangle from 0 on is z / (1 - z)^2. So p(z) = (N(z)^2 - z) / (1 - z)^2.
-    """
-    reach = quadrature // 2
-    weights = interval_weights(quadrature, reach - 1)
-    # The interval that ends at a sample has weights from reach - 1 samples after it on, backwards.
-    product = np.convolve(weights, weights)  # of z^(-2 (reach - 1)) on
-    product[1 + 2 * (reach - 1)] -= 1.0
-    quotient, rest = np.polynomial.polynomial.polydiv(product, [1.0, -2.0, 1.0])
-    assert np.allclose(rest, 0.0, atol=1e-12)
-    return {j - 2 * (reach - 1): float(p) for j, p in enumerate(np.asarray(quotient))}
 
 
 def noise_weights_of_lengths(
@@ -318,8 +313,20 @@ def _weighted(
     movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
 ) -> Float[Array, "blocks columns columns"]:
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
+    orders = weights.shape[0]
     if all(values.shape[1] == 1 for values in movement.values.values()):
-        return _weighted_still(movement, weights, blocks, size)
+        # Of columns that noise moves alike at every sample, as it does linear terms, what they move
+        # by stands before the sums, and one product serves all orders.
+        still = jnp.zeros((orders, size), weights.dtype)
+        for order, values in movement.values.items():
+            still = still.at[order, np.array(movement.rows[order])].add(values[:, 0])
+        one, other = np.triu_indices(orders)
+        unit = jnp.ones((1, 1), weights.dtype)
+        pairs = jax.vmap(lambda w: _sums_in_blocks(unit, w, unit, blocks)[:, 0, 0])
+        sums = pairs(weights[one, other])
+        place = np.zeros((orders, orders), int)
+        place[one, other] = place[other, one] = np.arange(one.size)
+        return jnp.einsum("klb,ki,lj->bij", sums[place], still, still)
     total = jnp.zeros((blocks.number, size, size), weights.dtype)
     for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
         rows, columns = np.array(movement.rows[k]), np.array(movement.rows[m])
@@ -328,26 +335,6 @@ def _weighted(
         if k != m:
             total = total.at[:, columns[:, None], rows[None, :]].add(jnp.swapaxes(part, 1, 2))
     return total
-
-
-def _weighted_still(
-    movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
-) -> Float[Array, "blocks columns columns"]:
-    """The same of columns that noise moves alike at every sample, as it does linear terms.
-
-    What they move by then stands before the sums, and one product serves all orders.
-    """
-    orders = weights.shape[0]
-    still = jnp.zeros((orders, size), weights.dtype)
-    for order, values in movement.values.items():
-        still = still.at[order, np.array(movement.rows[order])].add(values[:, 0])
-    one, other = np.triu_indices(orders)
-    unit = jnp.ones((1, 1), weights.dtype)
-    pairs = jax.vmap(lambda w: _sums_in_blocks(unit, w, unit, blocks)[:, 0, 0])
-    sums = pairs(weights[one, other])
-    place = np.zeros((orders, orders), int)
-    place[one, other] = place[other, one] = np.arange(one.size)
-    return jnp.einsum("klb,ki,lj->bij", sums[place], still, still)
 
 
 def _sums_in_blocks(

@@ -31,7 +31,7 @@ def to_plain_data(part: eqx.Module) -> dict[str, Any]:
 
     `{"class": name, "from": module, field: value, ...}`, where an array is `{dtype: list}`.
 
-    **Raises:** `ModelError` for what is code rather than numbers, as a law that is a function.
+    **Raises:** `ModelError` for what is code rather than numbers.
     """
     kind = type(part)
     fields = {
@@ -51,10 +51,7 @@ def _plain(value: Any, name: str) -> Any:
     plain = value.item() if isinstance(value, np.generic) else value
     if plain is None or isinstance(plain, bool | int | float | str):
         return plain
-    raise ModelError(
-        f"{name} is code, which no file can hold: give numbers in its place; in place of a law of "
-        f"window lengths that is a function, a list of weights, law=[1, 2, 1]."
-    )
+    raise ModelError(f"{name} is code, which no file can hold: give numbers in its place.")
 
 
 def criterion_from_plain_data(document: dict[str, Any]) -> AbstractCriterion:
@@ -74,20 +71,20 @@ def _read(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     if "class" in value:
+        name, module = value["class"], value["from"]
         fields = {name: _read(each) for name, each in value.items() if name not in RESERVED}
+        # The class of this name, as it was defined last; of several modules', that of `module`.
+        found = {kind.__module__: kind for kind in _subclasses(*FAMILIES) if kind.__name__ == name}
+        if module not in found and len(found) != 1:
+            raise DataError(
+                f"it was made with {name} of '{module}', a class that is not defined here: import "
+                f"the module that defines it first."
+            )
         try:
-            # The class of this name, as it was defined last; of several modules', that of its own.
-            name, module = value["class"], value["from"]
-            kinds = {k.__module__: k for k in _subclasses(*FAMILIES) if k.__name__ == name}
-            if module not in kinds and len(kinds) != 1:
-                raise DataError(
-                    f"it was made with {name} of '{module}', a class that is not defined here: "
-                    f"import the module that defines it first."
-                )
-            return kinds.get(module, next(iter(kinds.values())))(**fields)
+            return (found.get(module) or next(iter(found.values())))(**fields)
         except (TypeError, ModelError):
             raise DataError(
-                f"its {value['class']} has other settings than the one of this name here."
+                f"its {name} has other settings than the one of this name here."
             ) from None
     ((dtype, values),) = value.items()
     array = np.array(values, dtype)

@@ -92,11 +92,24 @@ def running_integral(
     areas = 0.5 * (samples[:, 1:] + samples[:, :-1])
     order = min(order, 2 * (samples.shape[1] // 2))
     if order > 2:
-        higher = _interval_integrals(samples, order, unpadded)
+        # Of the polynomial centred on each interval; at either end of one for several.
+        n, reach = samples.shape[1], order // 2 - 1
+        inner = n - order + 1
+        weights = interval_weights(order, reach)
+        middle = sum(
+            (float(w) * samples[:, j : j + inner] for j, w in enumerate(weights[1:], 1)),
+            start=float(weights[0]) * samples[:, :inner],
+        )
+        first = [samples[:, :order] @ interval_weights(order, i) for i in range(reach)]
+        end = n if unpadded is None else jnp.maximum(unpadded, order)
+        tail = jax.lax.dynamic_slice_in_dim(samples, end - order, order, axis=1)
+        behind = [tail @ interval_weights(order, order - 1 - reach + i) for i in range(reach)]
+        behind = jnp.stack(behind, 1)
+        higher = jnp.concatenate([jnp.stack(first, 1), middle, behind], axis=1)
+        higher = jax.lax.dynamic_update_slice_in_dim(higher, behind, end - 1 - reach, axis=1)
         if present is None:
             areas = higher
         else:  # where every sample of an interval's polynomial is present
-            n = present.shape[0]
             absent = jnp.pad(jnp.cumsum(~present), (1, 0))
             first = np.clip(np.arange(n - 1) - (order // 2 - 1), 0, n - order)
             areas = jnp.where((absent[first + order] == absent[first])[None, :], higher, areas)
@@ -114,25 +127,6 @@ def interval_weights(order: int, interval: int) -> Float[np.ndarray, " order"]:
     powers = np.arange(order)
     integrals = (0.5 ** (powers + 1) - (-0.5) ** (powers + 1)) / (powers + 1)
     return np.linalg.solve(np.vander(nodes, increasing=True).T, integrals)
-
-
-def _interval_integrals(
-    samples: Float[Array, "columns n"], order: int, unpadded: Int[Array, ""] | int | None
-) -> Float[Array, "columns n-1"]:
-    n, reach = samples.shape[1], order // 2 - 1
-    inner = n - order + 1
-    weights = interval_weights(order, reach)
-    middle = sum(float(w) * samples[:, j : j + inner] for j, w in enumerate(weights))
-    first = [samples[:, :order] @ interval_weights(order, i) for i in range(reach)]
-    end = n if unpadded is None else jnp.maximum(unpadded, order)
-    tail = jax.lax.dynamic_slice_in_dim(samples, end - order, order, axis=1)
-    last = [tail @ interval_weights(order, order - 1 - reach + i) for i in range(reach)]
-    assert isinstance(middle, Array)
-    if not reach:
-        return middle
-    behind = jnp.stack(last, 1)
-    areas = jnp.concatenate([jnp.stack(first, 1), middle, behind], axis=1)
-    return jax.lax.dynamic_update_slice_in_dim(areas, behind, end - 1 - reach, axis=1)
 
 
 def unpadded_mean(

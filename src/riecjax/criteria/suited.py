@@ -20,7 +20,6 @@ from riecjax.criteria.test_functions import (
     GradedBump,
 )
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
-from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import Term
 from riecjax.errors import MissingSignalError, require
@@ -117,8 +116,14 @@ def suited(
     if procedure.has_hidden:
         return _with_modes(procedure, band or DEFAULT_BAND, list(records))
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
-    equations = [equation for stage in procedure.stages for equation in stage]
-    lacking = [name for e in equations for record in records for name in unmeasured(e, record)]
+    # Derivatives that boxcars would read of linear terms, and that no sensor measured.
+    lacking = []
+    for term in (t for e in procedure.equations for t in e.terms if isinstance(t, Term)):
+        name = term.measured[0] if term.measured else "a velocity"
+        for record in records if term.derivative == 2 else ():
+            made = isinstance(term.of, str) and record.noise.is_made_of(name, term.of)
+            if name not in record.arrays or made:
+                lacking.append(name)
     if not lacking:
         return usual
     bump = RIEC.of_band(band or DEFAULT_BAND, Bump(lengths=LENGTHS))
@@ -151,19 +156,6 @@ def _with_modes(procedure: Procedure, band: tuple[float, float], records: Sequen
     weight = GradedBump(p=max(8, max(orders) + 5), lengths=count, derivatives=max(orders))
     why = "hidden elements put derivatives in front of every term, which smooth windows take off"
     return RIEC(AllWindows(alpha, beta), weight, why)
-
-
-def unmeasured(equation: Equation, record: Record) -> list[str]:
-    """Derivatives that boxcars would read of linear terms, and that no sensor measured."""
-    found = []
-    for term in equation.terms:
-        if not isinstance(term, Term) or term.derivative < 2:
-            continue
-        name = term.measured[0] if term.measured else "a velocity"
-        made = isinstance(term.of, str) and record.noise.is_made_of(name, term.of)
-        if name not in record.arrays or made:
-            found.append(name)
-    return found
 
 
 def with_velocities(procedure: Procedure, record: Record) -> tuple[Record, list[str]]:

@@ -45,11 +45,44 @@ from riecjax.criteria.noise_moments import (
     points_of_windows,
 )
 from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
-from riecjax.criteria.windows import AllWindows, WindowSet, half_periods
+from riecjax.criteria.windows import AllWindows, Count, WindowSet, half_periods
 from riecjax.equations.noisy_columns import Columns
-from riecjax.errors import ModelError, require
+from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
+
+# Gains of windows: how much of each frequency one window, or a range of lengths, lets through.
+#
+# A window of length T passes an oscillation exp(i w t) with a gain |H|, the size of its weight's
+# Fourier integral. For the boxcar, eq. (13),
+#
+#     |H| = |integral_0^T exp(i w t) dt| = |2 sin(w T / 2) / w|
+#
+# which is largest at T = 1 / (2 f) for a given f (eq. 26) and zero at multiples of T = 1 / f. The
+# hat is the boxcar of T / 2 folded with itself, so its gain is the square of that one's. In the
+# mean over lengths, eq. (14), no frequency is left unseen: with x = w T / (2 s) and s the order of
+# the difference, |H| = (2 |sin x| / w)^s, and for T ~ U(alpha, beta)
+#
+#     mean |H|^q = (2 / w)^(s q) (P(x_beta) - P(x_alpha)) / (x_beta - x_alpha)
+#
+# where P is the integral of |sin|^(s q) from zero. The paper averages |H| (q = 1); least squares
+# sees the mean of its square (q = 2).
+
+NODES = 256
+"""Window lengths in a mean by quadrature: two to a lobe of the gain where there are 128 lobes, and
+so far out a smooth weight lets next to nothing through."""
+SLOWEST = 5e-3
+"""Periods to the longest window below which a motion is as good as constant."""
+
+Frequencies = Float[np.ndarray, " frequencies"]
+Lengths = Float[np.ndarray, " lengths"]
+Gains = Float[np.ndarray, "frequencies lengths"]
+
+
+@functools.cache
+def _nodes() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights of Gauss and Legendre; finding them takes longer than using them."""
+    return np.polynomial.legendre.leggauss(NODES)
 
 
 class Integrals(NamedTuple):
@@ -100,7 +133,7 @@ class AbstractTestFunction(eqx.Module):
         return None
 
     def integrals(
-        self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
+        self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
     ) -> Integrals:
         """Integral of every column over every window.
 
@@ -142,9 +175,7 @@ class AbstractTestFunction(eqx.Module):
         starts = record.sample_count - self.length_multiple * (first + last) / 2
         return float(np.sum(np.asarray(weight, float) * (last - first + 1) * starts))
 
-    def gain(
-        self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
-    ) -> Float[np.ndarray, "frequencies lengths"]:
+    def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
         """|H| of windows, eq. (13): size of the weighted integral of a unit oscillation.
 
         In seconds to the power `row_seconds`.
@@ -154,14 +185,21 @@ class AbstractTestFunction(eqx.Module):
         raise NotImplementedError
 
     def mean_gain(
-        self,
-        frequency: Float[np.ndarray, " frequencies"],
-        alpha: float,
-        beta: float,
-        power: Literal[1, 2] = 1,
-    ) -> Float[np.ndarray, " frequencies"]:
-        """Mean of |H|^power over T ~ U(alpha, beta), eq. (14); see [`expected_gain`][]."""
-        return mean_over_lengths(self.gain, frequency, (alpha, beta), power)
+        self, frequency: Frequencies, alpha: float, beta: float, power: Literal[1, 2] = 1
+    ) -> Frequencies:
+        """Mean of |H|^power over T ~ U(alpha, beta), eq. (14).
+
+        `power=1` is what Fig. 3 draws; `power=2` is what least squares sees: times the density of
+        an error, and integrated, it is the mean square of the windows' errors.
+
+        **Arguments:** `frequency` in hertz; `alpha`, `beta` in seconds.
+        """
+        total = np.zeros_like(frequency)
+        # One length at a time: at all of them spectra of long records would make a large table.
+        for node, weight in zip(*_nodes()):
+            length = 0.5 * (alpha + beta + node * (beta - alpha))
+            total += 0.5 * weight * self.gain(frequency, np.array([length]))[:, 0] ** power
+        return total
 
     def finest(self) -> "AbstractTestFunction":
         """The same weight with the most accurate integrals there are."""
@@ -180,7 +218,7 @@ class Dirac(AbstractTestFunction):
     row_seconds: ClassVar[int] = 0  # the pulse is per second, which the integral takes back
 
     def integrals(
-        self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
+        self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
     ) -> Integrals:
         """Every column at the start of every window, where the sample is not padding."""
         valid = valid_windows(windows, columns.present)
@@ -213,30 +251,31 @@ class _Differences(AbstractTestFunction):
         """Name and order of quadrature."""
         return {**super().describe(), "quadrature": self.quadrature}
 
-    def gain(
-        self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
-    ) -> Float[np.ndarray, "frequencies lengths"]:
-        """|H| of windows: of the boxcar T |sinc(f T)|, of the hat (T / 2)^2 sinc^2(f T / 2)."""
-        return difference_gain(frequency, length, self.smoothness)
+    def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
+        """|H| of windows: of the boxcar T |sinc(f T)|, of the hat (T / 2)^2 sinc^2(f T / 2).
+
+        The weight is s boxcars of length T / s, folded: the gain is the power s of the gain of one.
+        """
+        part = length[None, :] / self.smoothness
+        return np.abs(part * np.sinc(frequency[:, None] * part)) ** self.smoothness
 
     def mean_gain(
-        self,
-        frequency: Float[np.ndarray, " frequencies"],
-        alpha: float,
-        beta: float,
-        power: Literal[1, 2] = 1,
-    ) -> Float[np.ndarray, " frequencies"]:
-        """Mean of |H|^power over T ~ U(alpha, beta), in closed form."""
-        return mean_difference_gain(frequency, (alpha, beta), self.smoothness, power)
+        self, frequency: Frequencies, alpha: float, beta: float, power: Literal[1, 2] = 1
+    ) -> Frequencies:
+        """Mean of |2 sin(w T / (2 s)) / w|^(s power) over T ~ U(alpha, beta), in closed form."""
+        exponent = self.smoothness * power
+        # As good as at rest, and the difference of the primitives keeps its digits.
+        omega = 2 * np.pi * np.maximum(frequency, SLOWEST / beta)
+        low, high = (omega * length / (2 * self.smoothness) for length in (alpha, beta))
+        mean = (_sine_primitive(high, exponent) - _sine_primitive(low, exponent)) / (high - low)
+        return (2 / omega) ** exponent * mean
 
     @property
     def margin(self) -> int:
         """Samples beside a window that its integrals may look at."""
         return self.quadrature
 
-    def primitives(
-        self, columns: Columns, unpadded: Int[Array, ""] | int | None = None
-    ) -> Primitives:
+    def primitives(self, columns: Columns, unpadded: Count | None = None) -> Primitives:
         """Primitives of the target (first row) and of every named coefficient's column.
 
         A column is sum_k d^k/dt^k values[k], so that its s-fold integral is the sum over k of the
@@ -256,7 +295,7 @@ class _Differences(AbstractTestFunction):
         return Primitives(values, mean, bend, present, s)
 
     def integrals(
-        self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
+        self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
     ) -> Integrals:
         """Integral of every column over every window.
 
@@ -356,27 +395,6 @@ def valid_windows(
     return absent[last + 1] == absent[first]
 
 
-def expected_gain(
-    frequency: Float[np.ndarray, " frequencies"],
-    alpha: float,
-    beta: float,
-    test_function: AbstractTestFunction,
-    *,
-    power: Literal[1, 2] = 1,
-) -> Float[np.ndarray, " frequencies"]:
-    """Mean of |H|^power over T ~ U(alpha, beta), eq. (14), of the test function's `gain`.
-
-    `power=1` is what Fig. 3 draws; `power=2` is what least squares sees: times the density of an
-    error, and integrated, it is the mean square of the windows' errors.
-
-    **Arguments:** `frequency` in hertz; `alpha`, `beta` in seconds.
-
-    **Raises:** `ModelError` for what is no test function.
-    """
-    require("the test function", test_function, AbstractTestFunction, "rx.Hat(), an object")
-    return test_function.mean_gain(frequency, alpha, beta, power)
-
-
 # Smooth test functions, integrated by fast Fourier transform.
 #
 # The row of the window that starts at sample t is a sum over samples of weight times signal,
@@ -445,14 +463,27 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         """Name and number of window lengths."""
         return {**super().describe(), "lengths": self.lengths}
 
-    def gain(
-        self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
-    ) -> Float[np.ndarray, "frequencies lengths"]:
-        """|H| of windows, by quadrature."""
-        return fourier_size(self.weight, frequency, length)
+    def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
+        """|H| of windows, by Gauss and Legendre.
+
+        |H| = T / 2 |integral_{-1}^{1} phi exp(i z tau) dtau| with z = w T / 2. n nodes integrate
+        polynomials of degree 2 n - 1, and exp(i z tau) is one of degree little more than z but for
+        rounding, so n nodes serve up to z = n. What a smooth weight lets through beyond is taken to
+        be zero.
+        """
+        nodes, weights = _nodes()
+        found = np.zeros((frequency.size, length.size))
+        for place, seconds in enumerate(length):
+            phi = weights * np.asarray(self.weight(jnp.asarray(nodes), jnp.asarray(seconds)))
+            z = np.pi * frequency * seconds
+            seen = z < NODES
+            phase = np.outer(z[seen], nodes)
+            size = np.hypot(np.cos(phase) @ phi, np.sin(phase) @ phi)
+            found[seen, place] = 0.5 * seconds * size
+        return found
 
     def integrals(
-        self, columns: Columns, windows: WindowSet, unpadded: Int[Array, ""] | int | None = None
+        self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
     ) -> Integrals:
         """Integral of every column of the equation over every window.
 
@@ -481,13 +512,31 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
         everywhere = self._at_every_start(columns, blocks.unpadded)
+        (_, size, room), dtype = columns.values.shape, columns.values.dtype
+        # Blocks of a known size are a reshape; of a traced one, a mask for each block.
+        count, starts = blocks.number, blocks.size
+        place = (jnp.arange(room) - blocks.first) // starts
 
-        def rows_of_length(length: Leaf) -> tuple[Array, Array]:
+        def in_blocks(values: Float[Array, "columns n"]) -> Float[Array, "columns count starts"]:
+            if not isinstance(starts, int):
+                inside = place[None, :] == jnp.arange(count)[:, None]
+                return jnp.where(inside[None], values[:, None, :], 0.0)
+            # Room behind, so that no slice would begin earlier than asked for.
+            padded = jnp.pad(values, ((0, 0), (0, count * starts)))
+            part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * starts, axis=1)
+            return part.reshape(values.shape[0], count, starts)
+
+        def of_length(length: Leaf, weight: Leaf) -> Moments:
             valid = self._whole(columns, length, blocks)
-            return jnp.where(valid[None, :], everywhere(length), 0.0), valid
+            parts = in_blocks(jnp.where(valid[None, :], everywhere(length), 0.0))
+            number = jnp.sum(in_blocks(valid[None].astype(parts.dtype))[0], axis=1)
+            moments = jnp.einsum("ibs,jbs->bij", parts, parts)
+            return jnp.asarray(weight) * moments, jnp.asarray(weight) * number
+
+        none = (jnp.zeros((count, size, size), dtype), jnp.zeros(count, dtype))
 
         def law_moments(law: LagBins) -> Moments:
-            return moments_of_rows(rows_of_length, law.first, law.weight, blocks)
+            return sum_over_lengths(of_length, (law.first, law.weight), none)
 
         return each_bin(law_moments, lags)
 
@@ -515,7 +564,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         return inside if unbroken is None else inside & unbroken
 
     def _at_every_start(
-        self, columns: Columns, unpadded: Int[Array, ""] | int | None
+        self, columns: Columns, unpadded: Count | None
     ) -> Callable[[Leaf], Float[Array, "columns n"]]:
         """A function of window length: integrals of every column over the windows at each start."""
         # A constant has no derivative, while the sum of a weight's derivative is not quite zero.
@@ -540,7 +589,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         return jnp.round(shortest + spacing * jnp.arange(self.lengths)).astype(shortest.dtype)
 
     def rounded(
-        self, windows: WindowSet, sample_count: Int[Array, ""] | int
+        self, windows: WindowSet, sample_count: Count
     ) -> tuple[WindowSet, Int[Array, " lengths"]]:
         """The windows with the nearest of `lengths` lengths, and these lengths in samples."""
         drawn = windows.stop - windows.start
@@ -603,9 +652,7 @@ class Bump(AbstractSmoothTestFunction):
         """Name, exponent and number of window lengths."""
         return {"test_function": self.name, "p": self.p, "lengths": self.lengths}
 
-    def gain(
-        self, frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"]
-    ) -> Float[np.ndarray, "frequencies lengths"]:
+    def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
         """|H| of windows by Poisson's integral for Bessel's functions, with z = w T / 2.
 
         integral_{-1}^{1} (1 - tau^2)^p exp(i z tau) dtau
@@ -660,7 +707,7 @@ class GradedBump(Bump):
         return jnp.round(lengths).astype(jnp.asarray(shortest).dtype)
 
     def rounded(
-        self, windows: WindowSet, sample_count: Int[Array, ""] | int
+        self, windows: WindowSet, sample_count: Count
     ) -> tuple[WindowSet, Int[Array, " lengths"]]:
         """The windows with the nearest of `lengths` lengths, and these lengths in samples."""
         drawn = windows.stop - windows.start
@@ -675,123 +722,6 @@ class GradedBump(Bump):
         return np.concatenate([[alpha], np.sqrt(lengths[1:] * lengths[:-1]), [beta]])
 
 
-def moments_of_rows(
-    rows_of_length: Callable[[Int[Leaf, ""]], tuple[Float[Array, "columns n"], Array]],
-    lengths: Int[Leaf, " lengths"],
-    weights: Float[Leaf, " lengths"],
-    blocks: StartBlocks,
-) -> Moments:
-    """Moments of rows that start at every sample, summed over some window lengths.
-
-    **Arguments:** `rows_of_length` gives rows at every start, zero where there is no valid window,
-    and where there is one; `weights` of the lengths, of which those of weight zero take no time.
-    """
-    columns = jax.eval_shape(rows_of_length, jnp.asarray(lengths)[0])[0]
-    count, room = blocks.number, columns.shape[1]
-    # Blocks of a known size are a reshape; of a traced one, a mask for each block.
-    size = blocks.size
-    place = (jnp.arange(room) - blocks.first) // size
-
-    def in_blocks(values: Float[Array, "columns n"]) -> Float[Array, "columns count size"]:
-        if not isinstance(size, int):
-            return jnp.where(
-                (place[None, :] == jnp.arange(count)[:, None])[None], values[:, None, :], 0.0
-            )
-        # Room behind, so that no slice would begin earlier than asked for.
-        padded = jnp.pad(values, ((0, 0), (0, count * size)))
-        part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * size, axis=1)
-        return part.reshape(values.shape[0], count, size)
-
-    def of_length(length: Leaf, weight: Leaf) -> tuple[Array, Array]:
-        rows, valid = rows_of_length(length)
-        parts = in_blocks(rows)
-        number = jnp.sum(in_blocks(valid[None].astype(rows.dtype))[0], axis=1)
-        moments = jnp.einsum("ibs,jbs->bij", parts, parts)
-        return jnp.asarray(weight) * moments, jnp.asarray(weight) * number
-
-    empty = jnp.zeros((count, columns.shape[0], columns.shape[0]), columns.dtype)
-    none = (empty, jnp.zeros(count, columns.dtype))
-    return sum_over_lengths(of_length, (lengths, weights), none)
-
-
-# Gains of windows: how much of each frequency one window, or a range of lengths, lets through.
-#
-# A window of length T passes an oscillation exp(i w t) with a gain |H|, the size of its weight's
-# Fourier integral. For the boxcar, eq. (13),
-#
-#     |H| = |integral_0^T exp(i w t) dt| = |2 sin(w T / 2) / w|
-#
-# which is largest at T = 1 / (2 f) for a given f (eq. 26) and zero at multiples of T = 1 / f. The
-# hat is the boxcar of T / 2 folded with itself, so its gain is the square of that one's. In the
-# mean over lengths, eq. (14), no frequency is left unseen: with x = w T / (2 s) and s the order of
-# the difference, |H| = (2 |sin x| / w)^s, and for T ~ U(alpha, beta)
-#
-#     mean |H|^q = (2 / w)^(s q) (P(x_beta) - P(x_alpha)) / (x_beta - x_alpha)
-#
-# where P is the integral of |sin|^(s q) from zero. The paper averages |H| (q = 1); least squares
-# sees the mean of its square (q = 2).
-
-NODES = 256
-"""Window lengths in a mean by quadrature: two to a lobe of the gain where there are 128 lobes, and
-so far out a smooth weight lets next to nothing through."""
-SLOWEST = 5e-3
-"""Periods to the longest window below which a motion is as good as constant."""
-
-Gain = Callable[
-    [Float[np.ndarray, " frequencies"], Float[np.ndarray, " lengths"]],
-    Float[np.ndarray, "frequencies lengths"],
-]
-
-
-@functools.cache
-def _nodes() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on -1 to 1; finding them takes longer than using them."""
-    return np.polynomial.legendre.leggauss(NODES)
-
-
-def mean_over_lengths(
-    gain: Gain,
-    frequency: Float[np.ndarray, " frequencies"],
-    between: tuple[float, float],
-    power: int,
-) -> Float[np.ndarray, " frequencies"]:
-    """Mean of a gain's power over lengths from a uniform law, by Gauss and Legendre."""
-    alpha, beta = between
-    nodes, weights = _nodes()
-    total = np.zeros_like(frequency)
-    # One length at a time: at all of them the spectra of a long record would make a large table.
-    for node, weight in zip(nodes, weights):
-        length = 0.5 * (alpha + beta + node * (beta - alpha))
-        total += 0.5 * weight * gain(frequency, np.array([length]))[:, 0] ** power
-    return total
-
-
-def difference_gain(
-    frequency: Float[np.ndarray, " frequencies"], length: Float[np.ndarray, " lengths"], order: int
-) -> Float[np.ndarray, "frequencies lengths"]:
-    """|H| of a difference of the order s, 1 for the boxcar and 2 for the hat.
-
-    The weight is s boxcars of length T / s, folded: the gain is the power s of the gain of one.
-    """
-    part = length[None, :] / order
-    return np.abs(part * np.sinc(frequency[:, None] * part)) ** order
-
-
-def mean_difference_gain(
-    frequency: Float[np.ndarray, " frequencies"],
-    between: tuple[float, float],
-    order: int,
-    power: int,
-) -> Float[np.ndarray, " frequencies"]:
-    """Mean of |2 sin(w T / (2 s)) / w|^(s power), with s the order of the difference."""
-    exponent = order * power
-    # As good as at rest, and the difference of the primitives keeps its digits.
-    omega = 2 * np.pi * np.maximum(frequency, SLOWEST / between[1])
-    low, high = (omega * length / (2 * order) for length in between)
-    mean = (_sine_primitive(high, exponent) - _sine_primitive(low, exponent)) / (high - low)
-    return (2 / omega) ** exponent * mean
-
-
 def _sine_primitive(x: Float[np.ndarray, " n"], exponent: int) -> Float[np.ndarray, " n"]:
     """Integral of |sin|^exponent from zero to x, for the exponents 1, 2 and 4."""
     if exponent == 1:
@@ -799,30 +729,6 @@ def _sine_primitive(x: Float[np.ndarray, " n"], exponent: int) -> Float[np.ndarr
     if exponent == 2:
         return x / 2 - np.sin(2 * x) / 4
     return 3 * x / 8 - np.sin(2 * x) / 4 + np.sin(4 * x) / 32
-
-
-def fourier_size(
-    weight: Callable[[Array, Array], Array],
-    frequency: Float[np.ndarray, " frequencies"],
-    length: Float[np.ndarray, " lengths"],
-) -> Float[np.ndarray, "frequencies lengths"]:
-    """|H| of a smooth weight phi(tau, T), tau from -1 to 1, by Gauss and Legendre.
-
-    |H| = T / 2 |integral_{-1}^{1} phi exp(i z tau) dtau| with z = w T / 2. n nodes integrate
-    polynomials of degree 2 n - 1, and exp(i z tau) is one of degree little more than z but for
-    rounding, so n nodes serve up to z = n. What a smooth weight lets through beyond is taken to be
-    zero.
-    """
-    nodes, weights = _nodes()
-    found = np.zeros((frequency.size, length.size))
-    for place, seconds in enumerate(length):
-        phi = weights * np.asarray(weight(jnp.asarray(nodes), jnp.asarray(seconds)))
-        z = np.pi * frequency * seconds
-        seen = z < NODES
-        phase = np.outer(z[seen], nodes)
-        size = np.hypot(np.cos(phase) @ phi, np.sin(phase) @ phi)
-        found[seen, place] = 0.5 * seconds * size
-    return found
 
 
 TEST_FUNCTIONS: dict[str, type[AbstractTestFunction]] = {

@@ -21,7 +21,7 @@ cancels where x is small.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -31,7 +31,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
-from riecjax.criteria.chunks import is_chunked
+from riecjax.criteria.chunks import chunk_length
 from riecjax.criteria.laws import AbstractLaw, LagBins, as_law, rounded
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
@@ -127,13 +127,15 @@ class AbstractWindows(eqx.Module):
 
     @property
     def drawn(self) -> "RandomWindows":
-        """Random windows of these lengths, for what needs single rows."""
-        raise NotImplementedError
+        """Random windows of these lengths, for what needs single rows: these, or so many."""
+        if isinstance(self, RandomWindows):
+            return self
+        return RandomWindows(self.alpha, self.beta, DRAWN)
 
     @property
     def every(self) -> "AllWindows":
-        """All windows of these lengths."""
-        raise NotImplementedError
+        """All windows of these lengths: these, or what they converge to as their number grows."""
+        return self if isinstance(self, AllWindows) else AllWindows(self.alpha, self.beta)
 
     def fitted(self, records: Sequence[Record]) -> Self:
         """The same windows with what the records tell before tracing."""
@@ -142,10 +144,6 @@ class AbstractWindows(eqx.Module):
     def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
         """The same windows with other lengths."""
         return dataclasses.replace(self, alpha=as_leaf(alpha), beta=as_leaf(beta))
-
-    def in_chunks(self, record: Record) -> bool:
-        """Whether a record is so long that it is worked through in chunks."""
-        return False
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
@@ -195,8 +193,7 @@ class AllWindows(AbstractWindows):
 
     - `alpha`, `beta`: shortest and longest window in seconds.
     - `law`: how much each length counts: an [`AbstractLaw`][], a list of weights for equal parts of
-      the band (differentiable, see [`SteppedLaw`][]), or a function of lengths in seconds (see
-      [`DensityLaw`][]). Uniform by default.
+      the band (differentiable, see [`SteppedLaw`][]). Uniform by default.
     - `longest_samples`: an upper limit to beta in samples, which sets the size of the blocks that
       the record is worked through in. Known where beta is a plain number; under `jit` or
       `vmap` over beta it should be given, or every block spans the record.
@@ -216,7 +213,7 @@ class AllWindows(AbstractWindows):
         alpha: float | Leaf,
         beta: float | Leaf,
         *,
-        law: AbstractLaw | ArrayLike | Callable[[Array], Array] | None = None,
+        law: AbstractLaw | ArrayLike | None = None,
         longest_samples: int | None = None,
     ):
         self.alpha, self.beta = _band(alpha, beta)
@@ -234,16 +231,6 @@ class AllWindows(AbstractWindows):
         samples = max(float(self.beta) / float(step) for step in steps)
         limit = power_of_two(samples + 2)
         return dataclasses.replace(self, longest_samples=limit)
-
-    @property
-    def drawn(self) -> "RandomWindows":
-        """A fixed number of them."""
-        return RandomWindows(self.alpha, self.beta, DRAWN)
-
-    @property
-    def every(self) -> "AllWindows":
-        """These."""
-        return self
 
     def between(self, alpha: Float[Array, ""] | float, beta: Float[Array, ""] | float) -> Self:
         """The same windows with other lengths.
@@ -273,7 +260,7 @@ class AllWindows(AbstractWindows):
     def in_chunks(self, record: Record) -> bool:
         """Whether a record is so long that it is worked through in chunks."""
         n = record.sample_count
-        return is_chunked(record, self.block(n), self.reach(n))
+        return chunk_length(record, self.block(n), self.reach(n)) < n
 
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
         """The law of lags, which are multiples of so many samples."""
@@ -338,16 +325,6 @@ class RandomWindows(AbstractWindows):
         self.between_samples = between_samples
         if count < 1:
             raise ModelError(f"the number of windows must be at least 1; got {count}.")
-
-    @property
-    def drawn(self) -> "RandomWindows":
-        """These."""
-        return self
-
-    @property
-    def every(self) -> AllWindows:
-        """What they converge to as their number grows."""
-        return AllWindows(self.alpha, self.beta)
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""

@@ -101,10 +101,6 @@ class Shaped:
         term = self.build(name, width)
         return Candidate(name, (term,), self.meaning, self.equation, memories)
 
-    def with_widths(self, widths: Float[np.ndarray, " widths"]) -> "Shaped":
-        """The same for other widths, of which there are as many."""
-        return replace(self, widths=widths)
-
     def closer(self, number: int) -> "Shaped":
         """The same for widths between the two beside one of them, which stays among them."""
         widths = self.widths
@@ -113,7 +109,7 @@ class Shaped:
         high = widths[number + 1] if number + 1 < widths.size else 1.5 * centre
         spread = np.linspace(low, high, widths.size)
         spread[np.argmin(np.abs(spread - centre))] = centre
-        return self.with_widths(spread)
+        return replace(self, widths=spread)
 
 
 AnyCandidate = Candidate | Shaped
@@ -146,20 +142,13 @@ def renamed(one: AnyCandidate, name: str) -> AnyCandidate:
     """The same by another name, and so a coefficient that is called like it."""
     if isinstance(one, Shaped):
         return replace(one, name=name)
-    return replace(one, name=name, terms=tuple(_called(t, one.name, name) for t in one.terms))
-
-
-def _called(term: AbstractTerm, before: str, name: str) -> AbstractTerm:
-    if not isinstance(term, Term) or term.name != before:
-        return term
-    return Term(
-        name,
-        term.of,
-        derivative=term.derivative,
-        measured=term.measured,
-        unit=term.unit,
-        sign=term.number,
+    terms = tuple(
+        Term(name, t.of, derivative=t.derivative, measured=t.measured, unit=t.unit, sign=t.number)
+        if isinstance(t, Term) and t.name == one.name
+        else t
+        for t in one.terms
     )
+    return replace(one, name=name, terms=terms)
 
 
 def named(reference: str, name: str) -> Candidate:

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from riecjax.discovery.search import (
     Again,
     Offer,
     Search,
-    Step,
     Sums,
     again,
     by_equation,
@@ -28,7 +27,7 @@ from riecjax.discovery.search import (
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.motions import reading_velocities
-from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, with_rests
+from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
 from riecjax.errors import DataError, ModelError, RiecjaxError, require
 from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import Estimate
@@ -85,9 +84,7 @@ def discover(
     """
     found = as_model(model)
     procedure = with_rests(found.build_procedure(), settings.at_rest)
-    _require_sense(
-        procedure, settings.hold_out, settings.known, (settings.least, settings.smallest)
-    )
+    _require_sense(procedure, settings)
     # Velocities that candidates read and no sensor measured are formed, if they can be.
     reading, recordings = reading_velocities(procedure), []
     for one in as_recordings(records):
@@ -115,12 +112,8 @@ def discover(
     intervals = None if usual else intervals_of(settings.intervals, settings.seed)
     for one in whole:  # before they are given states that nobody recorded
         read_of(procedure, one, own)
-    searched_again = settings.seed, 0 if settings.hold_out is not None else settings.resamples
     held = {**{name: float(value) for name, value in procedure.known.items()}, **settings.known}
-    sought = own, held, intervals, settings.at_rest, settings.hold_out
-    asked = _Asked(
-        found, procedure, offered, *sought, (settings.least, settings.smallest), searched_again
-    )
+    asked = _Asked(found, procedure, offered, own, held, intervals, settings)
     if settings.candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
@@ -134,11 +127,7 @@ def discover(
 
 
 class _Asked(NamedTuple):
-    """What is asked of the recordings, however often they are searched.
-
-    **Fields:** `shares`, least and smallest; `again`, the seed and number of searches in data drawn
-    again.
-    """
+    """What is asked of the recordings, however often they are searched."""
 
     model: Model
     procedure: Procedure
@@ -146,23 +135,20 @@ class _Asked(NamedTuple):
     criterion: AbstractCriterion
     known: Mapping[str, float]
     intervals: AbstractIntervals | None
-    at_rest: AtRest | None
-    hold_out: float | None
-    shares: tuple[float, float]
-    again: tuple[int, int]
+    settings: DiscoverSettings
 
     def parts(self, recordings: list[Recording]) -> tuple[list[Recording], list[Recording]]:
         """What is searched, and what values are from."""
-        if self.hold_out is None:
+        if self.settings.hold_out is None:
             return recordings, recordings
-        first, last = zip(*(one.split(self.hold_out) for one in recordings))
+        first, last = zip(*(one.split(self.settings.hold_out) for one in recordings))
         return list(first), list(last)
 
     def identified(
         self, model: Model, recordings: list[Recording], criterion: AbstractCriterion | None
     ) -> Estimate:
         """The estimate of a model."""
-        settings = {"intervals": self.intervals, "at_rest": self.at_rest}
+        settings = {"intervals": self.intervals, "at_rest": self.settings.at_rest}
         return identify(model, self.parts(recordings)[1], criterion, known=self.known, **settings)
 
     def identifying(
@@ -211,11 +197,12 @@ def _left(found: Discovery) -> float:
 def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDelay | None]:
     """What is found in recordings as they are, and the delay that explains what is left."""
     first, last = asked.parts(whole)
-    least, smallest = asked.shares
-    procedure, model = asked.procedure, asked.model
-    sums = Sums(procedure, first, asked.criterion, asked.offered, asked.known, least, smallest)
+    procedure, model, settings = asked.procedure, asked.model, asked.settings
+    shares = settings.least, settings.smallest
+    sums = Sums(procedure, first, asked.criterion, asked.offered, asked.known, *shares)
     stages = _searched(sums)
-    drawn = [again(search, chosen, *asked.again) for search, chosen in stages]
+    times = 0 if settings.hold_out is not None else settings.resamples
+    drawn = [again(search, chosen, settings.seed, times) for search, chosen in stages]
     chosen = [_as_chosen(sums, search, of, one, drawn) for search, of in stages for one in of]
     larger = _with_chosen(model, procedure, chosen)
     estimate = asked.identified(larger, whole, asked.criterion)
@@ -243,24 +230,25 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
         model,
         tuple(chosen),
         tuple(sorted(rejected.values(), key=lambda one: -one.gain)),
-        _paths(procedure, stages),
+        {
+            " + ".join(names): tuple(search.path(of_stage))
+            for names, (search, of_stage) in zip(procedure.equation_names, stages, strict=True)
+            if search.offers
+        },
         estimate,
         _errors(estimate, stages, chosen, drawn),
-        asked.hold_out or 0.0,
+        settings.hold_out or 0.0,
         sum(len({one.family for one in search.offers}) for search, _ in stages),
         tuple({one.message: one for one in amiss}.values()),
     )
     return found, late
 
 
-def _require_sense(
-    procedure: Procedure,
-    hold_out: float | None,
-    known: Mapping[str, Any],
-    shares: Sequence[float],
-) -> None:
+def _require_sense(procedure: Procedure, settings: DiscoverSettings) -> None:
+    hold_out, known = settings.hold_out, settings.known
     require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.3, a share")
-    for name, share in zip(("least", "smallest"), shares, strict=True):
+    for name in ("least", "smallest"):
+        share = getattr(settings, name)
         require(name, share, Real, f"{name}=0.01, a share")
         if not 0 < share < 1:
             raise ModelError(f"{name} is a share between 0 and 1; got {share:g}.")
@@ -318,17 +306,6 @@ def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -
     return model.with_terms(
         by_equation(procedure, candidates), memories=memories, meanings=meanings
     )
-
-
-def _paths(
-    procedure: Procedure, stages: Sequence[tuple[Search, list[Offer]]]
-) -> dict[str, tuple[Step, ...]]:
-    names = [" + ".join(of) for of in procedure.equation_names]
-    return {
-        name: tuple(search.path(chosen))
-        for name, (search, chosen) in zip(names, stages, strict=True)
-        if search.offers
-    }
 
 
 def _errors(

@@ -150,8 +150,24 @@ def with_mode(
                 continue
             if float(estimate.equations[name].model_rms) < most:
                 start = identified(found.start) if found.chosen else found.estimate
-                own = start.equations[name]
-                return _with(found, on, with_terms(chosen), estimate, chosen, (name, own))
+                number = ModeParameters.of(len(found.start.modes))
+                frequency, _ = mode_frequency(estimate.values, number)
+                stage = next((key for key in found.paths if name in key.split(" + ")), name)
+                terms = " + ".join(one.candidate.name for one in chosen)
+                beside = [_step(terms, fits[name])] if chosen else []
+                last = _step("mode", estimate.equations[name])
+                mode = HiddenMode(on, float(f"{float(frequency):.4g}"))
+                errors = map(float, estimate.standard_errors)
+                return replace(
+                    found,
+                    model=with_terms(chosen).with_modes(mode),
+                    chosen=chosen,
+                    rejected=(),
+                    mode=mode,
+                    paths={stage: (_step("", start.equations[name]), *beside, last)},
+                    estimate=estimate,
+                    errors=dict(zip(estimate.parameters, errors, strict=True)),
+                )
     return found
 
 
@@ -183,33 +199,6 @@ def _beside(
         both = of(stay) if stay else alone
     less = _step("mode", both.equations[name]).of_motion < 0.5 * left.of_motion
     return (stay, both) if less else ((), alone)
-
-
-def _with(
-    found: Discovery,
-    on: str,
-    model: Model,
-    estimate: Estimate,
-    chosen: tuple[Chosen, ...],
-    before: tuple[str, EquationFit],
-) -> Discovery:
-    name, own = before
-    frequency, _ = mode_frequency(estimate.values, ModeParameters.of(len(found.start.modes)))
-    stage = next((key for key in found.paths if name in key.split(" + ")), name)
-    terms = " + ".join(one.candidate.name for one in chosen)
-    beside = [_step(terms, found.estimate.equations[name])] if chosen else []
-    steps = (_step("", own), *beside, _step("mode", estimate.equations[name]))
-    mode = HiddenMode(on, float(f"{float(frequency):.4g}"))
-    return replace(
-        found,
-        model=model.with_modes(mode),
-        chosen=chosen,
-        rejected=(),
-        mode=mode,
-        paths={stage: steps},
-        estimate=estimate,
-        errors=dict(zip(estimate.parameters, map(float, estimate.standard_errors), strict=True)),
-    )
 
 
 def _step(added: str, fit: EquationFit) -> Step:

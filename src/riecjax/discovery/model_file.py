@@ -45,7 +45,18 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
         named = {name: one.meaning for one in of_terms for name in one.columns}
         meanings = _mapping("meanings", named)
         body[-1] += ".with_terms("
-        body += [*_terms_source(found, added), *_mapping("values", others), *meanings, ")"]
+        body.append("    {")
+        for equation, lines in added.items():
+            terms = (f"            {line}," for line in lines)
+            body += [f"        {_quoted(equation)}: [", *terms, "        ],"]
+        body.append("    },")
+        states = []
+        for memory in dict.fromkeys(m for one in of_terms for m in one.memories):
+            given = ((field, getattr(memory, field.name)) for field in fields(memory))
+            words = ", ".join(_quoted(value) for field, value in given if value != field.default)
+            states.append(f"        rx.equations.{type(memory).__name__}({words}),")
+        body += ["    memories=[", *states, "    ],"] if states else []
+        body += [*_mapping("values", others), *meanings, ")"]
     if found.mode is not None:
         body[-1] += ".with_modes("
         mode = f"rx.HiddenMode({_quoted(found.mode.on)}, {found.mode.hz!r})"
@@ -55,23 +66,6 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     imports = ["from pathlib import Path", ""] if folder_line else []
     imports += ["import riecjax as rx", ""]
     return head + "\n".join([*imports, *folder_line, *body]) + "\n"
-
-
-def _terms_source(found: Discovery, added: Mapping[str, Sequence[str]]) -> list[str]:
-    body = ["    {"]
-    for equation, lines in added.items():
-        body += [
-            f"        {_quoted(equation)}: [",
-            *(f"            {line}," for line in lines),
-            "        ],",
-        ]
-    remembered = dict.fromkeys(m for one in found.chosen for m in one.candidate.memories)
-    states = []
-    for memory in remembered:
-        given = ((field, getattr(memory, field.name)) for field in fields(memory))
-        words = ", ".join(_quoted(value) for field, value in given if value != field.default)
-        states.append(f"        rx.equations.{type(memory).__name__}({words}),")
-    return [*body, "    },", *(["    memories=[", *states, "    ],"] if states else [])]
 
 
 def _path(reference: str, folder: Path) -> str:

@@ -243,11 +243,6 @@ class Search:
         self._trials = max(len(self.offers) if trials is None else trials, 1)
         self._known: dict[frozenset[str], Left | None] = {}
 
-    def among(self, folds: Folds, offers: Sequence[Offer]) -> "Search":
-        """A search of other folds, among some of these offers and as strict as this one."""
-        trials = len(self.offers)
-        return Search(folds, self.kept, offers, trials, self.least, self.smallest)
-
     def _names(self, chosen: Sequence[Offer]) -> tuple[str, ...]:
         return (*self.kept, *(column for offer in chosen for column in offer.columns))
 
@@ -449,7 +444,7 @@ class Again(NamedTuple):
 def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN) -> Again:
     """Search again from folds drawn with replacement."""
     rng = np.random.default_rng(seed)
-    folds, among = search.folds, _among(search, chosen)
+    folds, among, trials = search.folds, _among(search, chosen), len(search.offers)
     families: Counter[str] = Counter()
     values: dict[tuple[str, int], list[float]] = {}
     # Of a law the same coefficient, whatever its width.
@@ -458,7 +453,7 @@ def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN
     }
     for _ in range(times):
         drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
-        one = search.among(drawn, among)
+        one = Search(drawn, search.kept, among, trials, search.least, search.smallest)
         found = one.found()
         families.update(offer.family for offer in found)
         names = (*search.kept, *(name for offer in found for name in offer.columns))
@@ -511,13 +506,11 @@ def extended(procedure: Procedure, candidates: Iterable[Candidate]) -> Procedure
 
 def members(candidates: Iterable[AnyCandidate]) -> list[Candidate]:
     """Candidates as they are summed: of a law with a width one for each width."""
-    found: list[Candidate] = []
-    for one in candidates:
-        if isinstance(one, Shaped):
-            found += [one.at(i) for i in range(one.widths.size)]
-        else:
-            found.append(one)
-    return found
+    return [
+        each
+        for one in candidates
+        for each in (map(one.at, range(one.widths.size)) if isinstance(one, Shaped) else [one])
+    ]
 
 
 def without_twins(
@@ -556,18 +549,6 @@ def _signal(place: tuple[str, AbstractTerm]) -> tuple[str, object]:
 
 def _has_shape(term: AbstractTerm, kind: type[AbstractShape]) -> bool:
     return isinstance(term, Terms) and isinstance(term.basis, kind)
-
-
-def offers(candidates: Iterable[AnyCandidate], names: Container[str]) -> list[Offer]:
-    """What a search among coefficients of these names may choose: of a law with a width, one for
-    each."""
-    found: list[Offer] = []
-    for one in candidates:
-        for each in members([one]):
-            if all(name in names for name in each.columns):
-                simple = not isinstance(one, Shaped)
-                found.append(Offer(each.name, each.columns, one.name, simple))
-    return found
 
 
 def without_taken(
@@ -619,16 +600,18 @@ class Sums:
         ]
         self.summary = summarise(extended(self.procedure, every), carrying, self.criterion)
 
-    def folds(self, stage: int, found: Mapping[str, float]) -> Folds:
-        """Of one stage, what earlier ones found being known."""
+    def search(self, stage: int, found: Mapping[str, float]) -> Search:
+        """A search of one stage, as the sums are now, what earlier ones found being known."""
         equations = self.summary.equations()[stage]
         names = tuple(dict.fromkeys(name for e in equations for name in e.parameters))
-        return Folds.of(sum_of_equations(equations, names).fix({**self.known, **found}))
-
-    def search(self, stage: int, found: Mapping[str, float]) -> Search:
-        """A search of one stage, as the sums are now."""
-        folds = self.folds(stage, found)
-        offered = offers(self.candidates, {*folds.parameters})
+        folds = Folds.of(sum_of_equations(equations, names).fix({**self.known, **found}))
+        # What may be chosen: of a law with a width, one for each.
+        offered = [
+            Offer(each.name, each.columns, one.name, not isinstance(one, Shaped))
+            for one in self.candidates
+            for each in members([one])
+            if {*each.columns} <= {*folds.parameters}
+        ]
         columns = {name for offer in offered for name in offer.columns}
         kept = [name for name in folds.parameters if name not in columns]
         return Search(folds, kept, offered, least=self.least, smallest=self.smallest)
@@ -658,7 +641,12 @@ class Sums:
                 self.candidates = fewer
                 self.sum_up()
                 continue
-            strongest = max(rough, key=lambda one: _without(search, chosen, one))
+
+            def without(one: Offer, search: Search = search, chosen: Sequence[Offer] = chosen):
+                left = search.left([other for other in chosen if other is not one])
+                return float("inf") if left is None else float(left.motion.sum())
+
+            strongest = max(rough, key=without)
             beside = [one for one in chosen if one.simple or one.family in near]
             # Of laws with a memory all of the same signal: rough widths tell none from the others.
             law, families = self.shape(strongest.family), [strongest.family]
@@ -715,8 +703,3 @@ class Sums:
         slopes = ((above - at) * low / high + (at - below) * high / low) / (low + high)
         bend = 2 * np.sum((above - at) / high - (at - below) / low) / (low + high)
         return float(np.sqrt(np.sum(slopes**2)) / bend) if bend > 0 else float("nan")
-
-
-def _without(search: Search, chosen: Sequence[Offer], one: Offer) -> float:
-    left = search.left([other for other in chosen if other is not one])
-    return float("inf") if left is None else float(left.motion.sum())

@@ -60,9 +60,10 @@ class InMotion(AbstractTerm):
 
     def expression(self, record: Record, order: int) -> Expression:
         """What reads all that the samples are made of."""
-        if self._is_of_velocity(order):
+        # Whether this is of the velocity alone, and not of what the term is of.
+        if self.term.derivative and not order:
             return self.velocity
-        of = self.term.expression(record, self._below(order))
+        of = self.term.expression(record, self.term.derivative if order else 0)
 
         def both(signals: Signals) -> Array:
             return signals[self.velocity] * (signals[of] if isinstance(of, str) else of(signals))
@@ -74,8 +75,9 @@ class InMotion(AbstractTerm):
         velocity = record[self.velocity]
         ratio = jnp.clip(velocity / self.width, -FAR, FAR)
         weight = ratio**2 / (1 + ratio**2)
-        if not self._is_of_velocity(order):
-            values, present = self.term.samples(record, self._below(order))
+        if order or not self.term.derivative:
+            below = self.term.derivative if order else 0
+            values, present = self.term.samples(record, below)
             return Sampled(
                 values * weight[None], both_present(present, record.present((self.velocity,)))
             )
@@ -84,14 +86,6 @@ class InMotion(AbstractTerm):
         of = integral if self.derivative else velocity * weight
         values = jnp.asarray(self.term.number) * of
         return Sampled(values[None], record.present((self.velocity,)))
-
-    def _is_of_velocity(self, order: int) -> bool:
-        """Whether this is of the velocity alone, and not of what the term is of."""
-        return self.term.derivative > 0 and order == 0
-
-    def _below(self, order: int) -> int:
-        """The order in which the term itself is read."""
-        return self.term.derivative if order else 0
 
     def __neg__(self) -> "InMotion":
         return eqx.tree_at(lambda own: own.term, self, -self.term)

@@ -1,6 +1,6 @@
 """An equation of motion, linear in its parameters."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from riecjax.equations.term import (
     read_expression,
 )
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signals
 from riecjax.shows import Shown
 
@@ -122,12 +122,6 @@ class Equation(Shown, eqx.Module):
             for pair in zip((term.of, *term.measured), term.measured)
         )
 
-    @property
-    def functions(self) -> list[Expression]:
-        """Its expressions that are functions of the signals, the mask's included."""
-        found = [term.of for term in self.terms] + ([self.where] if self.where else [])
-        return [expression for expression in found if not isinstance(expression, str)]
-
     def trusted(self, record: Record) -> Bool[Array, " n"] | None:
         """Where `where` holds and its signals are present; `None` without `where`."""
         if self.where is None:
@@ -161,29 +155,18 @@ class Equation(Shown, eqx.Module):
         return signals.read
 
 
-def with_terms(equation: Equation, terms: Sequence[AbstractTerm]) -> Equation:
-    """The same equation with further terms, whose sign is that of the inertia."""
-    if not terms:
-        return equation
-    # What is differentiated most often stands for the inertia, a named coefficient first; of a
-    # force element, which has none, what it was given.
-    every = sorted(
-        equation.terms, key=lambda term: (-getattr(term, "derivative", 0), not term.parameters)
-    )
-    first = every[0]
-    sign = getattr(first, "number" if isinstance(first, Term) else "sign", 1.0)
-    turned = is_concrete(sign) and float(np.asarray(sign)) < 0
-    signed = [-term for term in terms] if turned else terms
-    return eqx.tree_at(lambda e: e.terms, equation, (*equation.terms, *signed))
-
-
 def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
     """Expressions whose value at one sample depends on others, as `equation: name` (not under jit).
 
     A mean, a difference between neighbours or a filter would see only a chunk of the record, or
     what fills it up. Each is tried on samples from all over the record, and on halves of these.
     """
-    functions = [(e.name, f) for e in equations for f in e.functions]
+    functions = [
+        (equation.name, expression)
+        for equation in equations
+        for expression in (*(term.of for term in equation.terms), equation.where)
+        if expression is not None and not isinstance(expression, str)
+    ]
     if not functions:
         return []
     at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)

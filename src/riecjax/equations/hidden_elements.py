@@ -33,6 +33,7 @@ for the element's own. Of a map F(v) no multiplication rids the equation, since 
 linear in K.
 """
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -82,6 +83,34 @@ class SeriesSpring(eqx.Module):
         return KNOWN_UNITS.get(named[0], "") if named else ""
 
 
+class Shape(NamedTuple):
+    """Polynomials N and D in s, their coefficients lowest first, by which an element follows.
+
+    **Fields:** `numerator`, filled up with zeros to the length of the `denominator`.
+    """
+
+    numerator: Float[Array, " powers"]
+    denominator: Float[Array, " powers"]
+
+    @classmethod
+    def of_mode(cls, p: Array, q: Array) -> "Shape":
+        """1 + q s and 1 + q s + p s^2: p = M / K in s^2, q = B / K in s."""
+        one = jnp.ones_like(p)
+        return cls(jnp.stack([one, q, jnp.zeros_like(p)]), jnp.stack([one, q, p]))
+
+    @classmethod
+    def of_lag(cls, tau: Array) -> "Shape":
+        """1 and 1 + tau s of an element that follows late, by tau = c / K in s."""
+        one = jnp.ones_like(tau)
+        return cls(jnp.stack([one, jnp.zeros_like(tau)]), jnp.stack([one, tau]))
+
+    @property
+    def decay(self) -> Array:
+        """Seconds in which what is free falls to 1 / e, by exp(-t / tau) or exp(-q t / (2 p))."""
+        _, q, *p = self.denominator
+        return jnp.where(q > 0, 2 * p[0] / jnp.where(q > 0, q, 1.0), jnp.inf) if p else q
+
+
 class SpringParameters(NamedTuple):
     """Names of a linear element's coefficient and of the stiffness in series with it."""
 
@@ -98,10 +127,8 @@ class SpringParameters(NamedTuple):
         """The parameter that the force is proportional to, for a given lag."""
         return self.coefficient
 
-    @property
-    def order(self) -> int:
-        """Of the polynomial D, which has as many coordinates in a search."""
-        return 1
+    order = 1
+    """Of the polynomial D, which has as many coordinates in a search."""
 
     @property
     def judged(self) -> tuple[str, ...]:
@@ -113,42 +140,22 @@ class SpringParameters(NamedTuple):
 
         From tau = c / K follows d tau = -tau dK / K.
         """
-        lag = jnp.abs(self.shape(values).tau)
+        lag = jnp.abs(values[self.coefficient] / values[self.stiffness])
         return jnp.stack([values[self.stiffness] / (lag * jnp.asarray(band[1]))])
 
-    def shape(self, values: Mapping[str, Array]) -> "Lag":
+    def shape(self, values: Mapping[str, Array]) -> Shape:
         """The lag with these values."""
-        return Lag(values[self.coefficient] / values[self.stiffness])
+        return Shape.of_lag(values[self.coefficient] / values[self.stiffness])
 
     @staticmethod
-    def shape_at(at: Float[Array, "1"] | None) -> "Lag":
+    def shape_at(at: Float[Array, "1"] | None) -> Shape:
         """Of the logarithm of the corner 1 / (2 pi tau) in hertz; `None`: rigid."""
-        return Lag(jnp.zeros(()) if at is None else jnp.exp(-at[0]) / (2 * jnp.pi))
+        tau = jnp.zeros(()) if at is None else jnp.exp(-at[0]) / (2 * jnp.pi)
+        return Shape.of_lag(tau)
 
     def values_at(self, at: Float[Array, "1"], values: Mapping[str, Array]) -> dict[str, Array]:
         """The stiffness of the lag there, the coefficient being among the values."""
-        return {self.stiffness: values[self.coefficient] / self.shape_at(at).tau}
-
-
-class Lag(NamedTuple):
-    """Polynomials 1 and D = 1 + tau s of an element that follows late, by tau = c / K in s."""
-
-    tau: Array
-
-    @property
-    def numerator(self) -> Float[Array, "2"]:
-        """Coefficients, lowest first."""
-        return jnp.stack([jnp.ones_like(self.tau), jnp.zeros_like(self.tau)])
-
-    @property
-    def denominator(self) -> Float[Array, "2"]:
-        """Coefficients of D, lowest first."""
-        return jnp.stack([jnp.ones_like(self.tau), self.tau])
-
-    @property
-    def decay(self) -> Array:
-        """Seconds in which what is free falls to 1 / e: it is exp(-t / tau)."""
-        return self.tau
+        return {self.stiffness: values[self.coefficient] / self.shape_at(at).denominator[1]}
 
 
 def why_no_element(term: AbstractTerm, equations: Iterable[Equation]) -> str:
@@ -267,10 +274,8 @@ class ModeParameters(NamedTuple):
         """The parameter that the force is proportional to, for a given shape."""
         return self.mass
 
-    @property
-    def order(self) -> int:
-        """Of the polynomial D, which has as many coordinates in a search."""
-        return 2
+    order = 2
+    """Of the polynomial D, which has as many coordinates in a search."""
 
     @property
     def judged(self) -> tuple[str, ...]:
@@ -281,46 +286,24 @@ class ModeParameters(NamedTuple):
         """Errors of what is judged that count as one: its values."""
         return jnp.stack([values[name] for name in self.judged])
 
-    def shape(self, values: Values) -> "Shape":
-        """p and q with these values."""
+    def shape(self, values: Values) -> Shape:
+        """Of p and q with these values."""
         mass, stiffness, damping = (values[name] for name in self)
-        return Shape(mass / stiffness, damping / stiffness)
+        return Shape.of_mode(mass / stiffness, damping / stiffness)
 
     @staticmethod
-    def shape_at(at: Float[Array, "2"] | None) -> "Shape":
+    def shape_at(at: Float[Array, "2"] | None) -> Shape:
         """Of the logarithm of the frequency in hertz and the damping ratio; `None`: rigid."""
         if at is None:
-            return Shape(jnp.zeros(()), jnp.zeros(()))
+            return Shape.of_mode(jnp.zeros(()), jnp.zeros(()))
         rate = 2 * jnp.pi * jnp.exp(at[0])
-        return Shape(1 / rate**2, 2 * at[1] / rate)
+        return Shape.of_mode(1 / rate**2, 2 * at[1] / rate)
 
     def values_at(self, at: Float[Array, "2"], values: Values) -> dict[str, Array]:
         """Stiffness and damping of the shape there, the mass being among the values."""
-        shape = self.shape_at(at)
-        stiffness = values[self.mass] / shape.p
-        return {self.stiffness: stiffness, self.damping: stiffness * shape.q}
-
-
-class Shape(NamedTuple):
-    """Polynomials 1 + q s and D = 1 + q s + p s^2 of a mode: p = M / K in s^2, q = B / K in s."""
-
-    p: Array
-    q: Array
-
-    @property
-    def numerator(self) -> Float[Array, "3"]:
-        """Coefficients, lowest first."""
-        return jnp.stack([jnp.ones_like(self.p), self.q, jnp.zeros_like(self.p)])
-
-    @property
-    def denominator(self) -> Float[Array, "3"]:
-        """Coefficients of D, lowest first."""
-        return jnp.stack([jnp.ones_like(self.p), self.q, self.p])
-
-    @property
-    def decay(self) -> Array:
-        """Seconds in which what is free falls to 1 / e: it is exp(-q t / (2 p))."""
-        return jnp.where(self.q > 0, 2 * self.p / jnp.where(self.q > 0, self.q, 1.0), jnp.inf)
+        _, q, p = self.shape_at(at).denominator
+        stiffness = values[self.mass] / p
+        return {self.stiffness: stiffness, self.damping: stiffness * q}
 
 
 HiddenParameters = ModeParameters | SpringParameters
@@ -387,7 +370,7 @@ class Expanded(eqx.Module):
         hidden = (name for names, _ in self.elements for name in names)
         return tuple(dict.fromkeys((*self.parameters, *hidden)))
 
-    def residual(self, values: Values, shapes: Sequence[Shape | Lag]) -> Float[Array, " columns"]:
+    def residual(self, values: Values, shapes: Sequence[Shape]) -> Float[Array, " columns"]:
         """The residual as a combination of the linear equation's columns, the target first.
 
         It is affine in the coefficients and in the modes' masses, for elements of given shapes.
@@ -440,10 +423,7 @@ class Expanded(eqx.Module):
 
 def _product(polynomials: Sequence[Float[Array, " powers"]]) -> Float[Array, " powers"]:
     """Coefficients of a product of polynomials; 1 of none."""
-    found = jnp.ones(1)
-    for number, one in enumerate(polynomials):
-        found = one if number == 0 else jnp.convolve(found, one)
-    return found
+    return functools.reduce(jnp.convolve, polynomials) if polynomials else jnp.ones(1)
 
 
 def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]:

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import (
-    Lag,
     ModeParameters,
     Shape,
     SpringParameters,
@@ -57,7 +56,7 @@ class _Added(NamedTuple):
     signals: dict[str, Array]
     missing: dict[str, Array]
 
-    def add(self, name: str, samples: Array, present: Array | None, shape: Shape | Lag) -> None:
+    def add(self, name: str, samples: Array, present: Array | None, shape: Shape) -> None:
         """What follows some samples by this shape."""
         if name not in self.signals:
             self.signals[name], there = filtered(samples, present, self.record.time_step, shape)
@@ -123,18 +122,11 @@ def _lagging(
     )
 
 
-def followed(
-    record: Record, body: str, shape: Shape
-) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
-    """A mass's motion from its body's, and where that is known."""
-    return filtered(record[body], record.present((body,)), record.time_step, shape)
-
-
 def filtered(
     samples: Float[Array, " n"],
     present: Bool[Array, " n"] | None,
     step: Float[Array, ""],
-    shape: Shape | Lag,
+    shape: Shape,
 ) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
     """N / D of some samples, and where that is known.
 

@@ -75,9 +75,6 @@ class Memory:
         held = np.repeat(starts, lengths)
         return np.concatenate([[0.0], np.where(along == 0, held, self.after(held, along))])
 
-    def _both(self, signals: Signals) -> tuple[Array, Array]:
-        return signals[self.velocity], signals[self.state]
-
 
 @dataclass(frozen=True)
 class Dahl(Memory):
@@ -88,7 +85,7 @@ class Dahl(Memory):
 
     def __call__(self, signals: Signals) -> Array:
         """z' = (v - |v| z) / width."""
-        v, z = self._both(signals)
+        v, z = signals[self.velocity], signals[self.state]
         return (v - jnp.abs(v) * z) / self.width
 
     def after(self, state: np.ndarray | float, stroke: np.ndarray | float) -> np.ndarray:
@@ -106,7 +103,7 @@ class BoucWen(Memory):
 
     def __call__(self, signals: Signals) -> Array:
         """z' = (v - (|v| z + v |z|) / 2) / width."""
-        v, z = self._both(signals)
+        v, z = signals[self.velocity], signals[self.state]
         return (v - 0.5 * (jnp.abs(v) * z + v * jnp.abs(z))) / self.width
 
     def after(self, state: np.ndarray | float, stroke: np.ndarray | float) -> np.ndarray:

@@ -42,10 +42,15 @@ class Motion(NamedTuple):
         return self.position or self.velocity
 
 
-def motions_of(
-    equation: Equation, recorded: Collection[str], units: Mapping[str, str]
-) -> list[Motion]:
-    """The motions that an equation reads, of the signals that are recorded.
+def motions_and_unread(
+    equation: Equation,
+    record: Record,
+    recorded: Collection[str],
+    units: Mapping[str, str],
+    unread: Sequence[str],
+) -> tuple[list[Motion], list[str]]:
+    """The motions that an equation reads, with the positions that are recorded beside them, and of
+    the signals that no equation reads the first ones of those that are none of these.
 
     By the derivatives of its terms; by their units, of signals that it reads in no derivative.
     """
@@ -54,7 +59,8 @@ def motions_of(
         held = [name if name in recorded else "" for name in (position, velocity)]
         if not any(held):
             continue
-        unit = _unit(position, velocity, units)
+        of_velocity = units.get(velocity, "")
+        unit = units.get(position) or (per(of_velocity, "1/s") if of_velocity else "")
         for term in equation.terms if not unit and equation.unit else ():
             # By the units of the equation and of coefficients.
             if isinstance(term, Term) and term.of == position and term.unit and not unit:
@@ -67,36 +73,20 @@ def motions_of(
             before = found.get(key)
             if before is None or (not before.position and one.position):
                 found[key] = one
-    return list(dict.fromkeys(found.values()))
-
-
-def with_position(motion: Motion, record: Record, unread: Collection[str]) -> Motion:
-    """A velocity with the position that is recorded beside it and that no equation reads."""
-    if motion.position or not motion.velocity:
-        return motion
-    v = samples_with_nan(record, motion.velocity)[1:-1]
-    for name in unread:
-        x = samples_with_nan(record, name)
-        slope = x[2:] - x[:-2]
-        both = np.isfinite(v) & np.isfinite(slope)
-        moves = both.sum() > FEWEST and np.ptp(slope[both]) > 0 and np.ptp(v[both]) > 0
-        if moves and np.corrcoef(slope[both], v[both])[0, 1] > ALIKE:
-            return motion._replace(position=name)
-    return motion
-
-
-def motions_and_unread(
-    equation: Equation,
-    record: Record,
-    recorded: Collection[str],
-    units: Mapping[str, str],
-    unread: Sequence[str],
-) -> tuple[list[Motion], list[str]]:
-    """Motions with the positions that are recorded beside them, and of the signals that no equation
-    reads the first ones of those that are none of these."""
-    motions = [
-        with_position(motion, record, unread) for motion in motions_of(equation, recorded, units)
-    ]
+    # A velocity has the position whose slope it goes along with, among signals not read.
+    motions = []
+    for motion in dict.fromkeys(found.values()):
+        if motion.velocity and not motion.position:
+            v = samples_with_nan(record, motion.velocity)[1:-1]
+            for name in unread:
+                x = samples_with_nan(record, name)
+                slope = x[2:] - x[:-2]
+                both = np.isfinite(v) & np.isfinite(slope)
+                moves = both.sum() > FEWEST and np.ptp(slope[both]) > 0 and np.ptp(v[both]) > 0
+                if moves and np.corrcoef(slope[both], v[both])[0, 1] > ALIKE:
+                    motion = motion._replace(position=name)
+                    break
+        motions.append(motion)
     positions = {motion.position for motion in motions}
     return motions, [name for name in unread if name not in positions][:MOST_UNREAD]
 
@@ -131,13 +121,6 @@ def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, 
                 yield of, ""
             elif units.get(of) in VELOCITIES:
                 yield "", of
-
-
-def _unit(position: str, velocity: str, units: Mapping[str, str]) -> str:
-    if found := units.get(position):
-        return found
-    of = units.get(velocity, "")
-    return per(of, "1/s") if of else ""
 
 
 _FACTOR = re.compile(r"([^\W\d]+|1)(?:\^?(-?\d+))?")

@@ -133,14 +133,10 @@ STEPS = (1.5, 3.0)
 """b_1 and b_2, standard deviations by which a column's arguments are moved to either side."""
 
 
-def _shares() -> tuple[float, float]:
-    """c_1 and c_2."""
-    one, two = np.square(STEPS)
-    second = (-3 - one) / (two * (two - one))
-    return (1 - second * two) / one, second
-
-
-SHARES = _shares()
+SHARES: tuple[float, float] = tuple(
+    np.linalg.solve([np.power(STEPS, 2), np.power(STEPS, 4)], [1.0, -3.0]).tolist()
+)
+"""c_1 and c_2."""
 
 
 class Movement(eqx.Module):
@@ -227,7 +223,18 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
 
     **Raises:** `DataError` for a missing signal or derivative.
     """
-    directions = noise_directions(record.noise, equation.terms_read(record, smoothness))
+    # Along which signals move together: ("white", source) or ("coloured", signal).
+    noise, read = record.noise, equation.terms_read(record, smoothness)
+    directions: dict[Key, Direction] = {}
+    variances: Direction = {}
+    for name in sorted(read):
+        for source, taps in noise.kernels.get(name, {}).items():
+            if is_white(noise, source, read):
+                directions.setdefault(("white", source), {})[name] = taps[..., 0]
+            else:
+                variances[name] = variances.get(name, np.zeros(())) + jnp.sum(taps**2, axis=-1)
+    for name, variance in variances.items():
+        directions[("coloured", name)] = {name: jnp.sqrt(variance)}
     moves: dict[Key, list[_Part]] = {key: [] for key in directions}
     bends: dict[tuple[Key, ...], list[tuple[_Part, ...]]] = {}
     clean, weights = [], []
@@ -262,21 +269,6 @@ def is_white(noise: Noise, source: str, read: Iterable[str]) -> bool:
     return all(taps is None or taps.shape[-1] == 1 for taps in kernels)
 
 
-def noise_directions(noise: Noise, read: Iterable[str]) -> dict[Key, Direction]:
-    """Along which signals move together: ("white", source) or ("coloured", signal)."""
-    found: dict[Key, Direction] = {}
-    variances: Direction = {}
-    for name in sorted(read):
-        for source, taps in noise.kernels.get(name, {}).items():
-            if is_white(noise, source, read):
-                found.setdefault(("white", source), {})[name] = taps[..., 0]
-            else:
-                variances[name] = variances.get(name, np.zeros(())) + jnp.sum(taps**2, axis=-1)
-    for name, variance in variances.items():
-        found[("coloured", name)] = {name: jnp.sqrt(variance)}
-    return found
-
-
 def _term_noise(
     term: AbstractTerm,
     record: Record,
@@ -294,8 +286,26 @@ def _term_noise(
         for key, direction in directions.items()
     }
     touching = {key: direction for key, direction in touching.items() if direction}
+    if not touching:
+        return {}, {}
     if isinstance(term, Terms):
-        return _basis_noise(term, record, values, touching)
+        # Functions of one argument, whose noise is that of all directions together.
+        def argument(direction: Direction, step: Array) -> Array:
+            return evaluate(term.of, _moved(record, direction, step))[0]
+
+        zero = jnp.zeros(())
+        at = argument({}, zero)
+        slopes = {
+            key: jax.jvp(lambda h, d=direction: argument(d, h), (zero,), (jnp.ones(()),))[1]
+            for key, direction in touching.items()
+        }
+        spread = jnp.sqrt(sum(slope**2 for slope in slopes.values()))
+        size = jnp.where(spread > 0, spread, 1.0)
+        found = _curved(
+            values, lambda step: jnp.asarray(term.sign) * term.basis(at + step * spread)
+        )
+        rises = {key: found.rise * (own / size)[None, :] for key, own in slopes.items()}
+        return rises, {tuple(touching): found}
     if isinstance(term, Term) and isinstance(expression, str):
         number = jnp.asarray(term.number)
         return {k: (number * d[expression]).reshape(1, 1) for k, d in touching.items()}, {}
@@ -306,32 +316,6 @@ def _term_noise(
         for key, d in touching.items()
     }
     return {key: of.rise for (key,), of in found.items()}, found
-
-
-def _basis_noise(
-    term: Terms,
-    record: Record,
-    values: Float[Array, "columns samples"],
-    touching: dict[Key, Direction],
-) -> tuple[dict[Key, Array], dict[tuple[Key, ...], _Curved]]:
-    """Of functions of one argument, whose noise is that of all directions together."""
-    if not touching:
-        return {}, {}
-
-    def argument(direction: Direction, step: Array) -> Array:
-        return evaluate(term.of, _moved(record, direction, step))[0]
-
-    zero = jnp.zeros(())
-    at = argument({}, zero)
-    slopes = {
-        key: jax.jvp(lambda h, d=direction: argument(d, h), (zero,), (jnp.ones(()),))[1]
-        for key, direction in touching.items()
-    }
-    spread = jnp.sqrt(sum(slope**2 for slope in slopes.values()))
-    size = jnp.where(spread > 0, spread, 1.0)
-    found = _curved(values, lambda step: jnp.asarray(term.sign) * term.basis(at + step * spread))
-    rises = {key: found.rise * (own / size)[None, :] for key, own in slopes.items()}
-    return rises, {tuple(touching): found}
 
 
 def _curved(

@@ -13,16 +13,14 @@ is a known number the offset b itself is the coefficient; where k is estimated t
 measured: what is simulated of them is what the sensors would show.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, Protocol, TypeAlias, TypeGuard
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from riecjax.equations.equation import Equation, with_terms
+from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
@@ -34,113 +32,27 @@ from riecjax.equations.hidden_elements import (
     why_no_element,
 )
 from riecjax.equations.memories import Memory
-from riecjax.equations.term import AbstractTerm, Expression, Term, constant, read_expression
+from riecjax.equations.term import AbstractTerm, Expression, Term, constant, signals_read
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.faults.derivative_pairs import Relation
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record
 from riecjax.shows import Shown
-
-
-def with_unknown_offset(equations: Iterable[Equation], signal: str, unit: str) -> list[Equation]:
-    """The same equations for a sensor of `signal` whose zero is unknown.
-
-    A derivative of the signal has no offset. Coefficients are called `offset_SIGNAL`, in the
-    signal's `unit`, where the term's own is known, else `k_offset_SIGNAL`, that is k times it.
-
-    **Raises:** `ModelError` where no equation has a term of the signal itself, reads it in a
-    function, or has a constant term already, from which no offset can be told apart.
-    """
-
-    def changed(equation: Equation) -> list[AbstractTerm]:
-        _refuse_functions(equation, signal)
-        own = [t for t in equation.terms if _is_of(t, signal) and t.derivative == 0]
-        if not own:
-            return []
-        if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
-            raise ModelError(
-                f"{equation.name}: an offset of '{signal}' cannot be told apart from '{taken[0]}', "
-                f"which is constant too; give {signal}'s offset, or leave that term out."
-            )
-        if len(own) > 1:
-            raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
-        name = own[0].name
-        label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
-        number = -own[0].number
-        return [Term(label, constant, unit=unit if name is None else equation.unit, sign=number)]
-
-    return _each(
-        equations,
-        lambda equation: [*equation.terms, *changed(equation)],
-        f"no equation has a term of '{signal}' itself, so that none tells of its offset.",
-    )
-
-
-def with_unknown_gain(equations: Iterable[Equation], signal: str) -> list[Equation]:
-    """The same equations for a sensor whose readings of `signal` are to be multiplied by
-    `gain_SIGNAL`.
-
-    **Raises:** `ModelError` where a term of the signal has a coefficient that is estimated too,
-    where one reads it in a function, or where no equation reads it.
-    """
-
-    def changed(term: AbstractTerm) -> AbstractTerm:
-        if not _is_of(term, signal):
-            return term
-        if term.name is not None:
-            raise ModelError(
-                f"the gain of '{signal}' cannot be told apart from '{term.name}', which multiplies "
-                f"it: {term.name} comes out multiplied by the gain."
-            )
-        return Term(
-            f"gain_{signal}",
-            term.of,
-            derivative=term.derivative,
-            measured=term.measured,
-            sign=term.number,
-        )
-
-    def terms(equation: Equation) -> list[AbstractTerm]:
-        _refuse_functions(equation, signal)
-        return list(map(changed, equation.terms))
-
-    return _each(equations, terms, f"no equation reads '{signal}', so that none tells of its gain.")
 
 
 def _is_of(term: AbstractTerm, signal: str) -> TypeGuard[Term]:
     return isinstance(term, Term) and term.of == signal
 
 
-class _AnySignals(Signals):
-    """Whatever signals are asked for, to see which these are."""
-
-    def __getitem__(self, name: str) -> Array:
-        self.read.add(name)
-        return jnp.ones(4)
-
-
 def _refuse_functions(equation: Equation, signal: str) -> None:
     """Refuse a function of the signal: in it, an offset or a gain is no coefficient."""
     for term in equation.terms:
-        read = _AnySignals({})
-        read_expression(term.of, read)
-        if signal in read.read and not _is_of(term, signal):
+        if signal in signals_read(term.of) and not _is_of(term, signal):
             raise ModelError(
                 f"{equation.name}: the term of {' and '.join(term.parameters) or 'no coefficient'} "
                 f"is a function of '{signal}', in which an unknown offset or gain is no "
                 f"coefficient of its own; calibrate that sensor."
             )
-
-
-def _each(
-    equations: Iterable[Equation], terms: Callable[[Equation], list[AbstractTerm]], unread: str
-) -> list[Equation]:
-    """Equations with other terms; an error where that changes none."""
-    before = list(equations)
-    after = [eqx.tree_at(lambda e: e.terms, one, tuple(terms(one))) for one in before]
-    if all(a.parameters == b.parameters for a, b in zip(after, before)):
-        raise ModelError(unread)
-    return after
 
 
 PROBES, EXACT = 32, 1e-5
@@ -253,29 +165,94 @@ class Procedure(Shown, eqx.Module):
             if name in taken:
                 raise ModelError(f"there is a coefficient '{name}' already: call it otherwise.")
             taken.add(name)
-        return self._with_equations(
-            [with_terms(e, added.get(name, ())) for name, e in zip(names, self.equations)]
-        )
+        rest = iter(names)
+
+        def extended(equation: Equation) -> Sequence[AbstractTerm]:
+            # What is differentiated most often stands for the inertia, a named coefficient first;
+            # of a force element, which has none, what it was given.
+            first = min(
+                equation.terms, key=lambda t: (-getattr(t, "derivative", 0), not t.parameters)
+            )
+            sign = getattr(first, "number" if isinstance(first, Term) else "sign", 1.0)
+            turned = is_concrete(sign) and float(np.asarray(sign)) < 0
+            own = added.get(next(rest), ())
+            return (*equation.terms, *(-term if turned else term for term in own))
+
+        return self._with_equations(extended)
 
     def with_unknown_offset(self, signal: str, unit: str = "") -> "Procedure":
         """The same equations, with the unknown zero of a signal's sensor as a coefficient.
 
-        See [`with_unknown_offset`][riecjax.equations.procedure.with_unknown_offset].
+        A derivative of the signal has no offset. Coefficients are called `offset_SIGNAL`, in the
+        signal's `unit`, where the term's own is known, else `k_offset_SIGNAL`, that is k times it.
+
+        **Raises:** `ModelError` where no equation has a term of the signal itself, reads it in a
+        function, or has a constant term already, from which no offset can be told apart.
         """
-        return self._with_equations(with_unknown_offset(self.equations, signal, unit))
+
+        def terms(equation: Equation) -> list[AbstractTerm]:
+            _refuse_functions(equation, signal)
+            own = [t for t in equation.terms if _is_of(t, signal) and t.derivative == 0]
+            if not own:
+                return [*equation.terms]
+            if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
+                raise ModelError(
+                    f"{equation.name}: an offset of '{signal}' cannot be told apart from "
+                    f"'{taken[0]}', which is constant too; give {signal}'s offset, or leave that "
+                    f"term out."
+                )
+            if len(own) > 1:
+                raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
+            name, number = own[0].name, -own[0].number
+            label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
+            of_unit = unit if name is None else equation.unit
+            return [*equation.terms, Term(label, constant, unit=of_unit, sign=number)]
+
+        return self._with_equations(
+            terms, f"no equation has a term of '{signal}' itself, so that none tells of its offset."
+        )
 
     def with_unknown_gain(self, signal: str) -> "Procedure":
-        """The same equations, with the unknown gain of a signal's sensor as a coefficient.
+        """The same equations for a sensor whose readings of `signal` are to be multiplied by
+        `gain_SIGNAL`.
 
-        See [`with_unknown_gain`][riecjax.equations.procedure.with_unknown_gain].
+        **Raises:** `ModelError` where a term of the signal has a coefficient that is estimated too,
+        where one reads it in a function, or where no equation reads it.
         """
-        return self._with_equations(with_unknown_gain(self.equations, signal))
 
-    def _with_equations(self, equations: Sequence[Equation]) -> "Procedure":
-        """Others in their place, stage by stage."""
-        rest = iter(equations)
-        stages = tuple(tuple(next(rest) for _ in stage) for stage in self.stages)
-        return replace(self, stages=stages)
+        def changed(term: AbstractTerm) -> AbstractTerm:
+            if not _is_of(term, signal):
+                return term
+            if term.name is not None:
+                raise ModelError(
+                    f"the gain of '{signal}' cannot be told apart from '{term.name}', which "
+                    f"multiplies it: {term.name} comes out multiplied by the gain."
+                )
+            order, number = term.derivative, term.number
+            measured = term.measured
+            return Term(f"gain_{signal}", term.of, derivative=order, measured=measured, sign=number)
+
+        def terms(equation: Equation) -> list[AbstractTerm]:
+            _refuse_functions(equation, signal)
+            return list(map(changed, equation.terms))
+
+        return self._with_equations(
+            terms, f"no equation reads '{signal}', so that none tells of its gain."
+        )
+
+    def _with_equations(
+        self, terms: Callable[[Equation], Sequence[AbstractTerm]], unread: str = ""
+    ) -> "Procedure":
+        """Equations of other terms in their place; `unread` is an error where none is another."""
+
+        def other(equation: Equation) -> Equation:
+            return eqx.tree_at(lambda e: e.terms, equation, tuple(terms(equation)))
+
+        stages = tuple(tuple(map(other, stage)) for stage in self.stages)
+        after = replace(self, stages=stages)
+        if unread and after.parameters == self.parameters:
+            raise ModelError(unread)
+        return after
 
     def with_series_springs(self, *springs: SeriesSpring) -> "Procedure":
         """The same equations with springs in series with force elements.
@@ -366,16 +343,15 @@ class Procedure(Shown, eqx.Module):
     @property
     def equation_names(self) -> list[tuple[str, ...]]:
         """Names of the equations of each stage, numbered where several are called the same."""
-        names = iter(told_apart([e.name for stage in self.stages for e in stage]))
+        names = iter(told_apart([equation.name for equation in self.equations]))
         return [tuple(next(names) for _ in stage) for stage in self.stages]
 
     @property
     def units(self) -> dict[str, str]:
         """Unit of each coefficient."""
         units: dict[str, str] = {}
-        for stage in self.stages:
-            for equation in stage:
-                units |= {k: v for k, v in equation.units.items() if v or k not in units}
+        for equation in self.equations:
+            units |= {k: v for k, v in equation.units.items() if v or k not in units}
         for number, mode in enumerate(self.modes):
             units |= mode.units(number, self.equations)
         for number, spring in enumerate(self.springs):
@@ -385,11 +361,9 @@ class Procedure(Shown, eqx.Module):
     @property
     def known(self) -> Mapping[str, Leaf]:
         """Values that the equations themselves call known."""
-        known: dict[str, Leaf] = {}
-        for stage in self.stages:
-            for equation in stage:
-                known |= equation.known
-        return known
+        return {
+            name: value for equation in self.equations for name, value in equation.known.items()
+        }
 
     def plan(self, known: set[str]) -> list[tuple[str, tuple[str, ...]]]:
         """(stage name, parameters it finds) for each stage, given what is known beforehand.
@@ -510,9 +484,7 @@ def _require_equations(equations: tuple[object, ...], name: str) -> None:
 
 def told_apart(names: Sequence[str]) -> tuple[str, ...]:
     """The names, numbered where several are equal: `spring (1)`, `spring (2)`."""
-    place = {name: 0 for name in names}
-    unique = []
-    for name in names:
-        place[name] += 1
-        unique.append(f"{name} ({place[name]})" if names.count(name) > 1 else name)
-    return tuple(unique)
+    return tuple(
+        f"{name} ({1 + names[:i].count(name)})" if names.count(name) > 1 else name
+        for i, name in enumerate(names)
+    )

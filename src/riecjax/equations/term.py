@@ -18,7 +18,7 @@ import json
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -79,6 +79,46 @@ def read_expression(expression: Expression, signals: Signals) -> None:
         return
     with users_code(f"the expression {getattr(expression, '__name__', 'of a term')}"):
         jax.eval_shape(lambda: expression(signals))
+
+
+class _AnySignals(Signals):
+    """Signals of any name, which note in what order they are read."""
+
+    def __init__(self):
+        # An expression may ask for some signal, no matter which, to learn the number of samples.
+        super().__init__({"": jnp.zeros(1)})
+        self.order: list[str] = []
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._arrays:
+            self.order.append(name)
+        return jnp.full(1, 0.5)
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str)
+
+
+def signals_read(expression: Expression) -> tuple[str, ...]:
+    """Signals that an expression reads, in order.
+
+    **Raises:** `ModelError` for a function that fails, or returns other than a number a sample.
+    """
+    if isinstance(expression, str):
+        return (expression,)
+    signals = _AnySignals()
+    with users_code(f"the expression {label_of(expression)}"):
+        shape = jax.eval_shape(lambda: jnp.asarray(expression(signals))).shape
+    if shape != (1,) and (shape != () or signals.order):
+        raise ModelError(
+            f"the expression {label_of(expression)} must return one number for each sample; for "
+            f"one sample it returned shape {shape}."
+        )
+    return tuple(dict.fromkeys(signals.order))
+
+
+def label_of(expression: Expression) -> str:
+    """What an expression is called in messages."""
+    return expression if isinstance(expression, str) else getattr(expression, "__name__", "given")
 
 
 def both_present(
@@ -380,25 +420,24 @@ class AbstractShape(AbstractBasis):
     **Raises:** `ModelError` unless the width is positive.
     """
 
-    width: eqx.AbstractVar[Leaf]
+    width: Leaf = eqx.field(converter=as_leaf)
+    label: ClassVar[str]
+    """What the coefficient is of."""
 
     def __check_init__(self):
         if is_concrete(self.width) and not float(self.width) > 0:
             raise ModelError(f"a width must be positive; got {float(self.width):g}.")
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What the coefficient is of."""
+        return (self.label,)
+
 
 class DeadZone(AbstractShape):
     """Nothing within +-width, and what is beyond it outside: play, a gap, a stop."""
 
-    width: Leaf
-
-    def __init__(self, width: float | Array):
-        self.width = as_leaf(width)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What the coefficient is of: a stiffness."""
-        return ("stiffness",)
+    label = "stiffness"
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
         """x - clip(x, -width, width)."""
@@ -408,15 +447,7 @@ class DeadZone(AbstractShape):
 class Saturation(AbstractShape):
     """Linear within +-width, and constant outside."""
 
-    width: Leaf
-
-    def __init__(self, width: float | Array):
-        self.width = as_leaf(width)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What the coefficient is of: the slope within the width."""
-        return ("slope",)
+    label = "slope"
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
         """clip(x, -width, width)."""
@@ -426,15 +457,7 @@ class Saturation(AbstractShape):
 class Stribeck(AbstractShape):
     """What dry friction is more near standstill: sign(v) exp(-(v / width)^2)."""
 
-    width: Leaf
-
-    def __init__(self, width: float | Array):
-        self.width = as_leaf(width)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What the coefficient is of: a force."""
-        return ("force",)
+    label = "force"
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
         """sign(x) exp(-(x / width)^2)."""

@@ -65,7 +65,7 @@ class Check(Shown):
 
         Where one signal is a copy of another, that is said in its place.
         """
-        return _refusal(self.findings)
+        return refusal_by(self.findings)
 
     @property
     def answerable(self) -> bool:
@@ -78,8 +78,7 @@ def raise_if_refused(excitations: Iterable[Excitation]) -> None:
 
     **Raises:** `IdentifiabilityError` with the finding's message and code.
     """
-    refusal = refusal_by(excitations)
-    if refusal is not None:
+    if refusal := refusal_by(f for stage in excitations for f in stage.findings()):
         raise IdentifiabilityError(refusal.message, refusal.code)
 
 
@@ -90,7 +89,7 @@ def raise_if_not_carried(
 
     **Raises:** `IdentifiabilityError` with the finding's message and code.
     """
-    refused = {one.stage_name for one in excitations if _refusal(one.findings()) is not None}
+    refused = {one.stage_name for one in excitations if refusal_by(one.findings())}
     for mode in modes:
         if mode.stage in refused and not mode.carried:
             first, *more = mode.findings()
@@ -117,13 +116,11 @@ def naming_copies(
         raise
 
 
-def refusal_by(excitations: Iterable[Excitation]) -> Finding | None:
-    """What `raise_if_refused` would raise."""
-    return _refusal(finding for stage in excitations for finding in stage.findings())
-
-
-def _refusal(findings: Iterable[Finding]) -> Finding | None:
-    found = {finding.code: finding for finding in reversed([*findings])}
+def refusal_by(findings: Iterable[Finding]) -> Finding | None:
+    """What rules an answer out, the first of its kind in `FATAL`; `None` if nothing does."""
+    found: dict[str, Finding] = {}
+    for finding in findings:
+        found.setdefault(finding.code, finding)
     fatal = [code for code in FATAL if code in found]
     return found[COPIED if COPIED in found else fatal[0]] if fatal else None
 
@@ -176,15 +173,36 @@ def check_sums(
 
         summary = linearised(procedure, summary, plan.given)
     excited = excitations(summary, plan) if excited is None else excited
-    settings = procedure, plan.sharing, summary, plan.given
+    settings = procedure, plan, summary
     # Deviations from the mean are no regressors of hidden elements.
     constant = (
         () if procedure.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
     )
+    sensors = [of_sensors(procedure, one, names) for one, names in zip(recordings, read)]
+
+    def is_for_all(finding: Finding) -> bool:
+        """Whether what is proposed does no harm to recordings without the fault."""
+        same = finding.code, finding.signals
+        return "--leave-out" in finding.remedy or all(
+            any((f.code, f.signals) == same for f in own) for own in sensors
+        )
+
     findings = [
         *(f for one, names in zip(recordings, read) for f in one.concerning(names).findings),
         *duplicates(recordings),
-        *_sensors(procedure, recordings, read),
+        *(
+            f._replace(message=prefix + f.message)
+            if is_for_all(f)
+            # Without options, which are for all recordings.
+            else f._replace(
+                message=prefix + f.message,
+                remedy=(),
+                step=f"{f.step}, in record {i} alone" if f.step else "",
+            )
+            for i, own in enumerate(sensors, 1)
+            for prefix in [f"record {i}: " if len(plain) > 1 else ""]
+            for f in own
+        ),
         *_windows(plain, criterion),
         *_quadrature(summary),
         *_break_points(procedure, summary),
@@ -248,42 +266,14 @@ def recording_findings(
     ]
 
 
-def _sensors(
-    procedure: Procedure, recordings: list[Recording], read: list[tuple[str, ...]]
-) -> list[Finding]:
-    every: list[list[Finding]] = []
-    for i, (recording, names) in enumerate(zip(recordings, read)):
-        prefix = f"record {i + 1}: " if len(recordings) > 1 else ""
-        found = of_sensors(procedure, recording, names)
-        every.append([f._replace(message=prefix + f.message) for f in found])
-    return [
-        f if _is_for_all(f, every) else _alone(f, i) for i, own in enumerate(every) for f in own
-    ]
-
-
-def _is_for_all(finding: Finding, every: Sequence[Sequence[Finding]]) -> bool:
-    """Whether what is proposed does no harm to recordings without the fault."""
-    return "--leave-out" in finding.remedy or all(
-        any((f.code, f.signals) == (finding.code, finding.signals) for f in own) for own in every
-    )
-
-
-def _alone(finding: Finding, number: int) -> Finding:
-    """Without options, which are for all recordings."""
-    step = f"{finding.step}, in record {number + 1} alone" if finding.step else ""
-    return finding._replace(remedy=(), step=step)
-
-
 def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
     """Roof functions past the reach of the data, whose values would be extrapolated."""
     reach: dict[str, list[Float[np.ndarray, "2"]]] = {}
     for survey, _ in _surveys(summary):
         for prefix, ends in survey.reach.items():
             reach.setdefault(prefix, []).append(np.asarray(ends))
-    equations = [equation for stage in procedure.stages for equation in stage]
-    curves = [term for equation in equations for term in equation.terms if isinstance(term, Terms)]
-    for term in curves:
-        if not isinstance(term.basis, RoofFunctions):
+    for term in (term for equation in procedure.equations for term in equation.terms):
+        if not (isinstance(term, Terms) and isinstance(term.basis, RoofFunctions)):
             continue
         least, most = np.min(reach[term.prefix]), np.max(reach[term.prefix])
         points = np.asarray(term.basis.break_points)

@@ -37,9 +37,9 @@ from jaxtyping import Array, Float
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import constant
-from riecjax.estimation.parameters import Sharing
+from riecjax.estimation.parameters import ParameterPlan
 from riecjax.findings import Finding
-from riecjax.linear_algebra import Factor, factor_of_gram
+from riecjax.linear_algebra import factor_of_gram
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import EquationSums
 
@@ -67,19 +67,13 @@ Rows = Float[np.ndarray, " rows"]
 
 # Values too large to be squared are for the fit to refuse.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def constant_targets(
-    procedure: Procedure,
-    sharing: Sharing,
-    summary: Summary,
-    given: Mapping[str, Array],
-) -> list[Finding]:
+def constant_targets(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> list[Finding]:
     """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
-    **Arguments:** `summary`, with a constant beside all equations; `given`, known values by name
-    over all records.
+    **Arguments:** `summary`, with a constant beside all equations.
     """
     findings = []
-    for seen in _averaged(procedure, sharing, summary, given):
+    for seen in _averaged(procedure, plan, summary):
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
@@ -91,35 +85,27 @@ def constant_targets(
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def wrong_zeros(
-    procedure: Procedure,
-    sharing: Sharing,
-    summary: Summary,
-    given: Mapping[str, Array],
-) -> Iterator[Finding]:
+def wrong_zeros(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
     """`wrong_zero` of equations that motion explains, and a fit with the means does not.
 
     Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
     are left out that read what an earlier stage finds.
     """
-    for seen in _averaged(procedure, sharing, summary, given):
+    for seen in _averaged(procedure, plan, summary):
         for one in seen:
-            if {*sharing.everywhere(one.equation.parameters)} <= {*one.names, *given}:
+            if {*plan.sharing.everywhere(one.equation.parameters)} <= {*one.names, *plan.given}:
                 yield from _wrong_zero(one)
 
 
 def _averaged(
-    procedure: Procedure,
-    sharing: Sharing,
-    summary: Summary,
-    given: Mapping[str, Array],
+    procedure: Procedure, plan: ParameterPlan, summary: Summary
 ) -> Iterator[list["_Averaged"]]:
     """The equations of each stage."""
-    settled = set(given)
+    settled = set(plan.given)
     for number, stage in enumerate(procedure.stages):
         sums = zip(*(recording.stages[number] for recording in summary.recordings))
-        yield [_Averaged(e, sharing, summary, of, given, settled) for e, of in zip(stage, sums)]
-        settled |= {name for e in stage for name in sharing.everywhere(e.parameters)}
+        yield [_Averaged(e, plan, summary, of, settled) for e, of in zip(stage, sums)]
+        settled |= {name for e in stage for name in plan.sharing.everywhere(e.parameters)}
 
 
 def _wrong_zero(seen: "_Averaged") -> Iterator[Finding]:
@@ -235,13 +221,13 @@ class _Averaged:
     def __init__(
         self,
         equation: Equation,
-        sharing: Sharing,
+        plan: ParameterPlan,
         summary: Summary,
         recordings: Sequence[EquationSums],
-        given: Mapping[str, Array],
         settled: set[str],
     ):
-        self.equation, self.sharing = equation, sharing
+        self.equation, sharing, given = equation, plan.sharing, plan.given
+        self.sharing = sharing
         self.names = set(sharing.everywhere(equation.parameters)) - settled
         length = float(summary.criterion.typical_length)
         self.independent = sum(
@@ -250,12 +236,27 @@ class _Averaged:
         )
         dtype = np.asarray(recordings[0].moments).dtype
         self.rounding = max(ROUNDING * float(np.finfo(dtype).eps) ** 0.5, FACTORED)
-        individual = bool(sharing.own.intersection(equation.parameters))
         names = [sharing.of_record(one.parameters, i) for i, one in enumerate(recordings)]
-        rows, noise = zip(*(_factors(one, slice(*summary.band)) for one in recordings))
+        # Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them.
+        rows, noise, band = [], [], slice(*summary.band)
+        for one in recordings:
+            gram, added = np.zeros((2, *(2 + len(one.parameters),) * 2))
+            gram[0] = gram[:, 0] = np.asarray(one.constant)[band].sum((0, 1))
+            gram[1:, 1:] = np.asarray(one.moments)[band].sum((0, 1))
+            if one.noise is not None:
+                added[1:, 1:] = np.asarray(one.noise)[band].sum((0, 1))
+            rows.append(factor_of_gram(gram))
+            noise.append(factor_of_gram(added))
         self.target, self.columns = _columns(rows, names, self.names, given)
         self.noise = _columns(noise, names, self.names, given)
-        self.constants = _constants(rows, individual)
+        # Unit vectors along what is constant over all records, or over each of them.
+        edges = np.cumsum([0, *map(len, rows)])
+        constants = np.zeros((edges[-1], len(rows)))
+        constants[edges[:-1], np.arange(len(rows))] = [factor[0, 0] for factor in rows]
+        if not sharing.own.intersection(equation.parameters):
+            constants = constants.sum(axis=1, keepdims=True)
+        sizes = np.linalg.norm(constants, axis=0)
+        self.constants = constants / np.where(sizes > 0, sizes, 1.0)
 
     @property
     def inputs(self) -> list[str]:
@@ -315,17 +316,6 @@ class _Averaged:
         return [*groups, [name for name, c in self.columns.items() if self.share(c) <= STILL]]
 
 
-def _factors(equation: EquationSums, band: slice) -> tuple[Factor, Factor]:
-    """Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them."""
-    gram, added = (np.zeros((2 + len(equation.parameters),) * 2) for _ in range(2))
-    constant = np.asarray(equation.constant)[band].sum((0, 1))
-    gram[1:, 1:] = np.asarray(equation.moments)[band].sum((0, 1))
-    gram[0], gram[:, 0] = constant, constant
-    if equation.noise is not None:
-        added[1:, 1:] = np.asarray(equation.noise)[band].sum((0, 1))
-    return factor_of_gram(gram), factor_of_gram(added)
-
-
 def _columns(
     factors: Sequence[np.ndarray],
     names: Sequence[tuple[str, ...]],
@@ -344,21 +334,6 @@ def _columns(
             else:
                 target[rows] -= float(given.get(name, 1.0)) * column
     return target, columns
-
-
-def _constants(
-    factors: Sequence[np.ndarray], individual: bool
-) -> Float[np.ndarray, "rows constants"]:
-    """Unit vectors along what is constant over all records, or over each of them."""
-    constants = np.zeros((sum(len(factor) for factor in factors), len(factors)))
-    first = 0
-    for i, factor in enumerate(factors):
-        constants[first, i] = factor[0, 0]
-        first += len(factor)
-    if not individual:
-        constants = constants.sum(axis=1, keepdims=True)
-    sizes = np.linalg.norm(constants, axis=0)
-    return constants / np.where(sizes > 0, sizes, 1.0)
 
 
 def _fit(target: Rows, columns: list[Rows]) -> Float[np.ndarray, " columns"]:

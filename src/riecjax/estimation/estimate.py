@@ -213,7 +213,7 @@ class AbstractEstimate(Saved, eqx.Module):
                 )
 
     def few_blocks(self) -> Iterator[Finding]:
-        """Parameters whose intervals fell back to a small-sample sandwich (not under jit)."""
+        """Intervals by a small-sample sandwich, and those that lean (not under jit)."""
         freedom = self.uncertainty.degrees_of_freedom
         names, listed = self._where(self.uncertainty.few_blocks, freedom)
         if names:
@@ -225,9 +225,7 @@ class AbstractEstimate(Saved, eqx.Module):
                 f"them all along.",
                 parameters=names,
             )
-
-    def leaning(self) -> Iterator[Finding]:
-        """Intervals that reach much farther than errors alike all along call for."""
+        # Intervals that reach much farther than errors alike all along call for.
         times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
         names, listed = self._where(times > NOTABLE_LEAN, times)
         if names:
@@ -430,13 +428,15 @@ class Estimate(AbstractEstimate):
             yield from (*lost, *self._coverage(), *self._precision())
             return
         if float(self.condition_number) > gram_condition_limit(self.theta.dtype):
+            worst = max(self.stages, key=lambda stage: float(stage.solution.condition_number))
+            weakest = combination(worst.parameters, np.asarray(worst.solution.weakest_direction))
             yield Finding(
                 "ill_conditioned",
                 f"the regressors are nearly collinear (condition number "
                 f"{float(self.condition_number):.2g}); the least certain combination is "
-                f"{self.weakest_combination()}.",
+                f"{weakest}.",
             )
-        yield from (*self.few_blocks(), *self.leaning())
+        yield from self.few_blocks()
         sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
         ends = self.interval_by_name()
         for name, size in zip(self.parameters, sizes):
@@ -560,11 +560,6 @@ class Estimate(AbstractEstimate):
                 f"share of about {rounding:.0e}, and signals with an offset by more. "
                 f"Enable 64-bit by jax.config.update('jax_enable_x64', True).",
             )
-
-    def weakest_combination(self) -> str:
-        """The combination of parameters that the data tells least about, in words."""
-        worst = max(self.single().stages, key=lambda stage: float(stage.solution.condition_number))
-        return combination(worst.parameters, np.asarray(worst.solution.weakest_direction))
 
 
 def weighing(names: Sequence[str], direction: Float[np.ndarray, " p"]) -> tuple[str, ...]:

@@ -228,22 +228,21 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
     found, by_source = on_host(_excitations(totals, noises, sources, plan))
     if all(e.noise is None for stage in equations for e in stage):
         return found
-    return [_with_noisiest(one, by_source, summary, plan) for one in found]
-
-
-def _with_noisiest(
-    found: Excitation, stages: list[NormalEquations], summary: Summary, plan: ParameterPlan
-) -> Excitation:
-    """The same with the source of noise that adds most to the noisiest combination."""
-    i = [label for label, _ in plan.stages].index(found.stage_name)
-    stage, direction = stages[i], np.zeros(1 + len(stages[i].parameters))
-    place = [1 + stage.parameters.index(name) for name in found.parameters]
-    size = np.asarray(found.size)
-    direction[place] = np.where(size > 0, found.noisiest_direction / np.where(size > 0, size, 1), 0)
-    added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.moments), direction)
+    # The source of noise that adds most to each stage's noisiest combination.
     names = [list(one.noise.sources) for one in summary.recordings]
-    record, source = np.unravel_index(int(np.argmax(added)), added.shape)
-    return dataclasses.replace(found, corrected=True, noisiest=names[record][source])
+    stages = dict(zip((label for label, _ in plan.stages), by_source))
+    corrected = []
+    for one in found:
+        stage, size = stages[one.stage_name], np.asarray(one.size)
+        direction = np.zeros(1 + len(stage.parameters))
+        place = [1 + stage.parameters.index(name) for name in one.parameters]
+        scale = np.where(size > 0, size, 1)
+        direction[place] = np.where(size > 0, one.noisiest_direction / scale, 0)
+        added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.moments), direction)
+        record, source = np.unravel_index(int(np.argmax(added)), added.shape)
+        noisiest = names[record][source]
+        corrected.append(dataclasses.replace(one, corrected=True, noisiest=noisiest))
+    return corrected
 
 
 @kept_jit
@@ -294,6 +293,8 @@ def excitation_of(
     floor = jnp.finfo(size.dtype).eps * len(unknown)
     own_noise = noise[1 + index][:, 1 + index]
     dominance, noisiest = largest_share(own_noise, mean)
+    noisiest = noisiest * size
+    length = jnp.sqrt(jnp.sum(noisiest**2))
     inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
     return Excitation(
         size=size,
@@ -301,13 +302,8 @@ def excitation_of(
         noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)[1 + index]) * scale, 0.0),
         weakest_direction=directions[:, 0],
         weakest_share=jnp.sqrt(squares[0]),
-        noisiest_direction=_unit(noisiest * size),
+        noisiest_direction=noisiest / jnp.where(length > 0, length, 1.0),
         noisiest_share=dominance,
         parameters=unknown,
         stage_name=label,
     )
-
-
-def _unit(vector: Float[Array, " p"]) -> Float[Array, " p"]:
-    length = jnp.sqrt(jnp.sum(vector**2))
-    return vector / jnp.where(length > 0, length, 1.0)

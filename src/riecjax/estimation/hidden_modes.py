@@ -251,7 +251,14 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
             place = jnp.argmin(found.unexplained)
             best = jnp.stack([jnp.log(found.frequency[place]), found.damping[place]])
         else:
-            best = _best_lag(part, band, at)
+            low, high = (jnp.log(jnp.asarray(f)) for f in band)
+            rows = jnp.linspace(low, high, FREQUENCIES)[:, None]
+
+            def share(row: Array, part: ModeStage = part, at: Array = at) -> Array:
+                fit = part.projected(jnp.concatenate([at, row]))
+                return jnp.where(fit.target > 0, fit.energy, jnp.inf) / jnp.abs(fit.target)
+
+            best = rows[jnp.argmin(jax.vmap(share)(rows))]
         at = polished(part, jnp.concatenate([at, best]))
     return at
 
@@ -273,20 +280,6 @@ def as_asked(
         far = jnp.nansum(jnp.abs(rows[orders, 0] - jnp.asarray(logs, at.dtype)[None, :]), axis=1)
         rows = rows.at[np.array(place)].set(rows[jnp.asarray(orders)[jnp.argmin(far)]])
     return jnp.concatenate([rows.ravel(), at[2 * len(modes) :]])
-
-
-def _best_lag(
-    stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]
-) -> Float[Array, "1"]:
-    """Of the spring that is sought last."""
-    low, high = (jnp.log(jnp.asarray(f)) for f in band)
-    rows = jnp.linspace(low, high, FREQUENCIES)[:, None]
-
-    def share(row: Array) -> Array:
-        fit = stage.projected(jnp.concatenate([others, row]))
-        return jnp.where(fit.target > 0, fit.energy, jnp.inf) / jnp.abs(fit.target)
-
-    return rows[jnp.argmin(jax.vmap(share)(rows))]
 
 
 def polished(stage: ModeStage, start: Float[Array, " shapes"]) -> Float[Array, " shapes"]:

@@ -21,7 +21,6 @@ from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameter
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
-    found_values,
     solve_stages,
     stages_over_records,
 )
@@ -174,12 +173,12 @@ def _estimated(
         # Sums that were made under jit have no constant to tell means from motion by.
         with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
         if with_constant and modes is None:
-            for finding in constant_targets(procedure, sharing, summary, given):
+            for finding in constant_targets(procedure, plan, summary):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
         poor = modes is None and condition > gram_condition_limit(window.dtype)
-        if poor and (rows := _rows(summary, equations)):
+        if poor and (rows := _rows(summary, equations, sharing)):
             fit = _solve(sums, *settings, rows)
         raise_if_unidentifiable(fit.stages, plan)
     # Rows there would be without gaps are not known of another band than the criterion's.
@@ -258,18 +257,14 @@ def _solve(
     known: Mapping[str, Array],
     sharing: Sharing,
     intervals: AbstractIntervals,
-    rows: list[list[list[Rows]]] | None,
+    rows: list[Rows] | None,
 ) -> _Fit:
     pairs = zip(sums.equations, sums.sources)
     both = [[borne_out(*pair) for pair in zip(*stage)] for stage in pairs]
     equations = [[e for e, _ in stage] for stage in both]
     stages, shared = stages_over_records(equations, sharing)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
-    stacked = None
-    if rows is not None:
-        stacked = [_stacked(r, sharing, stage.parameters) for r, stage in zip(rows, stages)]
-    solutions = solve_stages([stage.flattened() for stage in stages], known, stacked, apart)
-    values = found_values(solutions, known)
+    solutions, values = solve_stages([stage.flattened() for stage in stages], known, rows, apart)
     # What belongs to one recording cannot differ between recordings.
     common = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
@@ -294,33 +289,29 @@ def _solve(
 
 
 def _rows(
-    summary: Summary, equations: list[list[NormalEquations]]
-) -> list[list[list[Rows]]] | None:
-    """Triangular factors in place of the rows of each equation and record, where there are some.
+    summary: Summary, equations: list[list[NormalEquations]], sharing: Sharing
+) -> list[Rows] | None:
+    """Triangular factors in place of each stage's rows, over its equations and all records, where
+    there are some.
 
     A recording that has none has moments that serve as well.
     """
     every = [e.factor for one in summary.recordings for stage in one.stages for e in stage]
     if all(factor is None for factor in every):
         return None
-
-    def of(i: int, j: int) -> list[Rows]:
-        names = equations[i][j].parameters
-        factors = [
-            factor_of_gram(equations[i][j].moments[k].sum(0)) if e.factor is None else e.factor
-            for k, e in enumerate(one.stages[i][j] for one in summary.recordings)
-        ]
-        return [Rows(jnp.asarray(f).T, jnp.arange(len(f)), names) for f in factors]
-
-    return [[of(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]
-
-
-def _stacked(rows: list[list[Rows]], sharing: Sharing, names: tuple[str, ...]) -> Rows:
-    """Rows of a stage over all its equations and all records."""
-    return Rows.concatenate(
-        [
-            own.rename(sharing.of_record(own.parameters, i)).embed(names)
-            for of_equation in rows
-            for i, own in enumerate(of_equation)
-        ]
-    )
+    found = []
+    for i, stage in enumerate(equations):
+        names = tuple(dict.fromkeys(n for e in stage for n in sharing.everywhere(e.parameters)))
+        parts = []
+        for j, equation in enumerate(stage):
+            for k, one in enumerate(summary.recordings):
+                factor = one.stages[i][j].factor
+                if factor is None:
+                    factor = factor_of_gram(equation.moments[k].sum(0))
+                own = sharing.of_record(equation.parameters, k)
+                part = np.zeros((1 + len(names), len(factor)))
+                part[[0, *(1 + names.index(name) for name in own)]] = np.asarray(factor).T
+                parts.append(part)
+        columns = jnp.asarray(np.concatenate(parts, axis=1))
+        found.append(Rows(columns, jnp.arange(columns.shape[1]), names))
+    return found

@@ -6,7 +6,6 @@ noise. A mode that is not there explains nothing of a fold but by chance, wherev
 put it.
 """
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -101,17 +100,6 @@ class ModeEvidence(Drawn):
         much = float(self.gain) > least and self.explained > LITTLE
         return much and self.oscillates
 
-    @property
-    def _shares(self) -> str:
-        # Less than nothing is left where more noise was taken off than there was.
-        if not float(self.without) > 0:
-            return "noise accounts for all that is left"
-        return (
-            f"{100 * float(self.without):.2g} % of the signal is left without it and "
-            f"{100 * max(float(self.unexplained), 0.0):.2g} % with it, difference "
-            f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %"
-        )
-
     def findings(self) -> list[Finding]:
         """Warnings if nothing speaks for the mode, or little, and of modes found elsewhere."""
         elsewhere = [
@@ -124,11 +112,16 @@ class ModeEvidence(Drawn):
             )
             for names, asked, found in self.strays
         ]
-        return [*self._not_carried(), *elsewhere]
-
-    def _not_carried(self) -> list[Finding]:
         if self.carried:
-            return []
+            return elsewhere
+        # Less than nothing is left where more noise was taken off than there was.
+        shares = "noise accounts for all that is left"
+        if float(self.without) > 0:
+            shares = (
+                f"{100 * float(self.without):.2g} % of the signal is left without it and "
+                f"{100 * max(float(self.unexplained), 0.0):.2g} % with it, difference "
+                f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %"
+            )
         names = self.parameters
         first = names == ModeParameters.of(0)
         close = "" if first else ", or cannot tell it from another that lies close"
@@ -141,7 +134,8 @@ class ModeEvidence(Drawn):
                     f"mass, stiffness or damping is negative, or its damping more than critical. "
                     f"Leave it out; something else is missing, such as a delay of one signal.",
                     parameters=tuple(names),
-                )
+                ),
+                *elsewhere,
             ]
         return [
             Finding(
@@ -149,10 +143,11 @@ class ModeEvidence(Drawn):
                 f"{self.stage}: the recordings do not carry this mode{close}: on time "
                 f"that it was not found from, {mode} explains "
                 f"{100 * max(self.explained, 0.0):.2g} % of what is left without it "
-                f"({self._shares}). Leave it out; something else is missing, such as friction or a "
+                f"({shares}). Leave it out; something else is missing, such as friction or a "
                 f"delay, or nothing.",
                 parameters=tuple(names),
-            )
+            ),
+            *elsewhere,
         ]
 
 
@@ -176,8 +171,15 @@ def mode_evidence(
         own = [names for names in stage.sought if isinstance(names, ModeParameters)]
         if own:
             sums = summary.equations(found.bands[i])[i]
-            strays = tuple(_strays(procedure, own, values))
-            band = _seen(search_band(procedure, summary, own[-1]), own[-1], strays)
+            # Modes that lie far from the frequency asked for, and the band that shows the last one.
+            strays, (low, high) = [], search_band(procedure, summary, own[-1])
+            for names in own:
+                hz, at_hz = procedure.mode_named(names).hz, float(mode_frequency(values, names)[0])
+                if hz is not None and not hz / NEAR <= at_hz <= hz * NEAR:
+                    strays.append(Stray(names, hz, at_hz))
+                    if names == own[-1]:
+                        low, high = np.minimum(low, at_hz / NEAR), np.maximum(high, at_hz * NEAR)
+            band = low, high
             raw = on_host(_evidence(equations, sums, known, found.at[i], band))
             label = procedure.plan(set(known))[i][0]
             lengths = found.lengths[i] or summary.lengths_of(summary.band)
@@ -198,30 +200,12 @@ def mode_evidence(
             pairs = zip(mode_frequency(carried, own[-1]), errors)
             at, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in pairs)
             evidence.append(
-                ModeEvidence(own[-1], label, on, at, ratio, oscillates, *raw, lengths, strays)
+                ModeEvidence(
+                    own[-1], label, on, at, ratio, oscillates, *raw, lengths, tuple(strays)
+                )
             )
         known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}
     return evidence
-
-
-def _strays(
-    procedure: Procedure, modes: Sequence[ModeParameters], values: Values
-) -> Iterator[Stray]:
-    """Those of some modes that lie far from the frequency asked for."""
-    for names in modes:
-        asked, found = procedure.mode_named(names).hz, float(mode_frequency(values, names)[0])
-        if asked is not None and not asked / NEAR <= found <= asked * NEAR:
-            yield Stray(names, asked, found)
-
-
-def _seen(
-    band: tuple[Leaf, Leaf], names: ModeParameters, strays: Sequence[Stray]
-) -> tuple[Leaf, Leaf]:
-    """The band searched for a mode, and where it was found."""
-    low, high = band
-    for found in (stray.found for stray in strays if stray.parameters == names):
-        low, high = np.minimum(low, found / NEAR), np.maximum(high, found * NEAR)
-    return low, high
 
 
 @kept_jit
@@ -233,7 +217,13 @@ def _evidence(
     band: tuple[Leaf, Leaf],
 ) -> tuple[ModeMap, Array, Array, Array, Array, Array]:
     stage = ModeStage.of(equations, sums, known)
-    folds = [_in_folds(one) for one in sums]
+    # Clean moments of stretches of time, of all recordings one after the other, by windows rather
+    # than by blocks, some of which only fill the array up.
+    folds = []
+    for flat in (one.flattened() for one in sums):
+        before = jnp.cumsum(flat.count) - 0.5 * flat.count
+        place = jnp.clip(FOLDS * before / jnp.sum(flat.count), 0, FOLDS - 1).astype(int)
+        folds.append(jax.ops.segment_sum(flat.clean, place, num_segments=FOLDS))
 
     def of_fold(number: Array) -> tuple[Array, Array]:
         others = [whole - fold[number] for whole, fold in zip(stage.moments, folds)]
@@ -271,12 +261,3 @@ def _evidence(
         jnp.mean(gain),
         error,
     )
-
-
-def _in_folds(sums: NormalEquations) -> Float[Array, "folds columns columns"]:
-    """Clean moments of stretches of time, of all recordings one after the other."""
-    flat = sums.flattened()
-    # By windows rather than by blocks, some of which only fill the array up.
-    before = jnp.cumsum(flat.count) - 0.5 * flat.count
-    place = jnp.clip(FOLDS * before / jnp.sum(flat.count), 0, FOLDS - 1).astype(int)
-    return jax.ops.segment_sum(flat.clean, place, num_segments=FOLDS)

@@ -6,6 +6,7 @@ stage's equations are linearised, and from then on they are as any others.
 """
 
 import dataclasses
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 import jax
@@ -40,13 +41,15 @@ class FoundModes(NamedTuple):
     """Where hidden elements are, what they were found from, and what is left to be solved.
 
     **Fields:** `equations` of each stage, linearised about them, and what each source of noise
-    adds to them, `sources`; `at`, the shapes of each stage's elements; `bands`, of each stage the
+    adds to them, `sources`; `mixes`, of each stage the combinations of its equations' columns that
+    these are; `at`, the shapes of each stage's elements; `bands`, of each stage the
     bins of window lengths that it is solved from, `None` for all or under a trace; `lengths` of
     these in seconds; whether the elements are `shown` in these at all.
     """
 
     equations: Stages
     sources: Stages
+    mixes: list[list[Float[Array, "1+p columns"]]]
     at: list[Float[Array, " shapes"]]
     bands: list[tuple[int, int] | None]
     lengths: list[tuple[float, float] | None]
@@ -82,7 +85,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 f"it out, or give both."
             )
     known = {name: jnp.asarray(value) for name, value in given.items()}
-    found, shown = FoundModes([], [], [], [], [], jnp.array(True)), jnp.array(True)
+    found, shown = FoundModes([], [], [], [], [], [], jnp.array(True)), jnp.array(True)
     equations, sources = summary.equations(), summary.noise_by_source()
     looked_at = is_concrete(equations, known) and not is_under_trace()
     for i, expanded in enumerate(procedure.expanded):
@@ -94,8 +97,17 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 procedure.mode_named(names) if isinstance(names, ModeParameters) else None
                 for names in stage.sought
             )
-            asked = (where, wanted)
-            used, at, band, there = _in_best_windows(expanded, summary, i, known, asked, rank)
+            # The sums over the windows that tell most of the stage's elements.
+            first, last = summary.band
+            options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
+            every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
+            stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
+            settings = where, wanted, np.asarray(rank)
+            best, at, there = _searched(expanded, stacked[0], known, *settings)
+            if is_concrete(best):
+                used, band = every[int(best)], options[int(best)] if summary.bins else None
+            else:
+                used = jax.tree.map(lambda leaf, best=best: leaf[best], stacked)
             shown = shown & there
             # Sums that are not finite themselves are for the fit to refuse.
             finite = looked_at and all(bool(np.isfinite(e.moments).all()) for e in equations[i])
@@ -108,38 +120,18 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 )
         # What no later equation with an element asks for is left to the fit.
         later = [e for stage in procedure.expanded[i:] for e in stage if e.elements]
-        if set(stage.linear) & {name for e in later for name in e.all_parameters}:
-            *used, values = _contracted(expanded, *used, known, at, not looked_at)
+        asked = {name for e in later for name in e.all_parameters}
+        mixes = []
+        if any(e.elements for e in expanded) or asked.intersection(stage.linear):
+            *used, mixes, values = _contracted(expanded, *used, known, at, not looked_at)
             known |= values
         found.equations.append(used[0])
         found.sources.append(used[1])
+        found.mixes.append(mixes)
         found.at.append(at)
         found.bands.append(band)
         found.lengths.append(None if band is None else summary.lengths_of(band))
     return found._replace(shown=shown)
-
-
-def _in_best_windows(
-    expanded: tuple[Expanded, ...],
-    summary: Summary,
-    i: int,
-    known: Values,
-    asked: tuple[tuple[tuple[Leaf, Leaf], ...], tuple[HiddenMode | None, ...]],
-    rank: int,
-) -> tuple[
-    tuple[list[NormalEquations], ...], Float[Array, " shapes"], tuple[int, int] | None, Array
-]:
-    """A stage's sums, and those of noise, over the windows that tell most of its hidden elements;
-    these, the bins they are of, and whether they show any."""
-    first, last = summary.band
-    options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
-    every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
-    stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
-    best, at, shown = _searched(expanded, stacked[0], known, *asked, np.asarray(rank))
-    if is_concrete(best):
-        chosen = int(best)
-        return every[chosen], at, options[chosen] if summary.bins else None, shown
-    return jax.tree.map(lambda leaf: leaf[best], stacked), at, None, shown
 
 
 @kept_jit
@@ -197,20 +189,22 @@ def _contracted(
     known: Values,
     at: Float[Array, " shapes"],
     moves: bool,
-) -> tuple[list[NormalEquations], list[NormalEquations], dict[str, Array]]:
+) -> tuple[list[NormalEquations], list[NormalEquations], list[Array], dict[str, Array]]:
     """Normal equations of expanded columns, made those of the model's own parameters; the same of
-    what noise adds; and the parameters' values, about which both are linearised.
+    what noise adds; the combinations that these are, none of an equation without elements; and the
+    parameters' values, about which all are linearised.
 
     **Arguments:** `moves`, whether anything may be differentiated: else the derivative of `at` is
     not even compiled.
     """
     stage = ModeStage.of(expanded, sums, known)
-    values = stage.values(at_minimum(stage, at) if stage.sought and moves else at)
+    at = at_minimum(stage, at) if stage.sought and moves else at
+    values = stage.values(at) if stage.linear else stage.given
     mixes = [e.linearised(values) if e.elements else jnp.zeros((0, 0)) for e in expanded]
     equations, added = (
         [_mixed(*each) for each in zip(expanded, mixes, s)] for s in (sums, sources)
     )
-    return equations, added, values
+    return equations, added, mixes, values
 
 
 def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquations:
@@ -276,10 +270,11 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
     if not procedure.has_hidden or summary.outline.is_of(_outline(procedure)):
         return summary
     found = find_modes(procedure, summary, known)
-    values, mixes = {name: jnp.asarray(value) for name, value in known.items()}, []
-    for i, (stage, at, band) in enumerate(zip(procedure.expanded, found.at, found.bands)):
-        own, values = _mixes(stage, summary.equations(band)[i], values, at)
-        mixes.append(on_host(own))
+    # An equation without elements, or whose values nothing asks for, stays as it is.
+    mixes = [
+        [mix if e.elements else np.eye(1 + len(e.parameters)) for e, mix in zip_longest(stage, own)]
+        for stage, own in zip(procedure.expanded, on_host(found.mixes))
+    ]
     recordings = [
         dataclasses.replace(
             one,
@@ -307,18 +302,6 @@ def _outline(procedure: Procedure) -> Outline:
         tuple((e.equation.name, e.all_parameters) for e in stage) for stage in procedure.expanded
     )
     return Outline(stages, tuple(procedure.units.items()), "")
-
-
-@kept_jit
-def _mixes(
-    expanded: tuple[Expanded, ...],
-    sums: list[NormalEquations],
-    known: Values,
-    at: Float[Array, " shapes"],
-) -> tuple[list[Float[Array, "1+p columns"]], dict[str, Array]]:
-    """Of each equation, target and regressors as combinations of its columns; and all values."""
-    values = ModeStage.of(expanded, sums, known).values(at)
-    return [e.linearised(values) for e in expanded], {**known, **values}
 
 
 def _mixed_sums(

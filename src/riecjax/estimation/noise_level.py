@@ -47,22 +47,16 @@ def borne_out(
     """
     if equations.noise is None:
         return equations, sources
-    share = share_borne_out(equations)
-    less = equations.with_noise(share * equations.noise)
-    return less, sources.each(lambda matrix: share * matrix)
-
-
-def share_borne_out(equations: NormalEquations) -> Float[Array, ""]:
-    """How much of the noise the moments bear out, 0 to 1."""
-    assert equations.noise is not None
     total = equations.flattened().total()
     assert total.noise is not None
-    noise, moments = jax.lax.stop_gradient(total.noise), jax.lax.stop_gradient(total.moments)
+    noise, moments = jax.lax.stop_gradient((total.noise, total.moments))
     with_target = largest_share(noise, moments)[0]
     regressors = largest_share(noise[1:, 1:], moments[1:, 1:])[0]
     least = jnp.finfo(noise.dtype).tiny
     share = jnp.where(with_target > SCATTER, 1 / jnp.maximum(with_target, least), 1.0)
-    return jnp.minimum(share, MOST / jnp.maximum(regressors, least))
+    share = jnp.minimum(share, MOST / jnp.maximum(regressors, least))
+    less = equations.with_noise(share * equations.noise)
+    return less, sources.each(lambda matrix: share * matrix)
 
 
 def level_covariance(

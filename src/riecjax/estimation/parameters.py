@@ -7,6 +7,7 @@ does not hold, and then add up like any others.
 """
 
 from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -21,6 +22,8 @@ from riecjax.summaries.task import require_key
 Value = TypeVar("Value")
 
 
+# Equal by content, so that a jitted function which takes one is not compiled anew.
+@dataclass(init=False, unsafe_hash=True)
 class Sharing:
     """Names of parameters over several records: `offset` becomes `offset[1]`, `offset[2]`, ...
 
@@ -31,9 +34,12 @@ class Sharing:
     that is already called as a recording's own one would be.
     """
 
+    parameters: tuple[str, ...]
+    own: frozenset[str]
+    record_count: int
+
     def __init__(self, parameters: tuple[str, ...], own: Iterable[str], record_count: int):
-        self.own = frozenset(own)
-        self.record_count = record_count
+        self.own, self.record_count = frozenset(own), record_count
         if unknown := sorted(self.own - set(parameters)):
             raise ModelError(
                 f"unknown parameter '{unknown[0]}'; the model has: {', '.join(parameters)}."
@@ -47,17 +53,11 @@ class Sharing:
                     f"or leave {base} out of per_record."
                 )
         self.parameters = self.everywhere(parameters)
-        self.individual = frozenset(self.everywhere(sorted(self.own)))
 
-    # Equal by content, so that a jitted function which takes one is not compiled anew.
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Sharing) and self._content() == other._content()
-
-    def __hash__(self) -> int:
-        return hash(self._content())
-
-    def _content(self) -> tuple[object, ...]:
-        return (self.parameters, self.own, self.record_count)
+    @property
+    def individual(self) -> frozenset[str]:
+        """Names over all records of what each has a value of its own of."""
+        return frozenset(self.everywhere(sorted(self.own)))
 
     def of_record(self, names: Iterable[str], index: int) -> tuple[str, ...]:
         """The names as the record number `index` (from 0) knows them."""
@@ -65,13 +65,10 @@ class Sharing:
 
     def everywhere(self, names: Iterable[str]) -> tuple[str, ...]:
         """The names over all records."""
-        expanded = []
-        for name in names:
-            if name in self.own:
-                expanded += [f"{name}[{i + 1}]" for i in range(self.record_count)]
-            else:
-                expanded.append(name)
-        return tuple(expanded)
+        numbers = [f"[{i + 1}]" for i in range(self.record_count)]
+        return tuple(
+            name + ending for name in names for ending in (numbers if name in self.own else [""])
+        )
 
     def values(self, given: Mapping[str, Value]) -> dict[str, Value]:
         """Values by name over all records.

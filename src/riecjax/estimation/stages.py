@@ -1,7 +1,7 @@
 """Linear least squares with scaled columns, and what can be said of its conditioning."""
 
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax
@@ -142,26 +142,18 @@ class StageSolution(eqx.Module):
     stage: int = eqx.field(static=True)
 
 
-def found_values(
-    solutions: Iterable[StageSolution], known: Mapping[str, Array]
-) -> dict[str, Array]:
-    """Every parameter by name: what is known, and what the stages found."""
-    values = dict(known)
-    for stage in solutions:
-        values |= dict(zip(stage.parameters, stage.solution.theta))
-    return values
-
-
 def solve_stages(
     stages: list[NormalEquations],
     known: Mapping[str, Array],
     rows: list[Rows] | None = None,
     apart: list[list[NormalEquations]] | None = None,
-) -> list[StageSolution]:
+) -> tuple[list[StageSolution], dict[str, Array]]:
     """Solve each stage's normal equations (blocks along the leading axis) in turn.
 
     Given `rows`, they are solved instead of the Gram matrices, which is slower and more accurate.
     Of a stage of several equations what each leaves is told if they are given `apart`.
+
+    **Returns:** what each finds, and every parameter by name, what is known among them.
     """
     found = dict(known)
     solutions = []
@@ -198,7 +190,7 @@ def solve_stages(
                 i,
             )
         )
-    return solutions
+    return solutions, found
 
 
 def _rms(energy: Array, reference: Array, count: Array) -> tuple[Array, Array]:

@@ -9,7 +9,6 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from riecjax import Boxcar
-from riecjax.criteria import expected_gain
 from riecjax.equations import RoofFunctions
 from riecjax.models.quarter_car import (
     BREAK_POINTS,
@@ -140,7 +139,7 @@ def figure_3() -> Chart:
     frequency = np.geomspace(0.2, 50, 900)
     fixed = Boxcar().gain(frequency, np.array([FIXED]))[:, 0]
     two = Boxcar().gain(frequency, np.array(TWO)).mean(axis=1)
-    drawn = expected_gain(frequency, *BETWEEN, Boxcar())
+    drawn = Boxcar().mean_gain(frequency, *BETWEEN)
     return single(
         [
             Line(frequency, fixed, "T = 0.1 s", RUST, width=1.0),

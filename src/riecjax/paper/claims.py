@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax import Boxcar
-from riecjax.criteria import expected_gain
 from riecjax.paper.published import CRITERIA, INPUTS, VARIANTS
 from riecjax.paper.reproduction import (
     FORCES,
@@ -165,7 +164,7 @@ def drop_outs(_: Demonstration) -> Iterator[Evidence]:
     """A fixed T has drop-outs; the average over T ~ U(alpha, beta) has none."""
     frequency = np.linspace(0.5, 50, 4951)
     fixed = Boxcar().gain(frequency, np.array([FIXED]))[:, 0]
-    between = expected_gain(frequency, *BETWEEN, Boxcar())
+    between = Boxcar().mean_gain(frequency, *BETWEEN)
     # What is left of |2 sin(w T / 2) / w| where the sine is averaged.
     smooth = (2 / np.pi) * 2 / (2 * np.pi * frequency)
     what = "least gain of T = 0.1 s against a smooth fall with frequency, 0.5 to 50 Hz"

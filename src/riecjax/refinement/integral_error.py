@@ -53,9 +53,11 @@ from riecjax.refinement.objective import (
     AbstractParametric,
     ByFields,
     ByFunction,
+    Energies,
     Expansion,
-    Parameters,
+    Initial,
     Specification,
+    Theta,
     Values,
 )
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
@@ -154,7 +156,7 @@ class ParametricBalance(eqx.Module):
         held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in self.parameters}
         moving = tuple(name for name in self.parameters if name in free)
         levels, present = self._levels(record, held, smoothness)
-        name, unit, where = self._labels(held)
+        name, unit, where = self.label(held)
         arrays: dict[str, Array] = {}
         terms: list[AbstractTerm] = []
         for order, level in levels.items():
@@ -172,11 +174,8 @@ class ParametricBalance(eqx.Module):
         equation = Equation(*terms, name=name, unit=unit, where=where)
         return equation, record.with_signals(arrays, missing=missing)
 
-    def label(self, values: Values) -> tuple[str, str]:
-        """Name and unit of the equation."""
-        return self._labels(values)[:2]
-
-    def _labels(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
+    def label(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
+        """Name and unit of the equation, and where it is to be trusted."""
         if isinstance(self.model, Equation):
             return self.model.name, self.model.unit, self.model.where
         module = self.model.build(values)
@@ -185,59 +184,50 @@ class ParametricBalance(eqx.Module):
     def _levels(
         self, record: Record, values: Values, smoothness: int
     ) -> tuple[Levels, Bool[Array, " n"] | None]:
-        if isinstance(self.model, Equation):
-            return _of_equation(self.model, record, values, smoothness)
-        return _of_balance(self.model.build(values), record, smoothness)
-
-
-def _of_equation(
-    equation: Equation, record: Record, values: Values, smoothness: int
-) -> tuple[Levels, Bool[Array, " n"] | None]:
-    levels: Levels = {}
-    present = None
-    for term in equation.terms:
-        # As criteria read it: derivatives that the test function cannot take off are recorded.
-        read = max(term.derivative - smoothness, 0)
-        sampled = term.samples(record, read)
-        coefficients = [values[name] for name in term.parameters]
-        total = (
-            jnp.stack(coefficients) @ sampled.values
-            if coefficients
-            else jnp.sum(sampled.values, axis=0)
-        )
-        order = term.derivative - read
-        levels[order] = levels[order] + total if order in levels else total
-        present = both_present(present, sampled.present)
-    return levels, present
-
-
-def _of_balance(
-    balance: AbstractBalance, record: Record, smoothness: int
-) -> tuple[Levels, Bool[Array, " n"] | None]:
-    timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
-    signals = timed.signals
-    levels: Levels = {}
-    for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
-        with users_code(f"{balance.name}.{part.__name__}"):
-            level = part(signals)
-        if level is None:
-            continue
-        level = jnp.asarray(level, record.time_step.dtype)
-        if level.shape not in ((), (record.sample_count,)):
-            raise ModelError(
-                f"{balance.name}.{part.__name__} must return one number for each of the "
-                f"{record.sample_count} samples; it returned shape {level.shape}."
+        levels: Levels = {}
+        if not isinstance(self.model, Equation):
+            timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
+            signals = timed.signals
+            balance = self.model.build(values)
+            for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
+                with users_code(f"{balance.name}.{part.__name__}"):
+                    level = part(signals)
+                if level is None:
+                    continue
+                level = jnp.asarray(level, record.time_step.dtype)
+                if level.shape not in ((), (record.sample_count,)):
+                    raise ModelError(
+                        f"{balance.name}.{part.__name__} must return one number for each of the "
+                        f"{record.sample_count} samples; it returned shape {level.shape}."
+                    )
+                levels[order] = jnp.broadcast_to(level, (record.sample_count,))
+            if not levels:
+                raise ModelError(
+                    f"{balance.name}: a balance needs a force, a momentum or a first moment."
+                )
+            if max(levels) > smoothness:
+                raise DataError(
+                    f"{balance.name}: this criterion takes {smoothness} time derivative(s) off the "
+                    f"motion, and the balance needs {max(levels)}. Use windows that need no "
+                    f"derivative, rx.Hat(), or write its inertia as a momentum of a recorded "
+                    f"velocity."
+                )
+            return levels, record.present(signals.read)
+        present = None
+        for term in self.model.terms:
+            # As criteria read it: derivatives that the test function cannot take off are recorded.
+            read = max(term.derivative - smoothness, 0)
+            sampled = term.samples(record, read)
+            coefficients = [values[name] for name in term.parameters]
+            total = (
+                jnp.stack(coefficients) @ sampled.values
+                if coefficients
+                else jnp.sum(sampled.values, axis=0)
             )
-        levels[order] = jnp.broadcast_to(level, (record.sample_count,))
-    if not levels:
-        raise ModelError(f"{balance.name}: a balance needs a force, a momentum or a first moment.")
-    if max(levels) > smoothness:
-        raise DataError(
-            f"{balance.name}: this criterion takes {smoothness} time derivative(s) off the motion, "
-            f"and the balance needs {max(levels)}. Use windows that need no derivative, rx.Hat(), "
-            f"or write its inertia as a momentum of a recorded velocity."
-        )
-    return levels, record.present(signals.read)
+            order = term.derivative - read
+            levels[order] = levels[order] + total if order in levels else total
+            present = both_present(present, sampled.present)
+        return levels, present
 
 
 Balances = (
@@ -298,20 +288,18 @@ class IntegralMisfit(AbstractMisfit):
     labels: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
 
-    def energy(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
-    ) -> Float[Array, " quantities"]:
+    def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Of each equation."""
         return jnp.stack([jnp.sum(part.energy) for part in self._equations(theta)])
 
-    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
         parts = self._equations(theta)
         moments = sum(part.moments for part in parts[1:]) + parts[0].moments
         pieces = _first_negated(moments).reshape(1, -1, *moments.shape[2:])
         return Expansion([pieces], jnp.stack([jnp.sum(part.energy) for part in parts]))
 
-    def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
+    def rms(self, energy: Energies) -> Energies:
         """Of the impulses of each equation over a window."""
         return jnp.sqrt(energy / jnp.maximum(self.count, 1))
 
@@ -331,7 +319,7 @@ class IntegralMisfit(AbstractMisfit):
         count = jnp.full(moments.shape[:2], share)
         return NormalEquations(moments, count, self.names), short
 
-    def _equations(self, theta: Float[Array, " p"]) -> list[NormalEquations]:
+    def _equations(self, theta: Theta) -> list[NormalEquations]:
         """Of each equation, in the changes of the parameters."""
         values = {**self.known, **dict(zip(self.names, theta))}
         of_record = [
@@ -400,16 +388,6 @@ class IntegralError(AbstractObjective):
             )
         return balances
 
-    def parameters(self, parametric: tuple[ParametricBalance, ...]) -> Parameters:
-        """Of all equations."""
-        units: dict[str, str] = {}
-        defaults = {}
-        for balance in parametric:
-            units |= {n: u for n, u in balance.units.items() if u or n not in units}
-            defaults |= balance.defaults
-        names = dict.fromkeys(name for balance in parametric for name in balance.parameters)
-        return Parameters(tuple(names), defaults, units)
-
     def misfit(self, specified: Specification) -> IntegralMisfit:
         """Over all windows of the criterion."""
         for record in specified.records:
@@ -417,13 +395,13 @@ class IntegralError(AbstractObjective):
         criterion = self._criterion.fitted(specified.records)
         free = set(specified.sharing.free_somewhere(specified.local, specified.names))
         # An equation without free parameters would only add a constant.
-        chosen = [i for i, b in enumerate(specified.model) if set(b.parameters) & free]
-        labels = [specified.model[i].label(specified.values) for i in chosen]
+        chosen = tuple(balance for balance in specified.model if free & {*balance.parameters})
+        labels = [balance.label(specified.values) for balance in chosen]
         rows = [
             [criterion.row_count(record) or 0.0 for record in specified.records] for _ in chosen
         ]
         return IntegralMisfit(
-            balances=tuple(specified.model[i] for i in chosen),
+            balances=chosen,
             records=specified.records,
             criterion=criterion,
             keys=specified.keys,
@@ -433,8 +411,8 @@ class IntegralError(AbstractObjective):
             names=specified.names,
             local=specified.local,
             sharing=specified.sharing,
-            labels=told_apart([name for name, _ in labels]),
-            units=tuple(criterion.row_unit(unit) for _, unit in labels),
+            labels=told_apart([name for name, *_ in labels]),
+            units=tuple(criterion.row_unit(unit) for _, unit, _ in labels),
         )
 
     def describe(self) -> dict[str, object]:

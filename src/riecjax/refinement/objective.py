@@ -33,6 +33,12 @@ from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.task import record_keys
 
 Values = Mapping[str, Leaf]
+Theta = Float[Array, " p"]
+"""Free parameters over all records."""
+Initial = Float[Array, "windows s"]
+"""Initial states that are estimated, of each window."""
+Energies = Float[Array, " quantities"]
+"""Sums of squares."""
 
 
 class AbstractParametric(eqx.Module):
@@ -100,7 +106,7 @@ class ByFields(AbstractParametric):
         found: dict[str, tuple[int, tuple[int, ...] | None]] = {}
         leaves = jax.tree_util.tree_leaves_with_path(self.module)
         for place, (path, leaf) in enumerate(leaves):
-            name = ".".join(_key(part) for part in path)
+            name = jax.tree_util.keystr(path, simple=True, separator=".")
             if not (eqx.is_inexact_array(leaf) or isinstance(leaf, float)):
                 continue
             for entry in np.ndindex(np.shape(leaf)):
@@ -225,13 +231,6 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
     )
 
 
-def _key(part: Any) -> str:
-    for attribute in ("name", "key", "idx"):
-        if hasattr(part, attribute):
-            return str(getattr(part, attribute))
-    return str(part)
-
-
 class Expansion(NamedTuple):
     """Residuals at a point and their first derivatives, as moments.
 
@@ -244,7 +243,7 @@ class Expansion(NamedTuple):
     """
 
     pieces: list[Float[Array, "windows pieces columns columns"]]
-    energy: Float[Array, " quantities"]
+    energy: Energies
 
     def moments(self) -> Float[Array, "windows columns columns"]:
         """Of each window."""
@@ -268,7 +267,7 @@ class AbstractMisfit(eqx.Module):
         """Names of the states whose initial values are estimated."""
         return ()
 
-    def first_initial(self) -> Float[Array, "windows s"]:
+    def first_initial(self) -> Initial:
         """First guess of the initial states that are estimated."""
         return jnp.zeros((1, 0))
 
@@ -276,9 +275,7 @@ class AbstractMisfit(eqx.Module):
         """Size of these states."""
         return jnp.ones(0)
 
-    def profiled_energy(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
-    ) -> Float[Array, " quantities"]:
+    def profiled_energy(self, theta: Theta, initial: Initial) -> Energies:
         """`energy` at the initial states that leave least with these parameters."""
         return self.energy(theta, initial)
 
@@ -296,26 +293,22 @@ class AbstractMisfit(eqx.Module):
         """How many times as short its steps may be made without being asked; 1 for not at all."""
         return 1
 
-    def energy(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
-    ) -> Float[Array, " quantities"]:
+    def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Sum of squared residuals of each of `labels`, without derivatives."""
         raise NotImplementedError
 
-    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """The residuals at a point, to first order."""
         raise NotImplementedError
 
-    def curved(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], found: Expansion
-    ) -> Expansion:
+    def curved(self, theta: Theta, initial: Initial, found: Expansion) -> Expansion:
         """What was `found` at an optimum, with the curvature of what is made small.
 
         Other than what the search needs where that is no sum of squares.
         """
         return found
 
-    def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
+    def rms(self, energy: Energies) -> Energies:
         """Root mean square of what is left of each of `labels`, in its unit."""
         raise NotImplementedError
 
@@ -336,14 +329,14 @@ class Specification(NamedTuple):
 
     **Fields:**
 
-    - `model`: as the objective made it, for every value of its parameters.
+    - `model`: what the objective made of it, for every value of its parameters.
     - `records` and `keys`, one for each.
     - `values`: of every parameter over all records, free or not; `names` of the free ones.
     - `local`: names of the parameters as one record knows them; `sharing` between records.
     - `units` of the parameters, by local name.
     """
 
-    model: Any
+    model: tuple[Any, ...]
     records: list[Record]
     keys: list[Key[Array, ""] | None]
     values: dict[str, Leaf]
@@ -381,14 +374,6 @@ class Specification(NamedTuple):
         return found
 
 
-class Parameters(NamedTuple):
-    """Names, values and units that a model comes with."""
-
-    names: tuple[str, ...]
-    defaults: Values
-    units: Mapping[str, str]
-
-
 class AbstractObjective(eqx.Module):
     """A sum of squares over windows: of equation errors, or of output errors."""
 
@@ -401,15 +386,12 @@ class AbstractObjective(eqx.Module):
         """This objective with what the model says where nothing was asked for."""
         return self
 
-    def parametric(self, model: Any, record: Record) -> Any:
-        """The model for every value of its parameters.
+    def parametric(self, model: Any, record: Record) -> "tuple[Any, ...]":
+        """What the model consists of, each with `parameters`, their `defaults` and `units`: its
+        system, or its equations of motion, for every value of the parameters.
 
         **Raises:** `ModelError` for a model that this objective cannot use.
         """
-        raise NotImplementedError
-
-    def parameters(self, parametric: Any) -> Parameters:
-        """What is known of the parameters; no names where any may be given."""
         raise NotImplementedError
 
     def misfit(self, specified: Specification) -> AbstractMisfit:
@@ -441,7 +423,13 @@ class AbstractObjective(eqx.Module):
         parametric = self.parametric(model, records[0])
         if self.needs_key and key is None:
             raise ModelError("random windows need a key: key=jax.random.key(seed).")
-        names, defaults, units = self.parameters(parametric)
+        # No names where any may be given.
+        names = tuple(dict.fromkeys(name for part in parametric for name in part.parameters))
+        defaults: dict[str, Leaf] = {}
+        units: dict[str, str] = {}
+        for part in parametric:
+            units |= {n: u for n, u in part.units.items() if u or n not in units}
+            defaults |= part.defaults
         carried: Mapping[str, float | Array] = {}
         if isinstance(start, AbstractEstimate):
             units = {**units, **dict(start.units)} if not names else units
@@ -467,10 +455,9 @@ class AbstractObjective(eqx.Module):
         if not free:
             raise ModelError("every parameter is known; nothing is left to refine.")
         dtype = records[0].time_step.dtype
-        numbers = {name: _number(values[name], dtype) for name in sharing.parameters}
+        numbers = {
+            name: (np if is_concrete(values[name]) else jnp).asarray(values[name], dtype)
+            for name in sharing.parameters
+        }
         keys = record_keys(key, len(records))
         return Specification(parametric, records, keys, numbers, free, local, sharing, units)
-
-
-def _number(value: float | Leaf, dtype: Any) -> Leaf:
-    return np.asarray(value, dtype) if is_concrete(value) else jnp.asarray(value, dtype)

@@ -69,9 +69,11 @@ from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,
     AbstractParametric,
+    Energies,
     Expansion,
-    Parameters,
+    Initial,
     Specification,
+    Theta,
     as_parametric_system,
 )
 from riecjax.simulation.intersample import Intersample, bends_of, require_intersample, smooth_inputs
@@ -289,16 +291,6 @@ class Compared(NamedTuple):
     smooth: tuple[bool, ...] | None
 
 
-def cut_records(
-    system: AbstractSystem, records: Sequence[Record], shots: Sequence[Shots], compared: Compared
-) -> tuple[list[Recorded], list[Along]]:
-    """What each recording holds in its windows; states and inputs at points spread over them."""
-    counts = [jnp.asarray(record.sample_count) for record in records]
-    if is_concrete(records):
-        records = [_filled(record) for record in records]
-    return _cut(system, records, counts, shots, compared)
-
-
 def _filled(record: Record) -> Record:
     """A record of a length that others share, with no sample behind its end."""
     filled = filled_up(record, shared_length(record.sample_count))
@@ -315,7 +307,10 @@ def _cut(
     shots: Sequence[Shots],
     compared: Compared,
 ) -> tuple[list[Recorded], list[Along]]:
-    """The same of records that hold so many samples, and are filled up behind."""
+    """What recordings hold in their windows; states and inputs at points spread over them.
+
+    **Arguments:** `counts`, samples of each; what lies behind only fills it up.
+    """
     recorded, along = [], []
     for record, count, cut in zip(records, counts, shots):
         states = measured_states(system, record)
@@ -442,7 +437,7 @@ class _Profiling(NamedTuple):
     """Initial states to try, the least energy so far, whether to go on, and trials left."""
 
     trial: Float[Array, "windows s"]
-    energy: Float[Array, " quantities"]
+    energy: Energies
     going: Array
     left: Int[Array, ""]
 
@@ -489,7 +484,7 @@ class OutputMisfit(AbstractMisfit):
         tangents = 1 + len(self.names) + len(self.estimated)
         return samples * fixed.steps_per_sample * len(self.state_names) * tangents
 
-    def first_initial(self) -> Float[Array, "windows s"]:
+    def first_initial(self) -> Initial:
         """As recorded."""
         return jnp.concatenate(
             [part.initial[:, np.array(self.estimated, int)] for part in self.recorded]
@@ -499,9 +494,7 @@ class OutputMisfit(AbstractMisfit):
         """Size of each estimated state."""
         return self.scale
 
-    def profiled_energy(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
-    ) -> Float[Array, " quantities"]:
+    def profiled_energy(self, theta: Theta, initial: Initial) -> Energies:
         """Profiled over initial states by Gauss and Newton, while that makes the sum smaller."""
         if not self.estimated:
             return self.energy(theta, initial)
@@ -540,9 +533,7 @@ class OutputMisfit(AbstractMisfit):
         steps = self.method.steps_per_sample if isinstance(self.method, FixedStep) else 1
         return max(self.most_steps // steps, 1)
 
-    def energy(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
-    ) -> Float[Array, " quantities"]:
+    def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Of each channel, in units of sigma."""
         found = jnp.zeros(len(self.labels), theta.dtype)
         for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
@@ -554,24 +545,29 @@ class OutputMisfit(AbstractMisfit):
             found = found + jnp.sum(over_windows(of_window, own, part), axis=0)
         return found
 
-    def expansion(self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]) -> Expansion:
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """Of each window of each record, in pieces of time."""
         return self._expansion(theta, initial, for_search)
 
-    def curved(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], found: Expansion
-    ) -> Expansion:
+    def curved(self, theta: Theta, initial: Initial, found: Expansion) -> Expansion:
         """With the curvature of Huber's loss itself, none past its threshold."""
         return found if self.threshold is None else self._expansion(theta, initial, for_scatter)
 
-    def _expansion(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"], columns: Columns
-    ) -> Expansion:
+    def _expansion(self, theta: Theta, initial: Initial, columns: Columns) -> Expansion:
         pieces, energy = [], jnp.zeros(len(self.labels), theta.dtype)
         for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
 
             def of_window(initial: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
-                level, slopes = self._columns(theta, initial, window, i)
+                # Residuals, and their derivatives by parameters and initial states.
+                p, unknown = theta.shape[0], jnp.concatenate([theta, initial])
+
+                def along(direction: Array) -> tuple[Array, Array]:
+                    return jax.jvp(
+                        lambda u: self._error(u[:p], u[p:], window, i), (unknown,), (direction,)
+                    )
+
+                directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
+                level, slopes = jax.vmap(along, out_axes=(None, 2))(directions)
                 left, right = columns(level, slopes, self.threshold)
                 cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
                 moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
@@ -588,20 +584,20 @@ class OutputMisfit(AbstractMisfit):
 
     @kept_jit
     def residuals(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+        self, theta: Theta, initial: Initial
     ) -> list[Float[Array, "windows compared channels"]]:
         """Simulated minus recorded in units of sigma; 0 where nothing is compared."""
         return self._by_window(partial(self._error, theta), initial)
 
     @kept_jit
     def slopes_by_initial(
-        self, theta: Float[Array, " p"], initial: Float[Array, "windows s"]
+        self, theta: Theta, initial: Initial
     ) -> list[Float[Array, "windows compared channels s"]]:
         """Derivatives of `residuals` by the initial states of their window."""
         return self._by_window(jax.jacfwd(partial(self._error, theta)), initial)
 
     def _by_window(
-        self, of: Callable[[Array, Recorded, int], Array], initial: Float[Array, "windows s"]
+        self, of: Callable[[Array, Recorded, int], Array], initial: Initial
     ) -> list[Array]:
         """What is made of each window's initial state, the window and its record's number."""
         parts = enumerate(zip(self.recorded, self._of_records(initial)))
@@ -610,7 +606,7 @@ class OutputMisfit(AbstractMisfit):
             for i, (part, own) in parts
         ]
 
-    def rms(self, energy: Float[Array, " quantities"]) -> Float[Array, " quantities"]:
+    def rms(self, energy: Energies) -> Energies:
         """Of simulated minus recorded."""
         count = sum(jnp.sum(part.present, axis=(0, 1)) for part in self.recorded)
         return self.sigma * jnp.sqrt(energy / jnp.maximum(count, 1))
@@ -641,7 +637,7 @@ class OutputMisfit(AbstractMisfit):
         return stack_normal_equations(parts), ShortBlocks(jnp.stack(numbers), jnp.stack(seconds))
 
     def simulated(
-        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
+        self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
     ) -> Float[Array, "compared channels"]:
         """The channels at the compared samples of one window of record number `index`."""
         values = {**self.known, **dict(zip(self.names, theta))}
@@ -657,25 +653,12 @@ class OutputMisfit(AbstractMisfit):
         return jnp.where(kept, found, jnp.inf)
 
     def _error(
-        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
+        self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
     ) -> Float[Array, "compared channels"]:
         found = self.simulated(theta, initial, window, index)
         return jnp.where(window.present, (found - window.measured) / self.sigma[None, :], 0.0)
 
-    def _columns(
-        self, theta: Float[Array, " p"], initial: Float[Array, " s"], window: Recorded, index: int
-    ) -> tuple[Float[Array, "compared channels"], Float[Array, "compared channels p+s"]]:
-        """Residuals of one window, and their derivatives by parameters and initial states."""
-        p = theta.shape[0]
-        unknown = jnp.concatenate([theta, initial])
-        return jax.vmap(
-            lambda along: jax.jvp(
-                lambda u: self._error(u[:p], u[p:], window, index), (unknown,), (along,)
-            ),
-            out_axes=(None, 2),
-        )(jnp.eye(unknown.shape[0], dtype=unknown.dtype))
-
-    def _of_records(self, initial: Float[Array, "windows s"]) -> list[Float[Array, "windows s"]]:
+    def _of_records(self, initial: Initial) -> list[Float[Array, "windows s"]]:
         edges = np.cumsum([part.windows for part in self.recorded])[:-1]
         return jnp.split(initial, edges)
 
@@ -796,17 +779,14 @@ class OutputError(AbstractObjective):
                 f"differentiate the result in reverse."
             )
 
-    def parametric(self, model: Any, record: Record) -> AbstractParametric:
+    def parametric(self, model: Any, record: Record) -> tuple[AbstractParametric]:
         """The system to simulate."""
-        return as_parametric_system(model, record)
-
-    def parameters(self, parametric: AbstractParametric) -> Parameters:
-        """Of the system."""
-        return Parameters(parametric.parameters, parametric.defaults, parametric.units)
+        return (as_parametric_system(model, record),)
 
     def misfit(self, specified: Specification) -> OutputMisfit:
         """Over the windows of all records."""
-        system: AbstractSystem = specified.model.build(specified.of_record(0))
+        (model,) = specified.model
+        system: AbstractSystem = model.build(specified.of_record(0))
         channels = _channels(system, specified.records, self.channels)
         for record in specified.records:
             for name in system.input_names:
@@ -835,7 +815,11 @@ class OutputError(AbstractObjective):
         # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
         bent = smooth if any(smooth) or (smooth and self.method is None) else None
         cut = Compared(channels, dict(given), self.every, joined, bent)
-        recorded, along = cut_records(system, specified.records, shots, cut)
+        counts = [jnp.asarray(record.sample_count) for record in specified.records]
+        records = specified.records
+        if is_concrete(records):
+            records = [_filled(record) for record in records]
+        recorded, along = _cut(system, records, counts, shots, cut)
         method, simulated = _method(system, specified.records, recorded, along, self.method)
         units = dict(system.states) | dict(system.outputs)
         sigma, scale = _sizes(
@@ -847,7 +831,7 @@ class OutputError(AbstractObjective):
             simulated,
         )
         return OutputMisfit(
-            system=specified.model,
+            system=model,
             recorded=recorded,
             known=specified.fixed,
             sigma=sigma,
@@ -996,8 +980,19 @@ def _sizes(
     simulated: Float[Array, "windows longest states"] | None,
 ) -> tuple[Float[Array, " channels"], Float[Array, " s"]]:
     """What channels are weighed by, and the size of estimated states."""
-    scale = _scale(sources, recorded[0], estimated, simulated)
-    return _sigma(sigma, channels, recorded), scale
+    weights = _sigma(sigma, channels, recorded)
+    if not estimated:
+        return weights, jnp.ones(0)
+    # Root mean square of each state: recorded, else simulated; 1 of one that rests.
+    size = recorded[0].square
+    if simulated is not None:
+        inside = within(recorded[0].length, simulated.shape[1])
+        squares = jnp.where(inside[..., None], simulated, 0.0) ** 2
+        of_motion = jnp.sum(squares, axis=(0, 1)) / jnp.sum(recorded[0].length)
+        size = jnp.where(np.array([source == "zero" for source in sources]), of_motion, size)
+    usable = jnp.isfinite(size) & (size > 0)
+    scale = jnp.sqrt(jnp.where(usable, jnp.where(usable, size, 1.0), 1.0))
+    return weights, scale[np.array(estimated)]
 
 
 def _sigma(
@@ -1028,22 +1023,3 @@ def _noise(
     mean = [sum(noise.std(name) ** 2 for noise in known) / len(known) for name in channels]
     least = LEAST_NOISE * _sigma({}, channels, recorded)
     return jnp.maximum(jnp.sqrt(jnp.stack([jnp.asarray(each) for each in mean])), least)
-
-
-def _scale(
-    sources: tuple[str, ...],
-    recorded: Recorded,
-    estimated: tuple[int, ...],
-    simulated: Float[Array, "windows longest states"] | None,
-) -> Float[Array, " s"]:
-    """Root mean square of each estimated state: recorded, else simulated; 1 of one that rests."""
-    if not estimated:
-        return jnp.ones(0)
-    size = recorded.square
-    if simulated is not None:
-        inside = within(recorded.length, simulated.shape[1])
-        squares = jnp.where(inside[..., None], simulated, 0.0) ** 2
-        of_motion = jnp.sum(squares, axis=(0, 1)) / jnp.sum(recorded.length)
-        size = jnp.where(np.array([source == "zero" for source in sources]), of_motion, size)
-    usable = jnp.isfinite(size) & (size > 0)
-    return jnp.sqrt(jnp.where(usable, jnp.where(usable, size, 1.0), 1.0))[np.array(estimated)]

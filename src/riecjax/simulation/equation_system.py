@@ -50,7 +50,7 @@ an answer do not, a least slope stands in for them.
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -70,12 +70,22 @@ from riecjax.equations.hidden_elements import (
     stiffness_name,
 )
 from riecjax.equations.procedure import Procedure, as_procedure
-from riecjax.equations.term import AbstractTerm, Expression, RoofFunctions, Term, Terms, difference
+from riecjax.equations.term import (
+    AbstractTerm,
+    Expression,
+    RoofFunctions,
+    Term,
+    Terms,
+    difference,
+    label_of,
+    signals_read,
+)
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
-from riecjax.simulation.system import AbstractSystem, Quantities
+from riecjax.simulation.reversals import regime_at
+from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
 
 
 class ModeStates(NamedTuple):
@@ -98,7 +108,13 @@ class ModeStates(NamedTuple):
         parameters = ModeParameters.of(number)
         mass = mode.units(number, equations)[parameters.mass]
         units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(mass, ("", ""))
-        body = body_velocity(mode, equations)
+        # The signal that is the velocity of the mode's body.
+        body = mode.on
+        inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
+        if inertia.derivative != 1:
+            terms = [t for e in equations for t in e.terms if t.of == inertia.of]
+            named = (t for t in terms if isinstance(t, Term) and t.derivative and t.measured)
+            body = next((t.measured[0] for t in named), f"d{inertia.of}")
         return cls(f"{name}_deflection", f"{name}_velocity", body, parameters, units)
 
     def rates(self, signals: Mapping[str, Array], values: Mapping[str, Leaf]) -> dict[str, Array]:
@@ -115,16 +131,6 @@ class ModeStates(NamedTuple):
             Term(stiffness, self.deflection, sign=sign),
             Term(damping, difference(self.body, self.velocity), sign=sign),
         )
-
-
-def body_velocity(mode: HiddenMode, equations: Sequence[Equation]) -> str:
-    """The signal that is the velocity of a mode's body."""
-    inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
-    if inertia.derivative == 1:
-        return mode.on
-    terms = [term for e in equations for term in e.terms if term.of == inertia.of]
-    named = (t.measured[0] for t in terms if isinstance(t, Term) and t.derivative and t.measured)
-    return next(named, f"d{inertia.of}")
 
 
 def with_forces(
@@ -157,25 +163,24 @@ class SpringElement(eqx.Module):
     """A force element with a spring in series.
 
     **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
-    `stiffness`, the name of the spring's parameter.
+    `stiffness`, the name of the spring's parameter; `points`, break points of the element's law,
+    `None` of a linear one.
     """
 
     element: AbstractTerm
     state: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
     stiffness: str = eqx.field(static=True)
+    points: Float[Array, " points"] | None = None
 
     def rate(
         self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
     ) -> Float[Array, " 1"]:
         """Time derivative of the force."""
-        own = jnp.stack([values[name] for name in self.element.parameters])
-        if isinstance(self.element, Term):
+        own, points = jnp.stack([values[n] for n in self.element.parameters]), self.points
+        if points is None:
             inner = force / own[0]
         else:
-            assert isinstance(self.element, Terms)
-            assert isinstance(self.element.basis, RoofFunctions)
-            points = self.element.basis.break_points
             inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
         return values[self.stiffness] * (velocity - inner)
 
@@ -183,13 +188,10 @@ class SpringElement(eqx.Module):
         self, velocity: Float[Array, " n"], values: Mapping[str, Array]
     ) -> Float[Array, " n"]:
         """The force at a velocity that does not change: the spring takes up none of it."""
-        own = jnp.stack([values[name] for name in self.element.parameters])
-        if isinstance(self.element, Term):
+        own, points = jnp.stack([values[n] for n in self.element.parameters]), self.points
+        if points is None:
             return own[0] * velocity
-        assert isinstance(self.element, Terms)
-        assert isinstance(self.element.basis, RoofFunctions)
-        forces = _rising(own, self.element.basis.break_points)
-        return self.element.basis.interpolate(forces, velocity)
+        return RoofFunctions(points).interpolate(_rising(own, points), velocity)
 
 
 def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
@@ -207,7 +209,22 @@ def with_springs(
 
     **Raises:** `ModelError` for an element whose law has no inverse that is known.
     """
-    found = tuple(_element(number, spring, equations) for number, spring in enumerate(springs))
+    found = []
+    for number, spring in enumerate(springs):
+        first, force = next(
+            (e, equation.unit)
+            for equation in equations
+            if (e := spring.element(equation)) is not None
+        )
+        basis, law = (first.basis, first.prefix) if isinstance(first, Terms) else (None, spring.of)
+        if basis is not None and not isinstance(basis, RoofFunctions):
+            raise ModelError(
+                f"a spring in series with {law} needs the inverse of its law, which is known of "
+                f"one coefficient and of roof functions (rx.roof) only."
+            )
+        name = "series_force" if number == 0 else f"series_{number + 1}_force"
+        points = None if basis is None else basis.break_points
+        found.append(SpringElement(first, name, force, stiffness_name(number), points))
     replaced = []
     for equation in equations:
         terms = []
@@ -215,19 +232,7 @@ def with_springs(
             name = next((f.state for f, s in zip(found, springs) if s.of in term.parameters), None)
             terms.append(term if name is None else Term(element_sign(term), name))
         replaced.append(equation.of_terms(*terms))
-    return tuple(replaced), found
-
-
-def _element(number: int, spring: SeriesSpring, equations: Sequence[Equation]) -> SpringElement:
-    first = next(e for equation in equations if (e := spring.element(equation)) is not None)
-    if isinstance(first, Terms) and not isinstance(first.basis, RoofFunctions):
-        raise ModelError(
-            f"a spring in series with {first.prefix} needs the inverse of its law, which is known "
-            f"of one coefficient and of roof functions (rx.roof) only."
-        )
-    name = "series_force" if number == 0 else f"series_{number + 1}_force"
-    force = next((e.unit for e in equations if spring.element(e) is not None), "")
-    return SpringElement(first, name, force, stiffness_name(number))
+    return tuple(replaced), tuple(found)
 
 
 class Motion(NamedTuple):
@@ -334,7 +339,23 @@ def read_structure(
         read.append(derivative_name(of, term, motions) if isinstance(of, str) else of)
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
-    _check_derivatives(label, equations, structure)
+    # Whether the time derivatives of expressions follow from the states and the unknowns.
+    # d/dt f(x) = f'(x) x' reads the first derivatives of what f reads, which states have. The
+    # second reads theirs in turn, which only a signal has whose own second derivative leads.
+    positions = {motion.signal for motion in structure.motions if len(motion.names) == 3}
+    for equation in equations:
+        for term in equation.terms:
+            if not term.derivative or isinstance(term.of, str):
+                continue
+            allowed = set(structure.states) if term.derivative == 1 else positions
+            if beyond := [name for name in signals_read(term.of) if name not in allowed]:
+                raise ModelError(
+                    f"{label} cannot be simulated: derivative {term.derivative} of the expression "
+                    f"{label_of(term.of)} needs derivatives of {', '.join(beyond)}, which no "
+                    f"equation leads to. Where a term reads a recorded derivative, write "
+                    f"Term('NAME', '{beyond[0]}', derivative=2, measured=('d{beyond[0]}', "
+                    f"'dd{beyond[0]}')) instead (derivative=1 of a velocity)."
+                )
     functions = [(t.of, t.basis if isinstance(t, Terms) else None) for _, t in terms]
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
     return structure._replace(reversing=reversing_states(functions, structure.states, signals))
@@ -417,69 +438,6 @@ def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]
     return measured[term.derivative - 1]
 
 
-class _Listening(Signals):
-    """Signals of any name, which note in what order they are read."""
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._arrays:
-            self.read.add(name)
-            self.order.append(name)
-        return jnp.full(1, 0.5)
-
-    def __init__(self):
-        # An expression may ask for some signal, no matter which, to learn the number of samples.
-        super().__init__({"": jnp.zeros(1)})
-        self.order: list[str] = []
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
-
-
-def signals_read(expression: Expression) -> tuple[str, ...]:
-    """Signals that an expression reads, in order."""
-    if isinstance(expression, str):
-        return (expression,)
-    signals = _Listening()
-    with users_code(f"the expression {label_of(expression)}"):
-        shape = jax.eval_shape(lambda: jnp.asarray(expression(signals))).shape
-    if shape != (1,) and (shape != () or signals.order):
-        raise ModelError(
-            f"the expression {label_of(expression)} must return one number for each sample; for "
-            f"one sample it returned shape {shape}."
-        )
-    return tuple(dict.fromkeys(signals.order))
-
-
-def label_of(expression: Expression) -> str:
-    """What an expression is called in messages."""
-    return expression if isinstance(expression, str) else getattr(expression, "__name__", "given")
-
-
-def _check_derivatives(label: str, equations: tuple[Equation, ...], structure: Structure) -> None:
-    """Whether the time derivatives of expressions follow from the states and the unknowns.
-
-    d/dt f(x) = f'(x) x' reads the first derivatives of what f reads, which states have. The second
-    derivative reads theirs in turn, which only a signal has whose own second derivative leads.
-    """
-    positions = {motion.signal for motion in structure.motions if len(motion.names) == 3}
-    for equation in equations:
-        for term in equation.terms:
-            if not term.derivative or isinstance(term.of, str):
-                continue
-            allowed = set(structure.states) if term.derivative == 1 else positions
-            if beyond := [name for name in signals_read(term.of) if name not in allowed]:
-                raise ModelError(
-                    f"{label} cannot be simulated: derivative {term.derivative} of the expression "
-                    f"{label_of(term.of)} needs derivatives of {', '.join(beyond)}, which no "
-                    f"equation leads to. Where a term reads a recorded derivative, write "
-                    f"Term('NAME', '{beyond[0]}', derivative=2, measured=('d{beyond[0]}', "
-                    f"'dd{beyond[0]}')) instead (derivative=1 of a velocity)."
-                )
-
-
 class EquationSystem(AbstractSystem):
     """Equations with values for their coefficients, as a system; see [`equation_system`][].
 
@@ -536,16 +494,12 @@ class EquationSystem(AbstractSystem):
         """State to the state that is its time derivative."""
         return {m.signal: m.names[1] for m in self.structure.motions if len(m.names) == 3}
 
-    def derivative(
-        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
-    ) -> Float[Array, " states"]:
+    def derivative(self, state: State, inputs: Inputs) -> State:
         """Time derivative of the state, by solving the equations for their unknowns."""
         flow = self._flow(self._solved(self._known_signals(state, inputs)))
         return jnp.concatenate([flow[name] for name in self.state_names])
 
-    def output(
-        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
-    ) -> Mapping[str, Float[Array, ""]]:
+    def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
         """Leading derivatives under their recorded names, and what static equations determine.
 
         At rest under dry friction, which does not name a force, a mass that sticks has none of the
@@ -554,8 +508,6 @@ class EquationSystem(AbstractSystem):
         if not self.reversing:
             signals = self._solved(self._known_signals(state, inputs))
             return {name: signals[name][0] for name, _ in self.outputs}
-        from riecjax.simulation.reversals import regime_at
-
         regime = regime_at(self, state, inputs)
         signals = self._solved(self._known_signals(regime.seen(state), inputs))
         held = {
@@ -823,9 +775,7 @@ class WithModes(AbstractSystem):
         """The modes' states."""
         return {**self.inner.carried, **carried_states(mode.states for mode in self.modes)}
 
-    def derivative(
-        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
-    ) -> Float[Array, " states"]:
+    def derivative(self, state: State, inputs: Inputs) -> State:
         """Time derivative of the state, each body's less what its modes take."""
         count = len(self.inner.states)
         flow = self.inner.derivative(state[:count], inputs)
@@ -839,9 +789,7 @@ class WithModes(AbstractSystem):
             rates += [own[names.deflection], own[names.velocity]]
         return jnp.concatenate([flow, jnp.stack(rates)])
 
-    def output(
-        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
-    ) -> Mapping[str, Float[Array, ""]]:
+    def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
         """The system's."""
         return self.inner.output(state[: len(self.inner.states)], inputs)
 

@@ -37,7 +37,7 @@ from jaxtyping import Array, Complex, Float, Int
 from riecjax.compilation import kept_jit
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
-from riecjax.simulation.system import AbstractSystem, measured_states
+from riecjax.simulation.system import AbstractSystem, Inputs, State, measured_states
 
 ANGLE = 0.15
 """Step times the largest eigenvalue, at most: an error of 4e-6 for each radian of that motion."""
@@ -61,7 +61,7 @@ def suitable_steps(
     solver.
     """
     chosen = spread_points(len(states))
-    slopes = jacobians(system, np.asarray(states)[chosen], np.asarray(inputs)[chosen])
+    slopes = np.asarray(jacobians(system, np.asarray(states)[chosen], np.asarray(inputs)[chosen]))
     finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
     if not finite.size:
         return 1
@@ -74,23 +74,19 @@ def spread_points(count: int) -> Int[np.ndarray, " points"]:
     return np.unique(np.linspace(0, count - 1, min(POINTS, count)).astype(int))
 
 
-def jacobians(
-    system: AbstractSystem, states: Float[np.ndarray, "n states"], inputs: Float[np.ndarray, "n i"]
-) -> Float[np.ndarray, "n states states"]:
-    """Derivatives of the state's derivative by the state, at points. Not under jit."""
-    return np.asarray(_slopes(system, states, inputs))
-
-
 @kept_jit
-def _slopes(system: AbstractSystem, states: Leaf, inputs: Leaf) -> Array:
+def jacobians(
+    system: AbstractSystem, states: Leaf, inputs: Leaf
+) -> Float[Array, "n states states"]:
+    """Derivatives of the state's derivative by the state, at points."""
     return jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
 
 
 @kept_jit
 def linearise(
     system: AbstractSystem,
-    state: Float[Array, " states"] | None = None,
-    inputs: Float[Array, " inputs"] | None = None,
+    state: State | None = None,
+    inputs: Inputs | None = None,
 ) -> tuple[Float[Array, "states states"], Float[Array, "states inputs"]]:
     """Jacobians (A, B) of the state derivative, at rest unless a point is given."""
     x = jnp.zeros(len(system.states)) if state is None else state
@@ -156,7 +152,7 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     inputs = np.stack(levels, axis=-1) if levels else np.zeros((len(states), 0))
     duration = len(states) * float(record.time_step)
     few = spread_points(len(states))
-    slopes = jacobians(system, states[few], inputs[few])
+    slopes = np.asarray(jacobians(system, states[few], inputs[few]))
     finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
     if not len(finite):
         return None
@@ -165,7 +161,7 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     stride = -(-len(states) // MOST_POINTS)
     spread = np.std(states, axis=0)
     spread = np.where(spread > 0, spread, np.max(spread, initial=0.0) or 1.0)
-    slopes = jacobians(system, states[::stride], inputs[::stride])
+    slopes = np.asarray(jacobians(system, states[::stride], inputs[::stride]))
     slopes = np.where(np.isfinite(slopes), slopes, 0.0) * (spread[None, :] / spread[:, None])
     step = stride * float(record.time_step)
     sizes = np.linalg.norm(slopes * step, 2, axis=(1, 2))

@@ -54,7 +54,8 @@ from jaxtyping import Array, Float, Int
 from riecjax.errors import ModelError
 from riecjax.runtime import compiles_loops_whole
 from riecjax.simulation.intersample import curves_of
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.reversals import Level, cut_step
+from riecjax.simulation.system import AbstractSystem, Inputs, State
 
 
 class SimulationStatus(eqx.Enumeration):
@@ -111,7 +112,7 @@ class AbstractMethod(eqx.Module):
         system: AbstractSystem,
         inputs: Float[Array, "n inputs"],
         time_step: Float[Array, ""],
-        initial_state: Float[Array, " states"],
+        initial_state: State,
         bends: Float[Array, "n inputs"] | None = None,
     ) -> Trajectory:
         """States at the samples of `inputs`; differentiable and vmappable.
@@ -164,7 +165,7 @@ class FixedStep(AbstractMethod):
         system: AbstractSystem,
         inputs: Float[Array, "n inputs"],
         time_step: Float[Array, ""],
-        initial_state: Float[Array, " states"],
+        initial_state: State,
         bends: Float[Array, "n inputs"] | None = None,
     ) -> Trajectory:
         """States at the samples; see the base class."""
@@ -173,10 +174,13 @@ class FixedStep(AbstractMethod):
         split = _components if compiles_loops_whole() else _whole
         start = split(initial_state)
 
-        reversing = [name in system.reversing for name in system.state_names]
-
         def slope(state: _State, level: Array) -> _State:
             return split(system.derivative(_vector(state), level))
+
+        def advance(slope, state: Array, level: Level, step: Array) -> Array:
+            return _runge_kutta_step(
+                self.tableau, lambda x, inputs: (slope(x[0], inputs),), (state,), level, step
+            )[0]
 
         def between_samples(carry, interval):
             state, running = carry
@@ -191,8 +195,8 @@ class FixedStep(AbstractMethod):
                     on_line = begin if at_begin else begin + node * rise
                     return on_line + _off_line(curve, (k + node) / count) if curve else on_line
 
-                if any(reversing):
-                    return split(self._cut_step(system, _vector(x), level, step, reversing))
+                if system.reversing:
+                    return split(cut_step(system, advance, _vector(x), level, step))
                 return _runge_kutta_step(self.tableau, slope, x, level, step)
 
             # A lost lane restarts from its initial state, unseen, so that no infinity enters later
@@ -212,34 +216,6 @@ class FixedStep(AbstractMethod):
             status,
             1 + jnp.sum(running.astype(jnp.int32)),
         )
-
-    def _cut_step(
-        self,
-        system: AbstractSystem,
-        state: Float[Array, " states"],
-        level: Callable[[float | Array], Float[Array, " inputs"]],
-        step: Float[Array, ""],
-        reversing: Sequence[bool],
-    ) -> Float[Array, " states"]:
-        """One step of a system that jumps where one of its velocities reverses."""
-        from riecjax.simulation.reversals import Regime, cut_step
-
-        def derivative(regime: Regime, state: Array, inputs: Array) -> Array:
-            return jnp.where(regime.stuck, 0.0, system.derivative(regime.seen(state), inputs))
-
-        def rise(regime: Regime, state: Array, at: float | Array) -> Array:
-            return step * derivative(regime, state, level(at))
-
-        def move(regime: Regime, state: Array, at: float | Array, share: float | Array) -> Array:
-            def slope(state: _State, inputs: Array) -> _State:
-                return (derivative(regime, state[0], inputs),)
-
-            def along(node: float) -> Float[Array, " inputs"]:
-                return level(at + node * share)
-
-            return _runge_kutta_step(self.tableau, slope, (state,), along, share * step)[0]
-
-        return cut_step(move, rise, state, reversing)
 
 
 class Adaptive(AbstractMethod):
@@ -279,7 +255,7 @@ class Adaptive(AbstractMethod):
         system: AbstractSystem,
         inputs: Float[Array, "n inputs"],
         time_step: Float[Array, ""],
-        initial_state: Float[Array, " states"],
+        initial_state: State,
         bends: Float[Array, "n inputs"] | None = None,
     ) -> Trajectory:
         """States at the samples; see the base class."""
@@ -335,15 +311,15 @@ _State = tuple[Array, ...]
 """The state as one vector, or as its components."""
 
 
-def _whole(state: Float[Array, " states"]) -> _State:
+def _whole(state: State) -> _State:
     return (state,)
 
 
-def _components(state: Float[Array, " states"]) -> _State:
+def _components(state: State) -> _State:
     return tuple(state[i] for i in range(state.shape[0]))
 
 
-def _vector(state: _State) -> Float[Array, " states"]:
+def _vector(state: _State) -> State:
     return state[0] if state[0].ndim else jnp.stack(state)
 
 
@@ -355,7 +331,7 @@ def _curves(bends: Float[Array, "n inputs"] | None) -> tuple[Float[Array, "n-1 i
     return () if bends is None else curves_of(bends)
 
 
-def _off_line(curve: Sequence[Array], share: float | Array) -> Float[Array, " inputs"]:
+def _off_line(curve: Sequence[Array], share: float | Array) -> Inputs:
     """What inputs differ from a straight line by, at a share of the interval."""
     return share * (1 - share) * (curve[0] + share * curve[1])
 
@@ -364,7 +340,7 @@ def _runge_kutta_step(
     tableau: _Tableau,
     slope: Callable[[_State, Array], _State],
     state: _State,
-    level: Callable[[float], Float[Array, " inputs"]],
+    level: Callable[[float], Inputs],
     step: Float[Array, ""],
 ) -> _State:
     """One step, over which `level` gives the inputs from 0 to 1."""

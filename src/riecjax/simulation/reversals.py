@@ -17,7 +17,8 @@ depended on, until at the beginning of a step some side lets it go. So f+ / f- i
 Of several velocities the first to reverse cuts the step.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -25,16 +26,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.system import AbstractSystem, State
 
 NEWTON_STEPS = 5
 """From the secant's root to that of a cubic which is nearly straight."""
 FLAT = 1e-3
 """Slope at its root that a cubic is taken to have at the least, of what its ends are apart."""
-Moves = Callable[["Regime", Array, float | Array, float | Array], Array]
-"""From a state, at a share of the step, by another share of it."""
 Rises = Callable[["Regime", Array, float | Array], Array]
-"""The state's derivative times the step, at a share of it."""
+"""The state's derivative, or that times the step, at a share of it."""
+Level = Callable[[float | Array], Float[Array, " inputs"]]
+"""Inputs at a share of a step."""
+Advance = Callable[[Callable[[Array, Array], Array], Array, Level, Array], Array]
+"""One step of a method: of a derivative, from a state, along inputs, so long."""
 
 
 class Regime(NamedTuple):
@@ -43,21 +46,33 @@ class Regime(NamedTuple):
     **Fields:** `sides`, 1 above, -1 below, 0 where a state may be anywhere; `stuck`.
     """
 
-    sides: Float[Array, " states"]
+    sides: State
     stuck: Bool[Array, " states"]
 
-    def seen(self, state: Float[Array, " states"]) -> Float[Array, " states"]:
+    def seen(self, state: State) -> State:
         """The state, velocities past zero taken for zero on their side."""
         tiny = jnp.finfo(state.dtype).tiny
         held = self.sides * jnp.maximum(self.sides * state, tiny)
         return jnp.where(self.sides == 0, state, held)
 
+    def derivative(self, system: AbstractSystem, state: Array, inputs: Array) -> Array:
+        """The state's time derivative, that of a velocity which sticks being zero."""
+        return jnp.where(self.stuck, 0.0, system.derivative(self.seen(state), inputs))
+
 
 def cut_step(
-    move: Moves, rise: Rises, state: Float[Array, " states"], reversing: Sequence[bool]
-) -> Float[Array, " states"]:
+    system: AbstractSystem, advance: Advance, state: State, level: Level, step: Float[Array, ""]
+) -> State:
     """A step of a system, cut where the first of the velocities that matter reverses."""
-    before = regime_of(rise, state, reversing)
+
+    def rise(regime: Regime, state: Array, at: float | Array) -> Array:
+        return step * regime.derivative(system, state, level(at))
+
+    def move(regime: Regime, state: Array, at: float | Array, share: float | Array) -> Array:
+        slope = partial(regime.derivative, system)
+        return advance(slope, state, lambda node: level(at + node * share), share * step)
+
+    before = _regime_of(rise, state, system)
     sides = before.sides
     whole = move(before, state, 0.0, 1.0)
     reversed_ = sides * whole < 0
@@ -75,9 +90,9 @@ def cut_step(
     return jax.lax.cond(jnp.any(reversed_), cut, lambda: whole)
 
 
-def regime_of(rise: Rises, state: Float[Array, " states"], reversing: Sequence[bool]) -> Regime:
+def _regime_of(rise: Rises, state: State, system: AbstractSystem) -> Regime:
     """Of a state at the beginning of a step: the side on which velocities at rest leave, if any."""
-    ours = np.array(reversing)
+    ours = np.array([name in system.reversing for name in system.state_names])
     resting = jnp.asarray(ours) & (state == 0)
     free = Regime(jnp.zeros_like(state), jnp.zeros(state.shape, bool))
     leaving = jnp.where(resting, rise(free, state, 0.0), state)
@@ -87,19 +102,14 @@ def regime_of(rise: Rises, state: Float[Array, " states"], reversing: Sequence[b
 
 def regime_at(system: AbstractSystem, state: Array, inputs: Array) -> Regime:
     """The same of a system at a sample."""
-
-    def rise(regime: Regime, state: Array, at: float | Array) -> Array:
-        return system.derivative(regime.seen(state), inputs)
-
-    return regime_of(rise, state, [name in system.reversing for name in system.state_names])
+    return _regime_of(lambda regime, at, _: regime.derivative(system, at, inputs), state, system)
 
 
-def derivative_at(system: AbstractSystem, state: Array, inputs: Array) -> Float[Array, " states"]:
+def derivative_at(system: AbstractSystem, state: Array, inputs: Array) -> State:
     """Time derivative of the state, that of a velocity which sticks being zero."""
     if not system.reversing:
         return system.derivative(state, inputs)
-    regime = regime_at(system, state, inputs)
-    return jnp.where(regime.stuck, 0.0, system.derivative(regime.seen(state), inputs))
+    return regime_at(system, state, inputs).derivative(system, state, inputs)
 
 
 def _sticking(
@@ -112,7 +122,7 @@ def _sticking(
 
 def _first_root(
     ends: tuple[Array, Array], rises: tuple[Array, Array], reversed_: Bool[Array, " states"]
-) -> Float[Array, " states"]:
+) -> State:
     """Where, of a step, cubics through values of other signs at its ends are zero."""
     # Others get a line whose root is harmless.
     first, last = (jnp.where(reversed_, v, other) for v, other in zip(ends, (-0.5, 0.5)))

@@ -19,7 +19,7 @@ from riecjax.simulation.intersample import (
 )
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.reversals import derivative_at
-from riecjax.simulation.system import AbstractSystem
+from riecjax.simulation.system import AbstractSystem, State
 
 
 class Simulation(eqx.Module):
@@ -95,7 +95,9 @@ def simulate(
     require_intersample(intersample)
     start = dict(initial_state or {})
     system.require_states(start)
-    levels = _levels(system, inputs)
+    columns = [inputs[name] for name in system.input_names]
+    # A free motion has no input; the record still gives its sampling.
+    levels = jnp.stack(columns, -1) if columns else jnp.zeros((inputs.sample_count, 0))
     first = jnp.stack(
         [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]
     )
@@ -104,18 +106,12 @@ def simulate(
     return _simulate(system, levels, inputs, first, method, smooth)
 
 
-def _levels(system: AbstractSystem, inputs: Record) -> Float[Array, "n inputs"]:
-    columns = [inputs[name] for name in system.input_names]
-    # A free motion has no input; the record still gives its sampling.
-    return jnp.stack(columns, axis=-1) if columns else jnp.zeros((inputs.sample_count, 0))
-
-
 @kept_jit
 def _simulate(
     system: AbstractSystem,
     levels: Float[Array, "n inputs"],
     inputs: Record,
-    initial_state: Float[Array, " states"],
+    initial_state: State,
     method: AbstractMethod,
     smooth: tuple[bool, ...],
 ) -> Simulation:

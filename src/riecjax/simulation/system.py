@@ -12,6 +12,8 @@ from riecjax.records.record import Record
 
 Quantities = tuple[tuple[str, str], ...]
 """(name, unit) of several quantities, in order."""
+State = Float[Array, " states"]
+Inputs = Float[Array, " inputs"]
 
 
 class AbstractSystem(eqx.Module):
@@ -28,15 +30,11 @@ class AbstractSystem(eqx.Module):
     outputs: ClassVar[Quantities] = ()
     """(name, unit) of each further quantity that `output` returns."""
 
-    def derivative(
-        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
-    ) -> Float[Array, " states"]:
+    def derivative(self, state: State, inputs: Inputs) -> State:
         """Time derivative of the state."""
         raise NotImplementedError
 
-    def output(
-        self, state: Float[Array, " states"], inputs: Float[Array, " inputs"]
-    ) -> Mapping[str, Float[Array, ""]]:
+    def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
         """Further quantities of interest (forces, accelerations) by name."""
         return {}
 

@@ -172,8 +172,14 @@ def _in_blocks(
         return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
 
     columns = with_constant(noisy.columns)
-    found, number = criterion.moments_of(columns, lengths.lags, blocks, lengths.reach)
-    noise = criterion.noise_of(noisy, record.noise, lengths.lags, blocks, lengths.reach)
+
+    def moments_of(columns: Columns) -> tuple[Array, Array]:
+        return criterion.test_function.moments(columns, lengths.lags, blocks, lengths.reach)
+
+    found, number = moments_of(columns)
+    noise = criterion.noise_of(
+        noisy, record.noise, lengths.lags, blocks, lambda columns: moments_of(columns)[0]
+    )
     total, of_source = (None, None) if noise is None else (noise.total, noise.of_source[None])
     moments, constant = without_constant(found)
     sums = jax.tree.map(spread, BlockSums(moments, number, constant, total, None))

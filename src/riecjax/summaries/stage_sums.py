@@ -140,7 +140,7 @@ def moments_of_drawn(
         found = NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
         return found.moments, found.count
 
-    noise = criterion.noise_of_rows(noisy, record.noise, drawn, lambda c: sums(c)[0], blocks)
+    noise = criterion.noise_of(noisy, record.noise, drawn, blocks, lambda c: sums(c)[0])
     return sums(noisy.columns), noise
 
 

@@ -15,7 +15,6 @@
 #   summed: this is too small by orders of magnitude. Beside the others it counts those.
 
 import functools
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -34,12 +33,10 @@ from riecjax.linear_algebra import (
 from riecjax.summaries.normal_equations import (
     MOST_BLOCKS,
     NormalEquations,
-    ShortBlocks,
     merge_blocks,
 )
 from riecjax.uncertainty.block_statistics import (
     BlockStatistics,
-    Unknowns,
     as_vector,
     scores,
     slope,
@@ -229,26 +226,21 @@ class FewBlocks(NamedTuple):
     seen: Float[Array, " p"]
 
 
-def few_blocks_sandwich(
-    short_blocks: list[NormalEquations],
-    unknowns: Unknowns,
-    values: Mapping[str, Array],
-    short: ShortBlocks,
-    used: Int[Array, " records"],
-) -> FewBlocks:
+def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
     """Covariance and degrees of freedom by Bell and McCaffrey's (2002) rule.
 
     A parameter that one stretch alone tells of has no scatter between blocks: its variance is the
     other parameters' ratio to the working model, and without any the case that a half block's rows
     all err alike.
 
-    **Arguments:** `short_blocks`, of each stage, leading axes `(records, short blocks)`;
-    `used`, long blocks of each record, which are halved where short blocks are short enough.
+    Long blocks are halved where short blocks are short enough.
     """
+    unknowns, values = statistics.unknowns, statistics.values
+    short, used = statistics.short, statistics.used
     records = short.number.shape[0]
     most = max(MOST_HALVES // records, 2)
     halves = jnp.minimum(2 * used, jnp.minimum(short.number, most))
-    stages = [merge_blocks(stage, short, halves, most) for stage in short_blocks]
+    stages = [merge_blocks(stage, short, halves, most) for stage in statistics.short_blocks]
     totals = [stage.total() for stage in stages]
     whole, scale = unit_diagonal(slope(totals, unknowns))
     inverse = eliminate(whole, jnp.eye(scale.shape[0]))
@@ -267,7 +259,11 @@ def few_blocks_sandwich(
     largest = jnp.max(variance)
     largest = jnp.where(largest > 0, largest, 1.0)
     working = each * (variance / largest)[None]
-    beside = _beside(halves, used, most)
+    # 1 for two half blocks that follow one another in a record; 0 where they are long blocks.
+    record, place = np.divmod(np.arange(most * records), most)
+    follow = (record[:, None] == record) & (np.abs(place[:, None] - place) == 1)
+    inside = (place < halves[record]) & (halves > used)[record]
+    beside = jnp.where(follow & inside[:, None] & inside[None, :], 1.0, 0.0)
 
     # Sums of the working covariance over one block's neighbours, and over both.
     near = OVERLAP / 2 * (jnp.sum(beside, axis=1)[:, None, None] * working)
@@ -301,16 +297,6 @@ def few_blocks_sandwich(
     some = scatter > 0
     freedom = jnp.where(some, seen**2 / jnp.where(some, scatter, 1.0), 1.0)
     return FewBlocks(covariance * size[:, None] * size[None, :], jnp.maximum(freedom, 1.0), seen)
-
-
-def _beside(
-    halves: Int[Array, " records"], used: Int[Array, " records"], most: int
-) -> Float[Array, "blocks blocks"]:
-    """1 for two half blocks that follow one another in a record; 0 where they are long blocks."""
-    record, place = np.divmod(np.arange(most * halves.shape[0]), most)
-    follow = (record[:, None] == record) & (np.abs(place[:, None] - place) == 1)
-    inside = (place < halves[record]) & (halves > used)[record]
-    return jnp.where(follow & inside[:, None] & inside[None, :], 1.0, 0.0)
 
 
 # Bootstrap over blocks of time: whole procedures solved again from resampled normal equations.

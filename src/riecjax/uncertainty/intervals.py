@@ -149,17 +149,13 @@ class BlockBootstrap(AbstractIntervals):
 
     def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
         """Jackknife covariance, and studentized replicates."""
+        drawn = self.drawn(statistics.used.shape[0])
         return with_few_blocks(
             statistics,
             jackknife_covariance(statistics),
-            self.studentized(statistics),
+            studentized_replicates(statistics, jnp.asarray(drawn.draws)),
             f"studentized block bootstrap, {self.replicates} replicates",
         )
-
-    def studentized(self, statistics: BlockStatistics) -> Float[Array, "replicates p"]:
-        """The replicates, see [`studentized_replicates`][]."""
-        drawn = self.drawn(statistics.used.shape[0])
-        return studentized_replicates(statistics, jnp.asarray(drawn.draws))
 
     def drawn(self, records: int) -> "BlockBootstrap":
         """With the blocks of each replicate drawn, see [`uniform_draws`][]."""
@@ -232,13 +228,7 @@ def with_few_blocks(
     # standard error is next to nothing: t* then has tails that no number of replicates mends.
     # Bell and McCaffrey's variance and degrees of freedom hold for few blocks, under a working
     # model; so it stands in where blocks are few, and beside it shows where the bootstrap went off.
-    small = few_blocks_sandwich(
-        statistics.short_blocks,
-        statistics.unknowns,
-        statistics.values,
-        statistics.short,
-        statistics.used,
-    )
+    small = few_blocks_sandwich(statistics)
     few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM) | (jnp.sum(statistics.used) <= FEW)
     variance, other = jnp.diagonal(covariance), jnp.diagonal(small.covariance)
     times = jnp.ones_like(variance)

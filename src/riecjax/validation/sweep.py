@@ -20,7 +20,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
-from riecjax.estimation.stages import found_values, solve_stages, stages_over_records
+from riecjax.estimation.stages import solve_stages, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record, Records
@@ -382,10 +382,10 @@ def _estimates(
     def at_length(own: list[list[NormalEquations]]) -> tuple[Array, ...]:
         shared, _ = stages_over_records(own, sharing)
         stages = [merge_blocks(stage, short, used) for stage in shared]
-        solutions = solve_stages(stages, given)
+        solutions, values = solve_stages(stages, given)
         return (
             jnp.concatenate([stage.solution.theta for stage in solutions]),
-            block_influence(stages, given, found_values(solutions, given)),
+            block_influence(stages, given, values),
             jnp.stack([stage.relative_rms for stage in solutions]),
             jnp.stack([stage.equations[0].noise_rms for stage in solutions]),
             jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
