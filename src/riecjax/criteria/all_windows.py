@@ -127,7 +127,8 @@ def moments_in_blocks(
         part = jax.lax.dynamic_slice_in_dim(values, begin, width, axis=1)
         # With their polynomial put back, less what their differences do not see: the mean for first
         # differences and the straight line of least squares for second ones.
-        place, order = jnp.arange(width) - (width - 1) / 2, primitives.difference
+        place = jnp.arange(width) - (width - 1) / 2
+        order = primitives.difference
         phi = part + primitives.mean[:, None] * (place**order / order)[None, :]
         phi = phi - jnp.mean(phi, axis=1, keepdims=True)
         if order > 1:

@@ -107,7 +107,8 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
     # the weights of one interval; a triangle from 0 on is z / (1 - z)^2. So
     # p(z) = (N(z)^2 - z) / (1 - z)^2. The interval that ends at a sample has weights from reach - 1
     # samples after it on, backwards: their product begins at z^(-2 (reach - 1)).
-    once, first = _interval_ends(quadrature), 2 * (quadrature // 2 - 1)
+    once = _interval_ends(quadrature)
+    first = 2 * (quadrature // 2 - 1)
     weights = interval_weights(quadrature, first // 2)
     product = np.convolve(weights, weights)
     product[1 + first] -= 1.0
@@ -281,7 +282,8 @@ def noise_moments(
         *each, curved = closed
     found = dict(zip(noisy.white, each))
     # Kernels of the signals' coloured noise, which has unit size in each.
-    kernels, read = {}, list(noisy.coloured)
+    kernels = {}
+    read = list(noisy.coloured)
     for name in read:
         own = {s: t for s, t in noise.kernels[name].items() if not is_white(noise, s, read)}
         size = jnp.sqrt(sum(jnp.sum(jnp.asarray(t) ** 2) for t in own.values()))

@@ -444,7 +444,9 @@ class Again(NamedTuple):
 def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN) -> Again:
     """Search again from folds drawn with replacement."""
     rng = np.random.default_rng(seed)
-    folds, among, trials = search.folds, _among(search, chosen), len(search.offers)
+    folds = search.folds
+    among = _among(search, chosen)
+    trials = len(search.offers)
     families: Counter[str] = Counter()
     values: dict[tuple[str, int], list[float]] = {}
     # Of a law the same coefficient, whatever its width.
@@ -649,7 +651,8 @@ class Sums:
             strongest = max(rough, key=without)
             beside = [one for one in chosen if one.simple or one.family in near]
             # Of laws with a memory all of the same signal: rough widths tell none from the others.
-            law, families = self.shape(strongest.family), [strongest.family]
+            law = self.shape(strongest.family)
+            families = [strongest.family]
             if law.remember is not None:
                 shapes = [each for each in self.candidates if isinstance(each, Shaped)]
                 families = [s.name for s in shapes if s.remember is not None and s.of == law.of]

@@ -224,7 +224,8 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
     **Raises:** `DataError` for a missing signal or derivative.
     """
     # Along which signals move together: ("white", source) or ("coloured", signal).
-    noise, read = record.noise, equation.terms_read(record, smoothness)
+    noise = record.noise
+    read = equation.terms_read(record, smoothness)
     directions: dict[Key, Direction] = {}
     variances: Direction = {}
     for name in sorted(read):

@@ -203,7 +203,8 @@ class Procedure(Shown, eqx.Module):
                 )
             if len(own) > 1:
                 raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
-            name, number = own[0].name, -own[0].number
+            name = own[0].name
+            number = -own[0].number
             label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
             of_unit = unit if name is None else equation.unit
             return [*equation.terms, Term(label, constant, unit=of_unit, sign=number)]

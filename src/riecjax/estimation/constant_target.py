@@ -190,7 +190,9 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
             ):
                 return ""
             still = all(seen.rounding < seen.share(columns[name]) <= STILL for name in names)
-            who, others, alone = ", ".join(names), ", ".join(hidden), len(names) == 1
+            who = ", ".join(names)
+            others = ", ".join(hidden)
+            alone = len(names) == 1
             explains, leaves = ("explains", "leaves") if alone else ("explain", "leave")
             if still:
                 why = (
@@ -238,7 +240,9 @@ class _Averaged:
         self.rounding = max(ROUNDING * float(np.finfo(dtype).eps) ** 0.5, FACTORED)
         names = [sharing.of_record(one.parameters, i) for i, one in enumerate(recordings)]
         # Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them.
-        rows, noise, band = [], [], slice(*summary.band)
+        rows = []
+        noise = []
+        band = slice(*summary.band)
         for one in recordings:
             gram, added = np.zeros((2, *(2 + len(one.parameters),) * 2))
             gram[0] = gram[:, 0] = np.asarray(one.constant)[band].sum((0, 1))

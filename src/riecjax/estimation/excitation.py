@@ -233,7 +233,8 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
     stages = dict(zip((label for label, _ in plan.stages), by_source))
     corrected = []
     for one in found:
-        stage, size = stages[one.stage_name], np.asarray(one.size)
+        stage = stages[one.stage_name]
+        size = np.asarray(one.size)
         direction = np.zeros(1 + len(stage.parameters))
         place = [1 + stage.parameters.index(name) for name in one.parameters]
         scale = np.where(size > 0, size, 1)

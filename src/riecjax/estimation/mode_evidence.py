@@ -174,7 +174,8 @@ def mode_evidence(
             # Modes that lie far from the frequency asked for, and the band that shows the last one.
             strays, (low, high) = [], search_band(procedure, summary, own[-1])
             for names in own:
-                hz, at_hz = procedure.mode_named(names).hz, float(mode_frequency(values, names)[0])
+                hz = procedure.mode_named(names).hz
+                at_hz = float(mode_frequency(values, names)[0])
                 if hz is not None and not hz / NEAR <= at_hz <= hz * NEAR:
                     strays.append(Stray(names, hz, at_hz))
                     if names == own[-1]:

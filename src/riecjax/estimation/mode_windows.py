@@ -85,7 +85,8 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 f"it out, or give both."
             )
     known = {name: jnp.asarray(value) for name, value in given.items()}
-    found, shown = FoundModes([], [], [], [], [], [], jnp.array(True)), jnp.array(True)
+    found = FoundModes([], [], [], [], [], [], jnp.array(True))
+    shown = jnp.array(True)
     equations, sources = summary.equations(), summary.noise_by_source()
     looked_at = is_concrete(equations, known) and not is_under_trace()
     for i, expanded in enumerate(procedure.expanded):
@@ -105,7 +106,8 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
             settings = where, wanted, np.asarray(rank)
             best, at, there = _searched(expanded, stacked[0], known, *settings)
             if is_concrete(best):
-                used, band = every[int(best)], options[int(best)] if summary.bins else None
+                used = every[int(best)]
+                band = options[int(best)] if summary.bins else None
             else:
                 used = jax.tree.map(lambda leaf, best=best: leaf[best], stacked)
             shown = shown & there

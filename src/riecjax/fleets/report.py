@@ -432,7 +432,8 @@ def _over_time(found: Fleet, parameter: str, names: Sequence[str]) -> Panel:
 
 def fleet_page(document: Document) -> Page:
     """The page of a fleet's document."""
-    counts, tables = document["recordings"], tables_of(document, LISTED)
+    counts = document["recordings"]
+    tables = tables_of(document, LISTED)
     lead = (
         f"{document['groups']} groups by {', '.join(document['by'])}; {counts['summed']} "
         f"recordings of {counts['samples']} samples, {counts['seconds'] / HOUR:.3g} hours."

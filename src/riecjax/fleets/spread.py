@@ -123,7 +123,8 @@ def _judged(
     values: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"]
 ) -> tuple[float, Float[np.ndarray, " n"]]:
     """Centre of most groups, and the probability of each group's distance by chance."""
-    half, ranked = scipy.stats.chi2.median(1), np.argsort(values)
+    half = scipy.stats.chi2.median(1)
+    ranked = np.argsort(values)
 
     def centre(between: float) -> float:
         """The weighted median, between two values where half of the weight lies on either side."""
@@ -135,7 +136,8 @@ def _judged(
         squares = (values - centre(between)) ** 2 / (errors**2 + between)
         return float(np.median(squares)) - half
 
-    most, between = float(np.ptp(values)) ** 2 / half, 0.0
+    most = float(np.ptp(values)) ** 2 / half
+    between = 0.0
     if excess(0.0) > 0 and most > 0:
         root = scipy.optimize.root_scalar(excess, bracket=(0.0, 4 * most), xtol=1e-12 * most)
         between = float(root.root)
@@ -191,6 +193,7 @@ def changes(entries: Iterable[Entry]) -> list[Change]:
             float(np.average(values[a:b], weights=errors[a:b] ** -2))
             for a, b in zip([0, *ends[:-1]], ends)
         ]
-        unit, times = course[0].unit or "", [course[end].start for end in ends[:-1]]
+        unit = course[0].unit or ""
+        times = [course[end].start for end in ends[:-1]]
         steps += [Change(group, parameter, unit, *step) for step in zip(times, levels, levels[1:])]
     return steps

@@ -53,7 +53,8 @@ def without_computed(
     """
     if not is_concrete(record):
         return record, []
-    computed, noise = [], record.noise
+    computed = []
+    noise = record.noise
     for pair in pairs:
         if isinstance(pair, Relation) or pair[1] in known:
             continue

@@ -277,16 +277,19 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
         )
     if not (value := pair.drift or pair.offset):
         return
-    names, time = relation.names, np.asarray(record.time)
+    names = relation.names
+    time = np.asarray(record.time)
     derivative, factor = pair.zeroed
     signal = pair.signal if len(names) == 2 else relation.words(derivative)[1]
     share = abs(value) * step / pair.scale / pair.rms
     size = f"{value * factor:.3g} {dict(record.units).get(derivative, '')}".rstrip()
     per = factor * pair.scale / step
-    what, change = f"has an offset of {size}", 0.0
+    what = f"has an offset of {size}"
+    change = 0.0
     whose = f" Or {signal} drifts by that per second."
     if pair.drift:
-        what, change = f"drifts by {size} over {time[-1] - time[0]:.4g} s", fit.drift * per
+        what = f"drifts by {size} over {time[-1] - time[0]:.4g} s"
+        change = fit.drift * per
         whose = ""
     # Whose it is one relation cannot tell.
     if others := " or ".join(n for n in names if n not in (derivative, pair.signal)):

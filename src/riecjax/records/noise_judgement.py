@@ -215,7 +215,8 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     low = at_end < EMPTY * density and density < BELOW_MOTION * np.max(near[:lower])
     if not (low and _level(found[band])):
         return None
-    own, there = of.transforms[:, band], [o.transforms[:, band] for o in others if o is not None]
+    own = of.transforms[:, band]
+    there = [o.transforms[:, band] for o in others if o is not None]
     for other in there:
         cross = np.abs(np.mean(own * other.conj(), axis=0)) ** 2
         power = np.mean(np.abs(own) ** 2, axis=0) * np.mean(np.abs(other) ** 2, axis=0)

@@ -140,7 +140,9 @@ class Record(Drawn, eqx.Module):
         if len({values.size for values in every.values()}) > 1:
             listed = ", ".join(f"{name} {values.size}" for name, values in every.items())
             raise DataError(f"all signals and the time must have the same length; got {listed}.")
-        step, start, stamps = time_step, 0.0, None
+        step = time_step
+        start = 0.0
+        stamps = None
         if time is not None:
             step, start, pauses = time_base(given)
             if pauses.size:
@@ -477,7 +479,8 @@ def filled_up(record: Record, length: int, begin: int = 0, stop: int | None = No
         part = np.asarray(values)[begin:stop]
         return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
 
-    stamps, earlier = record.stamps, begin * float(record.time_step)
+    stamps = record.stamps
+    earlier = begin * float(record.time_step)
     if stamps is not None:
         earlier = float(stamps[begin]) - float(stamps[0])
         stamps = filled(stamps)

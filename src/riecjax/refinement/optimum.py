@@ -505,7 +505,8 @@ def find_optimum(
 
     def step(at: _Search) -> _Search:
         """Accept or reject the trial point, and make the next one."""
-        tried, is_first = still.linearised(at.trial), at.steps == 0
+        tried = still.linearised(at.trial)
+        is_first = at.steps == 0
         decrease = at.linearised.energy - tried.energy
         ratio = decrease / (at.work + at.damped)
         good = is_first | ((decrease > 0) & (ratio > ACCEPTED))
@@ -535,7 +536,8 @@ def find_optimum(
         lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
         jax.eval_shape(lambda: still.linearised(start)),
     )
-    damping, one = jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype), jnp.ones((), dtype)
+    damping = jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype)
+    one = jnp.ones((), dtype)
     no = jnp.asarray(False)
     found = jax.lax.while_loop(
         lambda at: ~(at.ended | at.failed) & (at.steps < max_steps),

@@ -559,7 +559,8 @@ class OutputMisfit(AbstractMisfit):
 
             def of_window(initial: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
                 # Residuals, and their derivatives by parameters and initial states.
-                p, unknown = theta.shape[0], jnp.concatenate([theta, initial])
+                p = theta.shape[0]
+                unknown = jnp.concatenate([theta, initial])
 
                 def along(direction: Array) -> tuple[Array, Array]:
                     return jax.jvp(

@@ -146,7 +146,8 @@ def load(path: str | os.PathLike[str]) -> Any:
         if _holds_an_estimate(file):
             document, arrays = read_checked(file, NAME, FORMAT, SCHEMA)
             with naming(file, NAME):
-                estimate, place = _unpack(document["estimate"], arrays), "summary/"
+                estimate = _unpack(document["estimate"], arrays)
+                place = "summary/"
                 if document["summary"] is None:
                     return estimate
                 kept = {n.removeprefix(place): a for n, a in arrays.items() if n.startswith(place)}

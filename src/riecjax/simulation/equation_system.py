@@ -177,7 +177,8 @@ class SpringElement(eqx.Module):
         self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
     ) -> Float[Array, " 1"]:
         """Time derivative of the force."""
-        own, points = jnp.stack([values[n] for n in self.element.parameters]), self.points
+        own = jnp.stack([values[n] for n in self.element.parameters])
+        points = self.points
         if points is None:
             inner = force / own[0]
         else:
@@ -188,7 +189,8 @@ class SpringElement(eqx.Module):
         self, velocity: Float[Array, " n"], values: Mapping[str, Array]
     ) -> Float[Array, " n"]:
         """The force at a velocity that does not change: the spring takes up none of it."""
-        own, points = jnp.stack([values[n] for n in self.element.parameters]), self.points
+        own = jnp.stack([values[n] for n in self.element.parameters])
+        points = self.points
         if points is None:
             return own[0] * velocity
         return RoofFunctions(points).interpolate(_rising(own, points), velocity)

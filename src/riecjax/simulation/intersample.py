@@ -100,7 +100,9 @@ def bends_of(
     second = jnp.pad(levels[2:] - 2 * levels[1:-1] + levels[:-2], ((1, 1), (0, 0)))
     resolved = _resolved(second, own)
     # Curvatures that give every interval its mean, of as many differences as are there.
-    smooth_ones, kernel, power = second, np.zeros(1), np.ones(1)
+    smooth_ones = second
+    kernel = np.zeros(1)
+    power = np.ones(1)
     for reach, coefficient in enumerate(OF_MEAN):
         kernel = np.pad(kernel, min(reach, 1)) + coefficient * power
         power = np.convolve(power, [1, -2, 1])
@@ -108,7 +110,8 @@ def bends_of(
         smooth_ones = jnp.where(whole[:, None], _weighted(second, kernel), smooth_ones)
     # Elsewhere medians of the differences around each sample, of those that are there.
     places = range(2 * REACH + 1)
-    differences, held = jnp.pad(second, ((REACH, REACH), (0, 0))), jnp.pad(own, REACH)
+    differences = jnp.pad(second, ((REACH, REACH), (0, 0)))
+    held = jnp.pad(own, REACH)
     around = jnp.stack([differences[i : i + n] for i in places])
     there_too = jnp.stack([held[i : i + n] for i in places])[:, :, None]
     count = jnp.sum(there_too, axis=0, keepdims=True)

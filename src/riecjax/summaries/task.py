@@ -95,7 +95,8 @@ def task(
             f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
         )
     recordings = ready(procedure, records, noise)
-    band, sampled = getattr(model, "band", None), [each.record for each in recordings]
+    band = getattr(model, "band", None)
+    sampled = [each.record for each in recordings]
     criterion = criterion_for(criterion, procedure, band, sampled)
     _require_derivatives(procedure, criterion)
     require_key(key)

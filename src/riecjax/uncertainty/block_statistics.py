@@ -79,7 +79,8 @@ def politis_white(
     lags = jnp.minimum(lags, jnp.max(short.number) - 1).astype(int)
     # Sums of products at lags 0 to `room`, of all records. Lag by lag: few enough, and XLA's
     # Fourier transforms may lock up where several run at once.
-    n, padded = influence.shape[1], jnp.pad(influence, ((0, 0), (0, room), (0, 0)))
+    n = influence.shape[1]
+    padded = jnp.pad(influence, ((0, 0), (0, room), (0, 0)))
 
     def at_lag(lag: Array) -> Float[Array, " p"]:
         later = jax.lax.dynamic_slice_in_dim(padded, lag, n, axis=1)

@@ -157,7 +157,8 @@ def window_choice(
         squares = weight.gain(spectrum.frequency, length) ** 2
         mean_square = weight.mean_gain(spectrum.frequency, alpha, beta, power=2)
         mean = weight.mean_gain(spectrum.frequency, alpha, beta)
-        share, current = spectrum.share(squares), float(spectrum.share(mean_square))
+        share = spectrum.share(squares)
+        current = float(spectrum.share(mean_square))
         equations.append(
             EquationWindows(error.name, error.unit, spectrum, share, current, mean, mean_square)
         )

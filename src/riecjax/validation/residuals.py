@@ -290,7 +290,8 @@ class ErrorSpectrum(NamedTuple):
 
     def share(self, gain: Float[np.ndarray, "frequencies *n"]) -> Float[np.ndarray, "*n"]:
         """Of what passes a gain of powers, the error's r.m.s. relative to the target's."""
-        part, whole = self.error @ gain, self.target @ gain
+        part = self.error @ gain
+        whole = self.target @ gain
         return np.sqrt(np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), 0.0))
 
     @property
@@ -512,7 +513,8 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     # Analysis of variance of the logarithms of the blocks' mean squares. A mean square of nu
     # degrees of freedom scatters in proportion to its size, its logarithm by about sqrt(2 / nu)
     # whatever the size, as the analysis presumes; nor does one loud block decide.
-    squares, p_value = [part.error_square for part in stretches], float("nan")
+    squares = [part.error_square for part in stretches]
+    p_value = float("nan")
     largest = max((square.max() for square in squares), default=0.0)
     if len(squares) >= FEWEST_STRETCHES and largest > min(square.min() for square in squares):
         logarithms = [np.log(np.maximum(square, SILENT * largest)) for square in squares]

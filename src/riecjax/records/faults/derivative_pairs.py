@@ -260,7 +260,8 @@ def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
 def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray) -> _Bins:
     from scipy.fft import next_fast_len, rfft  # of records alone
 
-    parts, tapers = [], []
+    parts = []
+    tapers = []
     for start, x, v, u in pieces:
         size = int(next_fast_len(x.size, real=True) or x.size)
         omega = 2 * np.pi * np.arange(size // 2) / size
@@ -387,7 +388,8 @@ def delay_course(
     # What is left of one part is known too roughly: that of all parts, by frequency, is for each.
     left = [(fit.left.omega, fit.left.power) for fit in alone if fit is not None]
     omega, power = (np.concatenate(columns) for columns in zip(*left))
-    order, groups = np.argsort(omega, kind="stable"), max(omega.size // SHORTEST_PIECE, 1)
+    order = np.argsort(omega, kind="stable")
+    groups = max(omega.size // SHORTEST_PIECE, 1)
     means = [
         np.array([some.mean() for some in np.array_split(column[order], groups)])
         for column in (omega, power)
@@ -720,7 +722,8 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     course, spread = Course(), 1.0
     if edges:
         # Pieces between the edges.
-        most, ends = MOST_SAMPLES // windows, itertools.pairwise(edges)
+        most = MOST_SAMPLES // windows
+        ends = itertools.pairwise(edges)
         parts = [list(_pieces(*one.columns, a, b, breaks, most)) for a, b in ends]
         course, spread = delay_course(parts, edges, count, one.fit)
     fit, rms = one.fit._replace(errors=one.fit.errors * spread), one.rms * abs(one.size)
@@ -827,7 +830,8 @@ def _pieces(
 
 def _filled(values: np.ndarray) -> np.ndarray:
     """Spikes and short gaps replaced by local cubics."""
-    found, half = values.copy(), 4
+    found = values.copy()
+    half = 4
     if values.size > 2 * half + 1:
         around = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1)
         off = np.abs(values[half:-half] - np.median(around[:, 2:-2], axis=1))

@@ -55,7 +55,8 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     from scipy.signal import butter, sosfiltfilt  # take half a second, which few records need
 
     record = judged(record, "auto", *cutoffs)
-    noise, columns = record.noise, {}
+    noise = record.noise
+    columns = {}
     for name, cutoff in cutoffs.items():
         sections = butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         impulse = np.zeros(4 * lost[name] + FILTER_PADDING + 1)
@@ -177,7 +178,8 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
         )
     unit = dict(record.units).get(signal)
     units = {} if unit is None else {name: f"{unit}/s"}
-    samples, derivative = np.asarray(record[signal]), np.full(record.sample_count, np.nan)
+    samples = np.asarray(record[signal])
+    derivative = np.full(record.sample_count, np.nan)
     for stretch in record.segments([signal]):
         derivative[stretch] = central_difference(samples[stretch], record.time_step)
     taps = np.array([0.5, 0.0, -0.5]) / float(record.time_step)
@@ -202,7 +204,8 @@ def through(
     record: Record, signal: str, taps: Float[np.ndarray, " taps"], first: int
 ) -> Float[np.ndarray, " n"]:
     """Weighted sums of a signal's samples, from `first` samples on; NaN where they reach beyond."""
-    samples, result = np.asarray(record[signal]), np.full(record.sample_count, np.nan)
+    samples = np.asarray(record[signal])
+    result = np.full(record.sample_count, np.nan)
     for stretch in record.segments([signal]):
         if stretch.stop - stretch.start >= taps.size:
             sums = np.convolve(samples[stretch], taps[::-1], "valid")

@@ -76,7 +76,8 @@ class Spectrum(NamedTuple):
 
     def line(self, frequency: float, chance: float) -> Line | None:
         """The line about a frequency, `None` where none stands out alone."""
-        seen, tolerance = self.folded(frequency), DRIFT * frequency
+        seen = self.folded(frequency)
+        tolerance = DRIFT * frequency
         low = int(np.floor((seen - tolerance) / self.resolution))
         high = int(np.ceil((seen + tolerance) / self.resolution))
         if low < LOBE + 2 or high > self.power.size - 2 - LOBE:

@@ -165,7 +165,8 @@ def treat_all(
     for name, (_, spikes, acted) in treated.items():
         if spikes is None:
             continue
-        count, time = spikes.places.size, every[name]
+        count = spikes.places.size
+        time = every[name]
         if acted:
             words.append(f"{name}: {count} samples of short pulses kept, which other signals show")
             continue

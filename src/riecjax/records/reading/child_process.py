@@ -46,7 +46,9 @@ def read_apart(
     """
     limit = PATIENCE + size_of(file) / SLOWEST_READING
     with _lock:
-        reader, began, answer = _reader(), time.monotonic(), None
+        reader = _reader()
+        began = time.monotonic()
+        answer = None
         try:
             answer = reader.answer((read, file.absolute(), arguments, limit), limit)
         except (EOFError, OSError, pickle.UnpicklingError):

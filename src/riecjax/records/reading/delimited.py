@@ -422,11 +422,14 @@ def _header(
     between = [place for place in above if place > last]
     # Above units, names may be numbers, as of channels 1 and 2.
     upper = next((place for place in fallback if place < last), None)
-    named, stated, units = last, last, []
+    named = last
+    stated = last
+    units = []
     if between and _is_unit_row(rows[between[-1]]):
         stated, units = between[-1], rows[between[-1]]
     elif upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
-        named, units = upper, rows[last]
+        named = upper
+        units = rows[last]
     return named, list(map(bare_unit, units)), min(place for place in rows if place > stated)
 
 
@@ -566,7 +569,8 @@ def read_table(
 
 
 def _first_lines(content: bytes) -> list[str]:
-    end, most = SAMPLE, min(len(content), FEWEST_LINES * LONGEST_LINE)
+    end = SAMPLE
+    most = min(len(content), FEWEST_LINES * LONGEST_LINE)
     while end < most and content.count(b"\n", 0, end) < FEWEST_LINES:
         end *= 4
     lines = content[:end].decode(errors="replace").split("\n")
@@ -579,7 +583,8 @@ def _first_lines(content: bytes) -> list[str]:
 
 def _body(content: bytes, found: Layout) -> tuple[bytes, int]:
     """The rows below the header, comments blanked so that lines keep their numbers."""
-    body, comments = content.split(b"\n", found.start)[-1], 0
+    body = content.split(b"\n", found.start)[-1]
+    comments = 0
     signs = (b"#", b"%", b"//") if found.dialect.delimiter == ";" else (b"#", b"%", b"//", b";")
     # Searching for a byte is so much faster than for a pattern that clean files pay nothing.
     if any(sign in body for sign in signs):
@@ -678,7 +683,8 @@ def _all_valid(table: Table, valid: Any, text: Any) -> bool:
 
 def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
     """Refuse a file whose commas may all separate thousands as well as decimals."""
-    pc, doubtful = compute(), None
+    pc = compute()
+    doubtful = None
     for text in texts.values():
         with_comma = pc.and_(is_numeric(text, ",", False), pc.match_substring(text, ","))
         grouped = pc.match_substring_regex(text, GROUPED["."])

@@ -197,7 +197,8 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, l
     column |= rename
     values, units, registers = {}, {}, []
     for name, source in column.items():
-        timed, recorded = clocks.is_word_of_time(source), channels.columns[source]
+        timed = clocks.is_word_of_time(source)
+        recorded = channels.columns[source]
         values[name], bits = (recorded, 0) if timed else signed(recorded)
         if bits:
             registers.append(f"{name}: signed numbers of {bits} bits, read as unsigned, put right")
@@ -352,7 +353,8 @@ def _resampled(
 ) -> Record:
     from riecjax.records.preparation.resampling import on_grid, on_grid_noise
 
-    pairs, step = {}, selection.time_step
+    pairs = {}
+    step = selection.time_step
     for name, values in _finite(signals.values, selection).items():
         time = times[name] if step is None else step * np.arange(values.size)
         known = ~np.isnan(time)

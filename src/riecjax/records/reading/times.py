@@ -310,7 +310,8 @@ def find_time(
     if given is not None:
         return _timed(given, values, units, (), shortest)
     called = sorted((name for name in values if is_called_time(name, units)), key=_preference)
-    found, notes = next((name for name in called if _rises(values[name])), None), ()
+    found = next((name for name in called if _rises(values[name])), None)
+    notes = ()
     if found is not None and len(called) > 1:
         others = [name for name in values if name in called and name != found]
         notes = (f"time is column '{found}', not {listed(others)}",)
@@ -318,7 +319,8 @@ def find_time(
         first = next(iter(values))
         in_time = seconds_in(units.get(first, "")) is not None
         if _rises(values[first]) if in_time else first not in units and _is_even(values[first]):
-            found, notes = first, (f"time is column '{first}', the first, which rises",)
+            found = first
+            notes = (f"time is column '{first}', the first, which rises",)
     found = found or next(iter(called), None)
     if found is None:
         return None
