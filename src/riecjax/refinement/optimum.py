@@ -72,9 +72,11 @@ initial states explain of the parameters' columns: where they explain all but a 
 log10(1/t) digits of it are lost, where QR of the rows would lose half as many. Steps are corrected
 by the next ones; what rounding leaves is an error of the gradient, well below a cosine of 1e-6.
 
-Nothing carried from step to step grows with the record. Of one window this is as fast as
-optimistix's Levenberg-Marquardt at equal error, of 20 windows two to three times as fast:
-benchmarks/NOTES.md.
+Other solvers of optimistix want a residual and its Jacobian. The Cholesky factor R of a window's
+moments is one with as few rows as columns: R = U' [r J S], U having orthonormal columns, which
+changes neither a sum of squares nor a step. So nothing carried from step to step grows with the
+record. Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20
+windows two to three times as fast: benchmarks/NOTES.md.
 
 Coordinates without bounds for parameters that have some, and priors.
 
@@ -103,6 +105,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
@@ -110,7 +113,7 @@ from riecjax.compilation import kept_jit
 from riecjax.errors import ModelError
 from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still, is_concrete, is_number
-from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
 from riecjax.refinement.objective import AbstractMisfit, Energies, Expansion, Initial, Theta
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.intervals import AbstractIntervals, Uncertainty, estimate_uncertainty
@@ -207,6 +210,116 @@ class Linearised(eqx.Module):
         work = -gradient.parameters @ parameters - jnp.sum(gradient.initial * initial)
         size = sizes @ parameters**2 + jnp.sum(initial_sizes * initial**2)
         return Point(parameters, initial), work, damping * size
+
+    def factors(self) -> Float[Array, "windows columns columns"]:
+        """Residual (first column) and Jacobian of each window, in as many rows as columns."""
+        return triangular_factor(self.moments)
+
+
+class Residual(eqx.Module):
+    """First columns of `factors`: `windows`, one row for each; and those of the `priors`."""
+
+    windows: Float[Array, "windows columns"]
+    priors: Float[Array, " p"]
+
+
+class _State(eqx.Module):
+    """Accepted problem, trial point, damping, and the two parts of the predicted decrease."""
+
+    accepted: Linearised
+    trial: Point
+    damping: Float[Array, ""]
+    work: Float[Array, ""]
+    damped: Float[Array, ""]
+    first: Bool[Array, ""]
+    ended: Bool[Array, ""]
+    result: optx.RESULTS
+
+
+class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+    """Levenberg-Marquardt on moments, with initial states eliminated window by window.
+
+    Its function must return, aside, a [`Linearised`][] problem.
+
+    **Arguments:** `rtol`, the cosine between residual and tangent space at which it stops, which
+    unlike the size of a step depends on neither units nor damping; `report`, called with the sum of
+    squares after each step.
+    """
+
+    rtol: float
+    atol: float = 0.0
+    norm: Any = optx.max_norm
+    report: Any = None
+
+    def init(
+        self, fn: Any, y: Point, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
+    ) -> _State:
+        """Before the first step."""
+        dtype = y.parameters.dtype
+        accepted = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
+        return _State(
+            accepted,
+            y,
+            jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype),
+            jnp.ones((), dtype),
+            jnp.zeros((), dtype),
+            jnp.asarray(True),
+            jnp.asarray(False),
+            optx.RESULTS.successful,
+        )
+
+    def step(
+        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
+    ) -> tuple[Point, _State, Linearised]:
+        """Accept or reject the trial point, and make the next one."""
+        _, tried = fn(state.trial, args)
+        decrease = state.accepted.energy - tried.energy
+        ratio = decrease / (state.work + state.damped)
+        good = state.first | ((decrease > 0) & (ratio > ACCEPTED))
+        lower = state.first | (ratio > GOOD)
+        factor = jnp.where(good, jnp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
+        damping = jnp.maximum(state.damping * factor, jnp.finfo(factor.dtype).eps)
+        point = jax.tree.map(lambda new, old: jnp.where(good, new, old), state.trial, y)
+        accepted = jax.tree.map(lambda new, old: jnp.where(good, new, old), tried, state.accepted)
+        step, work, damped = accepted.step(damping)
+        step = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), step)
+        flat = (work <= self.rtol**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
+        stuck = self.norm(step) <= NO_STEP * self.norm(point)
+        if self.report is not None:
+            jax.debug.callback(self.report, accepted.energy)
+        trial = Point(
+            jnp.clip(point.parameters + step.parameters, accepted.lowest, accepted.highest),
+            point.initial + step.initial,
+        )
+        result = optx.RESULTS.where(
+            stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy),
+            optx.RESULTS.nonlinear_divergence,
+            optx.RESULTS.successful,
+        )
+        state = _State(
+            accepted, trial, damping, work, damped, jnp.asarray(False), flat | stuck, result
+        )
+        return point, state, accepted
+
+    def terminate(
+        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Whether the search is over."""
+        return state.ended, state.result
+
+    def postprocess(
+        self,
+        fn: Any,
+        y: Point,
+        aux: Linearised,
+        args: Any,
+        options: Any,
+        state: _State,
+        tags: Any,
+        result: optx.RESULTS,
+    ) -> tuple[Point, Linearised, dict[str, Any]]:
+        """Nothing to add."""
+        return y, aux, {}
 
 
 AT_BOUND = 1e-6
@@ -357,6 +470,8 @@ COLLINEAR = 1e-12
 TAKES_PART = 0.1
 """Share of such a direction from which a parameter is called undetermined."""
 
+Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
+
 
 class RefinementStatus(eqx.Enumeration):
     """How a refinement ended."""
@@ -464,96 +579,70 @@ class Problem(eqx.Module):
         )
 
 
-class _Search(NamedTuple):
-    """Where a search stands.
+@eqx.filter_custom_jvp
+def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
+    """Residuals of each window, reduced to as many as there are columns; see the module.
 
-    **Fields:** the `point` that was accepted last, and what is `linearised` there; `trial`, a step
-    of this `damping` away, and `work` and `damped` of that step, the decrease that it predicts;
-    `steps` that were tried; whether the search has `ended`, and `failed`.
+    **Returns:** these, and the linearised problem that they come from.
     """
+    at = problem.linearised(point)
+    return Residual(at.factors()[:, :, 0], at.prior), at
 
-    point: Point
-    linearised: Linearised
-    trial: Point
-    damping: Float[Array, ""]
-    work: Float[Array, ""]
-    damped: Float[Array, ""]
-    steps: Int[Array, ""]
-    ended: Bool[Array, ""]
-    failed: Bool[Array, ""]
+
+@reduced_residual.def_jvp
+def _reduced_residual_jvp(primals: Any, tangents: Any) -> Any:
+    point, problem = primals
+    along = tangents[0]
+    at = problem.linearised(point)
+    factors = at.factors()
+    p = point.parameters.shape[0]
+    parameters = jnp.zeros_like(point.parameters) if along.parameters is None else along.parameters
+    initial = jnp.zeros_like(point.initial) if along.initial is None else along.initial
+    moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], parameters)
+    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], initial)
+    residual = Residual(factors[:, :, 0], at.prior)
+    # What comes beside the residual is looked at, never differentiated.
+    aside = jax.tree.map(jnp.zeros_like, at)
+    return (residual, at), (Residual(moved, at.prior_slope * parameters), aside)
 
 
 def find_optimum(
     problem: Problem,
     start: Point,
-    tolerance: float | None,
+    solver: Solver | None,
     max_steps: int,
     report: Callable[[float], None] | None,
 ) -> tuple[Point, RefinementStatus, Int[Array, ""], Expansion]:
     """The least point from a start, how the search ended, its steps, and the residuals there.
 
-    Levenberg-Marquardt on moments, initial states being eliminated window by window; see the
-    module. The point differentiates by anything in `problem`, forward and in reverse.
-
-    **Arguments:** `tolerance`, the cosine between residual and tangent space at which it stops,
-    which unlike the size of a step depends on neither units nor damping, by default what the
-    precision allows; `report`, called with the sum of squares after each step.
+    The point differentiates by anything in `problem`, forward and in reverse.
     """
-    still, start = held_still((problem, start))
-    dtype = start.parameters.dtype
-    cosine = tolerance or (1e-6 if dtype == jnp.float64 else 1e-4)
-
-    def step(at: _Search) -> _Search:
-        """Accept or reject the trial point, and make the next one."""
-        tried = still.linearised(at.trial)
-        is_first = at.steps == 0
-        decrease = at.linearised.energy - tried.energy
-        ratio = decrease / (at.work + at.damped)
-        good = is_first | ((decrease > 0) & (ratio > ACCEPTED))
-        lower = is_first | (ratio > GOOD)
-        factor = jnp.where(good, jnp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
-        damping = jnp.maximum(at.damping * factor, jnp.finfo(factor.dtype).eps)
-        point, accepted = jax.tree.map(
-            lambda new, old: jnp.where(good, new, old), (at.trial, tried), (at.point, at.linearised)
-        )
-        change, work, damped = accepted.step(damping)
-        change = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), change)
-        flat = (work <= cosine**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
-        stuck = _largest(change) <= NO_STEP * _largest(point)
-        if report is not None:
-            jax.debug.callback(report, accepted.energy)
-        parameters = point.parameters + change.parameters
-        trial = Point(
-            jnp.clip(parameters, accepted.lowest, accepted.highest), point.initial + change.initial
-        )
-        failed = stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy)
-        failed = failed | ~jnp.isfinite(_largest(point))
-        return _Search(
-            point, accepted, trial, damping, work, damped, at.steps + 1, flat | stuck, failed
-        )
-
-    nothing = jax.tree.map(
-        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
-        jax.eval_shape(lambda: still.linearised(start)),
+    still = held_still((problem, start))
+    solution = optx.least_squares(
+        reduced_residual,
+        default_solver(start.parameters.dtype, report) if solver is None else solver,
+        still[1],
+        args=still[0],
+        has_aux=True,
+        max_steps=max_steps,
+        throw=False,
     )
-    damping = jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype)
-    one = jnp.ones((), dtype)
-    no = jnp.asarray(False)
-    found = jax.lax.while_loop(
-        lambda at: ~(at.ended | at.failed) & (at.steps < max_steps),
-        step,
-        _Search(start, nothing, start, damping, one, 0 * one, jnp.asarray(0), no, no),
+    found = jax.lax.stop_gradient(solution.value)
+    ended = RefinementStatus.where(
+        solution.result == optx.RESULTS.nonlinear_max_steps_reached,
+        RefinementStatus.out_of_steps,
+        RefinementStatus.failed,
     )
-    choose = RefinementStatus.where
-    ended = choose(found.ended, RefinementStatus.converged, RefinementStatus.out_of_steps)
-    status = choose(found.failed, RefinementStatus.failed, ended)
-    point = jax.lax.stop_gradient(found.point)
-    return _implicit(point, problem), status, found.steps, found.linearised.aside
+    status = RefinementStatus.where(
+        solution.result == optx.RESULTS.successful, RefinementStatus.converged, ended
+    )
+    at: Linearised = solution.aux
+    return _implicit(found, problem), status, solution.stats["num_steps"], at.aside
 
 
-def _largest(point: Point) -> Float[Array, ""]:
-    """The size of the largest coordinate."""
-    return jnp.max(jnp.abs(ravel_pytree(point)[0]))
+def default_solver(dtype: Any, report: Callable[[float], None] | None = None) -> LevenbergMarquardt:
+    """Levenberg-Marquardt at the tolerance that the precision allows."""
+    return LevenbergMarquardt(1e-6 if dtype == jnp.float64 else 1e-4, report=report)
 
 
 @eqx.filter_custom_jvp
@@ -592,7 +681,7 @@ def search(
     begun: Reached,
     sharing: Sharing,
     intervals: AbstractIntervals,
-    tolerance: float | None,
+    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
 ) -> Optimum:
@@ -603,7 +692,7 @@ def search(
         misfit, Coordinates(scale, constraints.lower, constraints.upper), constraints, variance
     )
     first = problem.point(begun.theta, begun.initial)
-    point, status, steps, expansion = find_optimum(problem, first, tolerance, max_steps, progress)
+    point, status, steps, expansion = find_optimum(problem, first, solver, max_steps, progress)
     theta, initial = problem.values(point)
     status = RefinementStatus.where(
         begun.status == RefinementStatus.not_finite, RefinementStatus.not_finite, status

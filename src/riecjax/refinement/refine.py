@@ -48,6 +48,7 @@ from riecjax.refinement.optimum import (
     Prior,
     Reached,
     RefinementStatus,
+    Solver,
     search,
 )
 from riecjax.refinement.output_error import OutputError
@@ -302,7 +303,7 @@ def refine(
     per_record: Sequence[str] = (),
     key: Key[Array, ""] | None = None,
     intervals: AbstractIntervals | None = None,
-    tolerance: float | None = None,
+    solver: Solver | None = None,
     max_steps: int = 100,
     progress: Callable[[float], None] | None = None,
 ) -> Refined:
@@ -331,9 +332,7 @@ def refine(
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
-    - `tolerance`: cosine between what is left and all that the unknowns could change of it, at
-      which the search ends: 1e-6 by default, 1e-4 in 32-bit. More where samples lie on kinks of
-      the model, at which no gradient vanishes to rounding.
+    - `solver`: an optimistix solver; Levenberg-Marquardt by default.
     - `max_steps`: steps that the search may take; fewer than it needs is a status of the result.
     - `progress`: called with the sum of squares after each step.
 
@@ -341,7 +340,7 @@ def refine(
     that cannot be simulated; `DataError` for missing signals or records that are too short. A
     search that fails raises nothing: see `status` of the result.
     """
-    given = (known, bounds, priors, per_record, key, intervals, tolerance, max_steps, progress)
+    given = (known, bounds, priors, per_record, key, intervals, solver, max_steps, progress)
     return refine_with_misfit(model, records, start, by, *given)[0]
 
 
@@ -356,7 +355,7 @@ def refine_with_misfit(
     per_record: Sequence[str] = (),
     key: Key[Array, ""] | None = None,
     intervals: AbstractIntervals | None = None,
-    tolerance: float | None = None,
+    solver: Solver | None = None,
     max_steps: int = 100,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Refined, AbstractMisfit]:
@@ -366,6 +365,9 @@ def refine_with_misfit(
     require("start", start, (AbstractEstimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
     require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
     require("intervals", intervals or Sandwich(), AbstractIntervals, "intervals=rx.Sandwich()")
+    if solver is not None:
+        write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
+        require("the solver", solver, Solver, write)
     if isinstance(model, type):
         write = f"{model.__name__}(...), with a value for each of its fields"
         require("the model", model, (), write)
@@ -378,7 +380,7 @@ def refine_with_misfit(
         specified.of_free(bounds or {}),
         specified.of_free(priors or {}),
     )
-    settings = (specified.sharing, intervals or Sandwich(), tolerance, max_steps, progress)
+    settings = (specified.sharing, intervals or Sandwich(), solver, max_steps, progress)
     # Searches, in ever shorter steps for as long as these change the answer. With priors each
     # search is followed by others: the variance that priors are weighed against is that of the
     # residuals at the optimum, which the first search knows only from its start; the next ones take
