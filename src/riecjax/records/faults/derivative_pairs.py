@@ -32,6 +32,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Complex, Float
 
 from riecjax.findings import option_for
@@ -258,17 +259,15 @@ def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
 
 
 def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray) -> _Bins:
-    from scipy.fft import next_fast_len, rfft  # of records alone
-
     parts, tapers = [], []
     for start, x, v, u in pieces:
-        size = int(next_fast_len(x.size, real=True) or x.size)
+        size = int(scipy.fft.next_fast_len(x.size, real=True) or x.size)
         omega = 2 * np.pi * np.arange(size // 2) / size
         (w, slope, _), course = _taper(x.size, 0.0), (start + np.arange(x.size)) / count - 0.5
         moved = _taper(x.size, delay)
         known = [] if u is None else list(moved[:2] * u)
         columns = np.array([*moved * x, w * v, slope * v, w, w * course, *known])
-        transforms = np.asarray(rfft(columns, size))[:, : size // 2]
+        transforms = np.asarray(scipy.fft.rfft(columns, size))[:, : size // 2]
         whole, sloping, curved, rate, falling, zero, first, *known = transforms
         turned, i_omega = np.exp(-1j * omega * delay), 1j * omega
         motion, turning = i_omega * whole - sloping, i_omega * (i_omega * whole - 2 * sloping)
@@ -599,11 +598,6 @@ class Pair(NamedTuple):
         return self.relation.signal
 
     @property
-    def derivative(self) -> str:
-        """The suspect, or the sum, in words."""
-        return self.relation.words(self.suspect)[0]
-
-    @property
     def is_gross(self) -> bool:
         """Whether the gain is no calibration's."""
         return abs(self.fit.gain - 1) > GROSS
@@ -837,12 +831,11 @@ def _filled(values: np.ndarray) -> np.ndarray:
             found[spikes] = np.nan
     missing = np.isnan(found)
     if missing.any() and np.sum(~missing) > 4:
-        from scipy.interpolate import Akima1DInterpolator  # half a second, which few records need
-
         at, (starts, stops) = np.arange(found.size), runs(missing)
         short = missing.copy()
         short[missing] = np.repeat(stops - starts <= SHORT_GAP, stops - starts)
-        found[short] = Akima1DInterpolator(at[~missing], found[~missing])(at[short])
+        cubics = scipy.interpolate.Akima1DInterpolator(at[~missing], found[~missing])
+        found[short] = cubics(at[short])
     return found
 
 

@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping
 
-import jax.numpy as jnp
 import numpy as np
-import scipy.special
+import scipy
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
@@ -51,21 +50,18 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
             f"the record is too short to be filtered at {min(cutoffs.values()):g} Hz: {cut} "
             f"samples are lost at each end. Raise the cut-off, or record for longer."
         )
-
-    from scipy.signal import butter, sosfiltfilt  # take half a second, which few records need
-
     record = judged(record, "auto", *cutoffs)
     noise, columns = record.noise, {}
     for name, cutoff in cutoffs.items():
-        sections = butter(FILTER_ORDER, cutoff / nyquist, output="sos")
+        sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         impulse = np.zeros(4 * lost[name] + FILTER_PADDING + 1)
         impulse[impulse.size // 2] = 1.0
-        noise = noise.filtered(name, sosfiltfilt(sections, impulse))
+        noise = noise.filtered(name, scipy.signal.sosfiltfilt(sections, impulse))
         columns[name] = np.full(record.sample_count, np.nan)
         for stretch in record.segments([name]):
             if stretch.stop - stretch.start > _shortest(lost[name]):
                 inner = slice(stretch.start + lost[name], stretch.stop - lost[name])
-                samples = sosfiltfilt(sections, np.asarray(record[name])[stretch])
+                samples = scipy.signal.sosfiltfilt(sections, np.asarray(record[name])[stretch])
                 columns[name][inner] = samples[lost[name] : -lost[name]]
     result = with_gaps(record, columns, noise=noise).part(cut, record.sample_count - cut)
     for name, cutoff in cutoffs.items():
@@ -219,9 +215,8 @@ def with_gaps(
     noise: Noise | None = None,
 ) -> Record:
     """A record with these signals added or replaced, missing where they are NaN."""
-    missing = {name: jnp.asarray(mask) for name, mask in gaps(columns).items()}
-    held = {name: jnp.asarray(hold(values)) for name, values in columns.items()}
-    return record.with_signals(held, units, missing, noise)
+    held = {name: hold(values) for name, values in columns.items()}
+    return record.with_signals(held, units, gaps(columns), noise)
 
 
 def longest_stretch(record: Record, signal: str) -> int:
@@ -322,10 +317,8 @@ def _above(samples: np.ndarray, noise: np.ndarray) -> np.ndarray:
 
     **Arguments:** `noise`, its density, that of white noise being its variance.
     """
-    from scipy.signal import detrend
-
     window = blackman_harris(samples.size)
-    density = np.abs(np.fft.rfft(window * detrend(samples))) ** 2 / np.sum(window**2)
+    density = np.abs(np.fft.rfft(window * scipy.signal.detrend(samples))) ** 2 / np.sum(window**2)
     around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
     summed = (density, noise, np.ones(density.size))
     near, usual, number = (np.convolve(each, around, "same") for each in summed)
