@@ -136,7 +136,18 @@ def _end() -> None:
 
 def _serve(folder: str) -> None:
     """Read the files that are asked for, until nobody can ask any more."""
-    _limit_resources()
+    # Keep crashes from waiting for a dialog, as on Windows, which has no limits.
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.SetErrorMode(msvcrt.SEM_FAILCRITICALERRORS | msvcrt.SEM_NOGPFAULTERRORBOX)
+    # Keep damaged sizes from the machine's memory, and crashes from its disk.
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        memory = int(max(min(MEMORY, free_memory()), LEAST_MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     # What a library prints is no answer.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -144,7 +155,14 @@ def _serve(folder: str) -> None:
         with contextlib.suppress(EOFError):
             while True:
                 read, file, arguments, limit = pickle.load(sys.stdin.buffer)
-                _limit_time(limit)
+                # End a loop that the parent cannot, having been killed itself; threads count
+                # together.
+                with contextlib.suppress(ImportError, ValueError, OSError):
+                    import resource
+
+                    seconds = int(time.process_time() + limit * (1 + (os.cpu_count() or 1))) + 1
+                    most = resource.getrlimit(resource.RLIMIT_CPU)[1]
+                    resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
                 try:
                     answer = read(file, *arguments)
                 except (DataError, MemoryError) as error:
@@ -153,33 +171,6 @@ def _serve(folder: str) -> None:
                 answers.flush()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _limit_resources() -> None:
-    """Keep damaged sizes from the machine's memory, and crashes from its disk.
-
-    Windows has neither limit, but a dialog after a crash, for which reading would wait.
-    """
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.SetErrorMode(msvcrt.SEM_FAILCRITICALERRORS | msvcrt.SEM_NOGPFAULTERRORBOX)
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        memory = int(max(min(MEMORY, free_memory()), LEAST_MEMORY))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-
-
-def _limit_time(limit: float) -> None:
-    """End a loop that the parent cannot, having been killed itself; threads count together."""
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        seconds = int(time.process_time() + limit * (1 + (os.cpu_count() or 1))) + 1
-        _, most = resource.getrlimit(resource.RLIMIT_CPU)
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
 
 
 if __name__ == "__main__":

@@ -198,13 +198,12 @@ def _groups(channels: Channels) -> Iterator[_Family]:
                 member[inner] = name
         for (_, numbered), members in families.items():
             # Groups of HDF5 stand in the order of the alphabet, run10 before run2.
-            order = sorted(members, key=_number)
+            matches = {group: _NUMBERED.fullmatch(group) for group in members}
+            number = {
+                group: int(match["number"]) if match else 0 for group, match in matches.items()
+            }
+            order = sorted(members, key=number.__getitem__)
             yield _Family({g: members[g] for g in order}, "number" if numbered else "name")
-
-
-def _number(group: str) -> int:
-    found = _NUMBERED.fullmatch(group)
-    return int(found["number"]) if found else 0
 
 
 def _every_name(channels: Channels) -> list[str]:
