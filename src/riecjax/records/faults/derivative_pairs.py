@@ -414,10 +414,8 @@ def delay_course(
 def _steady(delays: Float[np.ndarray, "4 parts"]) -> tuple[float, float]:
     """Chi-square of delays about their mean; and times that they scatter more than they should."""
     size = delays.shape[1]
-    if size < 2:
-        return 0.0, 1.0
-    left = _left(delays, np.ones((1, size)))[0]
-    return left, float(np.sqrt(max(1.0, left / (size - 1))))
+    left = _left(delays, np.ones((1, size)))[0] if size > 1 else 0.0
+    return left, float(np.sqrt(max(1.0, left / max(size - 1, 1))))
 
 
 def _delays(fits: Sequence[PairFit | None], edges: Sequence[int]) -> Float[np.ndarray, "4 parts"]:
@@ -437,13 +435,10 @@ def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tupl
     time = 0.5 * (first + last) / edges[-1]
     left, coefficients, errors = _left(delays, np.array([ones, time]))
     best = Course("clocks", coefficients[1], errors[1], (0, edges[-1]), coefficients[0]), left
-    for k in range(2, size - 1):
-        # The change lies between two parts, or within one, which then says nothing.
-        for within in (0, 1):
-            after = np.arange(size) >= k + within
-            if after.sum() < 2:
-                continue
-            alone = np.eye(size)[[k]] if within else np.zeros((0, size))
+    # The change lies between two parts, or within one, which then says nothing; two are behind it.
+    for k, within in ((k, within) for k in range(2, size - 1) for within in (0, 1)):
+        if k + within <= size - 2:
+            after, alone = np.arange(size) >= k + within, np.eye(size)[k : k + within]
             left, coefficients, errors = _left(delays, np.array([ones, after, *alone]))
             if left + 4 < best[1]:
                 place = int(first[k - 1 + within]), int(last[k])

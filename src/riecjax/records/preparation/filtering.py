@@ -5,7 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 import scipy
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
@@ -175,23 +174,12 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
     units = {} if unit is None else {name: f"{unit}/s"}
     samples, derivative = np.asarray(record[signal]), np.full(record.sample_count, np.nan)
     for stretch in record.segments([signal]):
-        derivative[stretch] = central_difference(samples[stretch], record.time_step)
+        if (size := stretch.stop - stretch.start) > 1:
+            order, step = min(size - 1, 2), float(record.time_step)
+            derivative[stretch] = np.gradient(samples[stretch], step, edge_order=order)
     taps = np.array([0.5, 0.0, -0.5]) / float(record.time_step)
     record = judged(record, "auto", signal)
     return with_gaps(record, {name: derivative}, units, record.noise.filtered(signal, taps, name))
-
-
-def central_difference(samples: ArrayLike, time_step: ArrayLike) -> Float[np.ndarray, " n"]:
-    """Second-order differences, one-sided at both ends.
-
-    Two samples have one slope; one sample has none, and gives NaN.
-    """
-    values = np.asarray(samples)
-    if values.size < 2:
-        return np.full(values.shape, np.nan)
-    return np.gradient(
-        values, np.asarray(time_step).item(), edge_order=1 if values.size == 2 else 2
-    )
 
 
 def through(

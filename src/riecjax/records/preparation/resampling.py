@@ -184,10 +184,11 @@ def on_grid_noise(
             level, known = uneven_level(time, values), ~np.isnan(values)
             found = found.joined(noise_of_level(name, level, hold(values), known))
         channel = _channel(name, time, values)
-        if channel.step * rate < 1 - SAME_RATE:
-            taps = resampled_taps(np.ones(1), 1 / (rate * channel.step))
-        else:
-            taps = spline_taps(np.interp(grid, time, np.arange(time.size)))
+        taps = (
+            resampled_taps(np.ones(1), 1 / (rate * channel.step))
+            if channel.step * rate < 1 - SAME_RATE
+            else spline_taps(np.interp(grid, time, np.arange(time.size)))
+        )
         found = found.filtered(name, taps)
     return found
 
