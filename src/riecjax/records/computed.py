@@ -63,8 +63,8 @@ def without_computed(
             continue
         if noise.is_made_of(derivative, signal):  # by a step of preparation
             continue
-        samples = (samples_with_nan(record, name) for name in pair)
-        taps = filter_between(*samples, float(noise.std(signal)))
+        one, other = (samples_with_nan(record, name) for name in pair)
+        taps = filter_between(one, other, float(noise.std(signal)))
         if taps is not None:
             noise = noise.filtered(signal, taps, derivative)
             computed.append((signal, derivative, taps))

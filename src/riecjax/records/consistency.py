@@ -154,11 +154,8 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
 def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
     """Whether one of the other signals is the recorded derivative of this one."""
     values, step = samples_with_nan(record, signal), float(record.time_step)
-    for other in others:
-        best = _best_lag(values, samples_with_nan(record, other), step)
-        if best is not None and best.correlation > ALIKE and abs(best.gain - 1) < GROSS:
-            return True
-    return False
+    lags = (_best_lag(values, samples_with_nan(record, other), step) for other in others)
+    return any(lag and lag.correlation > ALIKE and abs(lag.gain - 1) < GROSS for lag in lags)
 
 
 class _Regression(NamedTuple):

@@ -107,9 +107,8 @@ def _time_coordinate(dataset: Any, time: str | None) -> Any:
             raise DataError(f"there is no coordinate '{time}'; there are: {there}.")
         return time
     along = [name for name in dataset.dims if name in dataset.coords]
-    named = [name for name in TIME_COLUMNS if name in along]
-    typed = [name for name in along if dataset[name].dtype.kind in "mM"]
-    found = named[:1] or typed
+    found = [name for name in TIME_COLUMNS if name in along][:1]
+    found = found or [name for name in along if dataset[name].dtype.kind in "mM"]
     if len(found) != 1:
         raise DataError(
             "time= must name the coordinate that is time; there are:"

@@ -208,9 +208,9 @@ class Record(Drawn, eqx.Module):
 
     def with_signals(
         self,
-        signals: Mapping[str, Array],
+        signals: Mapping[str, ArrayLike | Array],
         units: Mapping[str, str] | None = None,
-        missing: Mapping[str, Array] | None = None,
+        missing: Mapping[str, ArrayLike | Array] | None = None,
         noise: Noise | None = None,
     ) -> "Record":
         """A record with these signals added or replaced, `missing` where they have no sample.

@@ -276,10 +276,8 @@ def _recording(
 
 def _why_missing(left_out: Mapping[str, str], signal: str) -> str:
     """Why the column of this name, perhaps with its unit behind it, is no signal; empty if none."""
-    for column, why in left_out.items():
-        if signal in (column, split_unit(column)[0]):
-            return f"column '{column}' was left out: {why}"
-    return ""
+    called = (column for column in left_out if signal in (column, split_unit(column)[0]))
+    return next((f"column '{c}' was left out: {left_out[c]}" for c in called), "")
 
 
 @contextlib.contextmanager

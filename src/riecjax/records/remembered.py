@@ -5,11 +5,10 @@ A file is looked at when it is read and its record again when it is assessed, mo
 
 import functools
 import hashlib
+import pickle
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
-
-import numpy as np
 
 Given = ParamSpec("Given")
 Answer = TypeVar("Answer")
@@ -29,7 +28,9 @@ def remembered(
 
         @functools.wraps(function)
         def found(*args: Given.args, **kwargs: Given.kwargs) -> Answer:
-            key = _digest(made_of(*args, **kwargs))
+            # Protocol 4 writes arrays out, however they lie in memory.
+            content = pickle.dumps(made_of(*args, **kwargs), protocol=4)
+            key = hashlib.blake2b(content, digest_size=16).digest()
             # Of two threads both may find it, which does no harm.
             answer = kept[key] if key in kept else function(*args, **kwargs)
             kept[key] = answer
@@ -41,14 +42,3 @@ def remembered(
         return found
 
     return decorated
-
-
-def _digest(parts: tuple[Any, ...]) -> bytes:
-    digest = hashlib.blake2b(digest_size=16)
-    for part in parts:
-        if isinstance(part, np.ndarray):
-            digest.update(f"{part.dtype.str}{part.shape}".encode())
-            digest.update(np.ascontiguousarray(part).tobytes())
-        else:
-            digest.update(f"{type(part).__name__} {part!r}\0".encode())
-    return digest.digest()

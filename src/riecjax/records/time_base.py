@@ -206,13 +206,13 @@ def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
     if stamps[0] == stamps[-1]:
         return None
     decades = np.floor(np.log10(np.maximum(np.abs(stamps), np.finfo(float).tiny)))
-    for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
-        unit = 10.0 ** (np.maximum(decades, decades.max() - digits) + 1 - digits)
-        if np.all(
-            np.abs(stamps - np.round(stamps / unit) * unit) <= 4 * np.spacing(np.abs(stamps))
-        ):
-            break
-    else:
+    units = (
+        10.0 ** (np.maximum(decades, decades.max() - digits) + 1 - digits)
+        for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1)
+    )
+    finest = 4 * np.spacing(np.abs(stamps))
+    rounded = (u for u in units if np.all(np.abs(stamps - np.round(stamps / u) * u) <= finest))
+    if (unit := next(rounded, None)) is None:
         return None
     index = np.arange(stamps.size)
     step, start = np.polyfit(index, stamps, 1, w=1 / unit)

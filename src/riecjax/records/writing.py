@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from riecjax.errors import DataError
 from riecjax.records.record import Record, samples_with_nan
@@ -106,8 +107,6 @@ def _write_npz(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
 
 
 def _write_mat(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
-    import scipy.io
-
     for name in columns:
         if not (name.isidentifier() and name.isascii() and name[0].isalpha()) or len(name) > 31:
             raise DataError(

@@ -32,6 +32,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Complex, Float
 
 from riecjax.findings import option_for
@@ -258,18 +259,16 @@ def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
 
 
 def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray) -> _Bins:
-    from scipy.fft import next_fast_len, rfft  # of records alone
-
     parts = []
     tapers = []
     for start, x, v, u in pieces:
-        size = int(next_fast_len(x.size, real=True) or x.size)
+        size = int(scipy.fft.next_fast_len(x.size, real=True) or x.size)
         omega = 2 * np.pi * np.arange(size // 2) / size
         (w, slope, _), course = _taper(x.size, 0.0), (start + np.arange(x.size)) / count - 0.5
         moved = _taper(x.size, delay)
         known = [] if u is None else list(moved[:2] * u)
         columns = np.array([*moved * x, w * v, slope * v, w, w * course, *known])
-        transforms = np.asarray(rfft(columns, size))[:, : size // 2]
+        transforms = np.asarray(scipy.fft.rfft(columns, size))[:, : size // 2]
         whole, sloping, curved, rate, falling, zero, first, *known = transforms
         turned, i_omega = np.exp(-1j * omega * delay), 1j * omega
         motion, turning = i_omega * whole - sloping, i_omega * (i_omega * whole - 2 * sloping)
@@ -417,10 +416,8 @@ def delay_course(
 def _steady(delays: Float[np.ndarray, "4 parts"]) -> tuple[float, float]:
     """Chi-square of delays about their mean; and times that they scatter more than they should."""
     size = delays.shape[1]
-    if size < 2:
-        return 0.0, 1.0
-    left = _left(delays, np.ones((1, size)))[0]
-    return left, float(np.sqrt(max(1.0, left / (size - 1))))
+    left = _left(delays, np.ones((1, size)))[0] if size > 1 else 0.0
+    return left, float(np.sqrt(max(1.0, left / max(size - 1, 1))))
 
 
 def _delays(fits: Sequence[PairFit | None], edges: Sequence[int]) -> Float[np.ndarray, "4 parts"]:
@@ -440,13 +437,11 @@ def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tupl
     time = 0.5 * (first + last) / edges[-1]
     left, coefficients, errors = _left(delays, np.array([ones, time]))
     best = Course("clocks", coefficients[1], errors[1], (0, edges[-1]), coefficients[0]), left
-    for k in range(2, size - 1):
-        # The change lies between two parts, or within one, which then says nothing.
-        for within in (0, 1):
+    # The change lies between two parts, or within one, which then says nothing; two are behind it.
+    for k, within in ((k, within) for k in range(2, size - 1) for within in (0, 1)):
+        if k + within <= size - 2:
             after = np.arange(size) >= k + within
-            if after.sum() < 2:
-                continue
-            alone = np.eye(size)[[k]] if within else np.zeros((0, size))
+            alone = np.eye(size)[k : k + within]
             left, coefficients, errors = _left(delays, np.array([ones, after, *alone]))
             if left + 4 < best[1]:
                 place = int(first[k - 1 + within]), int(last[k])
@@ -599,11 +594,6 @@ class Pair(NamedTuple):
     def signal(self) -> str:
         """What the derivative is of."""
         return self.relation.signal
-
-    @property
-    def derivative(self) -> str:
-        """The suspect, or the sum, in words."""
-        return self.relation.words(self.suspect)[0]
 
     @property
     def is_gross(self) -> bool:
@@ -841,12 +831,11 @@ def _filled(values: np.ndarray) -> np.ndarray:
             found[spikes] = np.nan
     missing = np.isnan(found)
     if missing.any() and np.sum(~missing) > 4:
-        from scipy.interpolate import Akima1DInterpolator  # half a second, which few records need
-
         at, (starts, stops) = np.arange(found.size), runs(missing)
         short = missing.copy()
         short[missing] = np.repeat(stops - starts <= SHORT_GAP, stops - starts)
-        found[short] = Akima1DInterpolator(at[~missing], found[~missing])(at[short])
+        cubics = scipy.interpolate.Akima1DInterpolator(at[~missing], found[~missing])
+        found[short] = cubics(at[short])
     return found
 
 

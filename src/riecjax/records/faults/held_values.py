@@ -76,11 +76,10 @@ def limits(signal: SampledSignal) -> list[Visits]:
     """Extremes into which a signal ran, real ones too."""
     if signal.is_command:
         return []
-    sides = [_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0)]
+    sides = (_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0))
     found = [side for side in sides if side is not None and side.steep]
     unique = not signal.resolution and np.mean(signal.counts == 1) > 0.999
-    enough = sum(side.steep for side in found) >= (1 if unique else FEWEST_VISITS)
-    return found if enough else []
+    return found if sum(s.steep for s in found) >= (1 if unique else FEWEST_VISITS) else []
 
 
 def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:
@@ -300,11 +299,10 @@ def _moving(
     a command, or of what mostly rests."""
     if signal.is_command:
         return steps[:0]
-    inside = np.zeros(steps.size + 1, int)
-    starts, stops = signal.run_starts[runs], signal.run_starts[runs] + signal.run_lengths[runs] - 1
-    np.add.at(inside, np.maximum(starts - beside, 0), 1)
-    np.add.at(inside, np.minimum(stops + beside, steps.size), -1)
-    moving = steps[(np.cumsum(inside[:-1]) == 0) & ~np.isnan(steps)]
+    inside = np.zeros(steps.size, bool)
+    for start, length in zip(signal.run_starts[runs], signal.run_lengths[runs]):
+        inside[max(start - beside, 0) : start + length - 1 + beside] = True
+    moving = steps[~inside & ~np.isnan(steps)]
     return moving if moving.size and np.mean(moving == 0) <= LONGEST_REST else steps[:0]
 
 

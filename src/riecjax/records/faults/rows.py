@@ -257,19 +257,16 @@ def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
     """
     for one, other in itertools.combinations(signals, 2):
         stride = max(one.values.size // ENOUGH, 1)
-        if _line(one.values[::stride], other.values[::stride], 1.0) is None:
-            continue
-        line = _line(one.values, other.values, SMOOTH)
+        some = _line(one.values[::stride], other.values[::stride], 1.0)
+        line = some and _line(one.values, other.values, SMOOTH)
         if line is None:
             continue
         factor, offset = line
-        same = abs(factor - 1) < ROUNDED and abs(offset) < ROUNDED * np.nanstd(other.values)
-        said = (
-            f"{other.name} holds the samples of {one.name}"
-            if same
-            else f"{other.name} is {factor:.4g} times {one.name}"
-            + (f" plus {offset:.4g}" if abs(offset) > ROUNDED * np.nanstd(other.values) else "")
-        )
+        least = ROUNDED * np.nanstd(other.values)
+        said = f"{other.name} is {factor:.4g} times {one.name}"
+        said += f" plus {offset:.4g}" if abs(offset) > least else ""
+        if abs(factor - 1) < ROUNDED and abs(offset) < least:
+            said = f"{other.name} holds the samples of {one.name}"
         yield Finding(
             "copied_signal",
             f"{said}, to the last digit or rounding, so that both are one measurement, and nothing "

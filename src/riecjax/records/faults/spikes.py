@@ -23,8 +23,8 @@ from collections.abc import Iterable
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.special import gammaincc
 
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
@@ -482,7 +482,7 @@ def _by_chance(
         return 0.0
     beyond = usual.size - np.searchsorted(usual, at_spikes)
     total = -float(np.sum(np.log((1 + beyond) / (1 + usual.size))))
-    return float(gammaincc(at_spikes.size, total))
+    return float(scipy.special.gammaincc(at_spikes.size, total))
 
 
 def too_many(spikes: Spikes, values: Float[np.ndarray, " n"]) -> bool:

@@ -1,7 +1,6 @@
 from .alignment import align as align
 from .alignment import set_clocks as set_clocks
 from .alignment import shift as shift
-from .filtering import central_difference as central_difference
 from .filtering import differentiate as differentiate
 from .filtering import low_pass as low_pass
 from .filtering import remove_drift as remove_drift

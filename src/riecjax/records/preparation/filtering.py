@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping
 
-import jax.numpy as jnp
 import numpy as np
-import scipy.special
+import scipy
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
@@ -51,22 +49,19 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
             f"the record is too short to be filtered at {min(cutoffs.values()):g} Hz: {cut} "
             f"samples are lost at each end. Raise the cut-off, or record for longer."
         )
-
-    from scipy.signal import butter, sosfiltfilt  # take half a second, which few records need
-
     record = judged(record, "auto", *cutoffs)
     noise = record.noise
     columns = {}
     for name, cutoff in cutoffs.items():
-        sections = butter(FILTER_ORDER, cutoff / nyquist, output="sos")
+        sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         impulse = np.zeros(4 * lost[name] + FILTER_PADDING + 1)
         impulse[impulse.size // 2] = 1.0
-        noise = noise.filtered(name, sosfiltfilt(sections, impulse))
+        noise = noise.filtered(name, scipy.signal.sosfiltfilt(sections, impulse))
         columns[name] = np.full(record.sample_count, np.nan)
         for stretch in record.segments([name]):
             if stretch.stop - stretch.start > _shortest(lost[name]):
                 inner = slice(stretch.start + lost[name], stretch.stop - lost[name])
-                samples = sosfiltfilt(sections, np.asarray(record[name])[stretch])
+                samples = scipy.signal.sosfiltfilt(sections, np.asarray(record[name])[stretch])
                 columns[name][inner] = samples[lost[name] : -lost[name]]
     result = with_gaps(record, columns, noise=noise).part(cut, record.sample_count - cut)
     for name, cutoff in cutoffs.items():
@@ -181,23 +176,13 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
     samples = np.asarray(record[signal])
     derivative = np.full(record.sample_count, np.nan)
     for stretch in record.segments([signal]):
-        derivative[stretch] = central_difference(samples[stretch], record.time_step)
+        if (size := stretch.stop - stretch.start) > 1:
+            order = min(size - 1, 2)
+            step = float(record.time_step)
+            derivative[stretch] = np.gradient(samples[stretch], step, edge_order=order)
     taps = np.array([0.5, 0.0, -0.5]) / float(record.time_step)
     record = judged(record, "auto", signal)
     return with_gaps(record, {name: derivative}, units, record.noise.filtered(signal, taps, name))
-
-
-def central_difference(samples: ArrayLike, time_step: ArrayLike) -> Float[np.ndarray, " n"]:
-    """Second-order differences, one-sided at both ends.
-
-    Two samples have one slope; one sample has none, and gives NaN.
-    """
-    values = np.asarray(samples)
-    if values.size < 2:
-        return np.full(values.shape, np.nan)
-    return np.gradient(
-        values, np.asarray(time_step).item(), edge_order=1 if values.size == 2 else 2
-    )
 
 
 def through(
@@ -222,9 +207,8 @@ def with_gaps(
     noise: Noise | None = None,
 ) -> Record:
     """A record with these signals added or replaced, missing where they are NaN."""
-    missing = {name: jnp.asarray(mask) for name, mask in gaps(columns).items()}
-    held = {name: jnp.asarray(hold(values)) for name, values in columns.items()}
-    return record.with_signals(held, units, missing, noise)
+    held = {name: hold(values) for name, values in columns.items()}
+    return record.with_signals(held, units, gaps(columns), noise)
 
 
 def longest_stretch(record: Record, signal: str) -> int:
@@ -325,10 +309,8 @@ def _above(samples: np.ndarray, noise: np.ndarray) -> np.ndarray:
 
     **Arguments:** `noise`, its density, that of white noise being its variance.
     """
-    from scipy.signal import detrend
-
     window = blackman_harris(samples.size)
-    density = np.abs(np.fft.rfft(window * detrend(samples))) ** 2 / np.sum(window**2)
+    density = np.abs(np.fft.rfft(window * scipy.signal.detrend(samples))) ** 2 / np.sum(window**2)
     around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
     summed = (density, noise, np.ones(density.size))
     near, usual, number = (np.convolve(each, around, "same") for each in summed)

@@ -4,8 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.ndimage import median_filter
-from scipy.special import fdtrc, fdtri, gammaincinv
+import scipy
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
@@ -108,16 +107,6 @@ class Spectrum(NamedTuple):
         ratio = np.sqrt(self.power[peak + side] / self.power[peak])
         return float(self.resolution * (peak + side * (2 * ratio - 1) / (ratio + 1)))
 
-    def stands_out(self, frequency: float) -> bool:
-        """Whether there is a line at a frequency, alone or not."""
-        at = round(frequency / self.resolution)
-        return bool(np.min(self.chance[max(at - 1, 0) : at + 2]) < BY_CHANCE)
-
-    def amplitude(self, frequency: float) -> float:
-        """The largest amplitude within a bin of a frequency, line or not."""
-        at = round(frequency / self.resolution)
-        return self.rms * float(np.sqrt(np.max(self.power[max(at - 1, 0) : at + 2])))
-
 
 def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     """The spectrum of samples, straight across gaps; `None` where there is none to speak of."""
@@ -140,15 +129,16 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
     transform = np.fft.rfft(rows * window, axis=1)
     power = np.mean(np.abs(transform) ** 2, axis=0) * (4 / length) ** 2
-    usual = median_filter(power, 2 * AROUND + 1, mode="nearest")
+    usual = scipy.ndimage.median_filter(power, 2 * AROUND + 1, mode="nearest")
     ratio = power / np.maximum(
-        usual * stretches / gammaincinv(stretches, 0.5), np.finfo(float).tiny
+        usual * stretches / scipy.special.gammaincinv(stretches, 0.5), np.finfo(float).tiny
     )
     # Of so many bins through Hann's window, the median tells as much as the mean of a quarter.
     freedom = 2 * stretches, 2 * stretches * (2 * AROUND + 1) / 4
     # Nothing is concluded from more than a hundredth, as most bins have.
-    chance, high = np.ones(ratio.size), ratio > fdtri(*freedom, 0.99)
-    chance[high] = fdtrc(*freedom, ratio[high])
+    chance = np.ones(ratio.size)
+    high = ratio > scipy.special.fdtri(*freedom, 0.99)
+    chance[high] = scipy.special.fdtrc(*freedom, ratio[high])
     return Spectrum(power, chance, 1 / (length * time_step), rms * size)
 
 
@@ -246,12 +236,16 @@ def _is_motion(
         partner = derivative if name == signal else signal
         if name not in (signal, derivative) or partner not in spectra:
             continue
-        there = spectra[partner].amplitude(line.seen)
+        # The largest amplitude within a bin, of a line or not.
+        spectrum = spectra[partner]
+        at = round(line.seen / spectrum.resolution)
+        near = slice(max(at - 1, 0), at + 2)
+        there = spectrum.rms * float(np.sqrt(np.max(spectrum.power[near])))
         # What sampling may have folded may also be motion where it is seen.
         for omega in {2 * np.pi * line.nominal, 2 * np.pi * line.seen}:
             expected = line.amplitude * (omega if name == signal else 1 / omega)
             if expected / MOTION < there < MOTION * expected:
-                return True if spectra[partner].stands_out(line.seen) else verdict
+                return True if np.min(spectrum.chance[near]) < BY_CHANCE else verdict
             # A larger line there, or noise, says nothing against this one.
             verdict = False if there < expected / MOTION else verdict
     return verdict
@@ -305,9 +299,7 @@ def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[fl
     length = min((values.size + 1) // 2, int(STEADY / time_step))
     window = np.hanning(length + 2)[1:-1]
 
-    from scipy.signal import oaconvolve  # takes half a second, which few records need
-
-    weight = oaconvolve(known.astype(float), window, mode="valid")
+    weight = scipy.signal.oaconvolve(known.astype(float), window, mode="valid")
     weight = np.maximum(weight, 1e-9 * weight.max())
     before = (values.size - weight.size) // 2
     after = values.size - weight.size - before
@@ -315,7 +307,7 @@ def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[fl
     for frequency in dict.fromkeys(frequencies):
         turn = np.exp(2j * np.pi * frequency * time)
         centred = np.where(known, left - mean, 0.0)
-        inner = 2 * oaconvolve(centred * turn.conj(), window, mode="valid") / weight
+        inner = 2 * scipy.signal.oaconvolve(centred * turn.conj(), window, mode="valid") / weight
         reach = min(length, inner.size) - 1
         first, last = (
             np.exp(1j * np.angle(inner[k + reach] * inner[k].conj()) / max(reach, 1))

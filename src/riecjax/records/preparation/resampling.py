@@ -19,7 +19,7 @@ from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
-import scipy.special
+import scipy
 from jaxtyping import Float
 
 from riecjax.errors import DataError
@@ -184,10 +184,11 @@ def on_grid_noise(
             level, known = uneven_level(time, values), ~np.isnan(values)
             found = found.joined(noise_of_level(name, level, hold(values), known))
         channel = _channel(name, time, values)
-        if channel.step * rate < 1 - SAME_RATE:
-            taps = resampled_taps(np.ones(1), 1 / (rate * channel.step))
-        else:
-            taps = spline_taps(np.interp(grid, time, np.arange(time.size)))
+        taps = (
+            resampled_taps(np.ones(1), 1 / (rate * channel.step))
+            if channel.step * rate < 1 - SAME_RATE
+            else spline_taps(np.interp(grid, time, np.arange(time.size)))
+        )
         found = found.filtered(name, taps)
     return found
 
@@ -276,10 +277,8 @@ def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> 
 def _windowed_sinc(spacing: float) -> tuple[float, float, float]:
     """For this distance of positions in samples: cut-off as a share of half the samples' rate,
     samples to each side that have a weight, and the shape of Kaiser's window."""
-    from scipy.signal import kaiserord  # takes half a second, which few records need
-
     cutoff, attenuation = ANTI_ALIAS if spacing > 1 else INTERPOLATION
-    taps, shape = kaiserord(attenuation, TRANSITION)
+    taps, shape = scipy.signal.kaiserord(attenuation, TRANSITION)
     density = max(spacing, 1.0)
     return cutoff / density, 0.5 * float(taps) * density, shape
 
@@ -337,11 +336,9 @@ def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"
 
     **Arguments:** `positions` at which the spline is evaluated, in samples, evenly spaced.
     """
-    from scipy.interpolate import CubicSpline  # takes half a second, which few records need
-
     spacing = float(positions[1] - positions[0])
     knots = np.arange(-2 * KNOTS, 2 * KNOTS + 1)
-    spline = CubicSpline(knots, (knots == 0).astype(float))
+    spline = scipy.interpolate.CubicSpline(knots, (knots == 0).astype(float))
 
     def at(places: np.ndarray) -> np.ndarray:
         return np.where(np.abs(places) < KNOTS, spline(np.clip(places, -KNOTS, KNOTS)), 0.0)
@@ -383,8 +380,6 @@ def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
     Between samples a cubic spline, and samples on the grid as they are; of a faster channel
     low-passed samples, which a spline through the true times makes even before if they are not.
     """
-    from scipy.interpolate import CubicSpline  # takes half a second, which few records need
-
     # Absolute times such as seconds since 1970 have few digits left for a share of a step.
     same_time = max(SAME_TIME * channel.step, 4 * float(np.spacing(np.max(np.abs(grid)))))
     faster = channel.step * rate < 1 - SAME_RATE
@@ -394,7 +389,9 @@ def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
         there, few = grid[a:b], time.size < FEWEST_KNOTS
         if not faster:
             if not few:
-                sampled[a:b] = CubicSpline(time - time[0], values)(there - time[0])
+                sampled[a:b] = scipy.interpolate.CubicSpline(time - time[0], values)(
+                    there - time[0]
+                )
             nearest = np.clip(np.searchsorted(time, there - same_time), 0, time.size - 1)
             same = np.abs(time[nearest] - there) <= same_time
             sampled[a:b][same] = values[nearest[same]]
@@ -407,7 +404,7 @@ def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
             # Twice as dense, so that the denser parts of uneven times lose nothing.
             step = channel.step / 2
             even = np.arange(0, time[-1] - time[0], step)
-            values = CubicSpline(time - time[0], values)(even)
+            values = scipy.interpolate.CubicSpline(time - time[0], values)(even)
         sampled[a:b] = band_limited(values, (there - time[0]) / step, 1 / (rate * step))
     return sampled
 

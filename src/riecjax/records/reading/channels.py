@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -120,11 +121,9 @@ class Channels:
 
 def check_names(names: Iterable[str]) -> None:
     """Refuse a file in which two columns have one name, with a `DataError`."""
-    seen = set()
-    for name in names:
-        if name in seen:
+    for name, times in Counter(names).items():
+        if times > 1:
             raise DataError(f"two columns are called '{name}'.")
-        seen.add(name)
 
 
 def vectors(arrays: Mapping[str, object]) -> Channels:

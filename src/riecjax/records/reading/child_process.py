@@ -8,8 +8,9 @@ takes longer than most reading, and is ended where a file took too long or too m
 
 import atexit
 import contextlib
+import importlib
+import json
 import os
-import pickle
 import shutil
 import subprocess
 import sys
@@ -19,6 +20,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.memory import free_memory
@@ -40,26 +43,23 @@ def read_apart(
 ) -> Channels:
     """What `read(file, *arguments)` returns, a function of a module, run in a process of its own.
 
-    **Arguments:** `kind` of the file, for messages; `arguments` that can be pickled.
+    **Arguments:** `kind` of the file, for messages; `arguments` that JSON can say.
 
     **Raises:** `DataError` where the function does, crashes, or takes too long; `MemoryError`.
     """
     limit = PATIENCE + size_of(file) / SLOWEST_READING
+    words = [read.__module__, read.__name__, str(file.absolute()), arguments, limit]
     with _lock:
-        reader = _reader()
-        began = time.monotonic()
-        answer = None
+        reader, began = _reader(), time.monotonic()
         try:
-            answer = reader.answer((read, file.absolute(), arguments, limit), limit)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            _end()
+            if reader.answers(words, limit):
+                return _unpacked(reader.out)
+        except DataError:
+            raise  # about the file, by a process that goes on
         except BaseException:
             _end()
             raise
-    if isinstance(answer, Exception):
-        raise answer
-    if answer is not None:
-        return answer
+        _end()
     if time.monotonic() - began < limit:
         why = "its reader crashed, as it does on damaged files"
     else:
@@ -68,37 +68,36 @@ def read_apart(
 
 
 class _Reader:
-    """The reading process, and a folder for what libraries write and crashes leave behind."""
+    """The reading process and the folder for what it hands over, and what crashes leave behind."""
 
     def __init__(self):
         self.ending = contextlib.ExitStack()
         place = temporary(Path(tempfile.gettempdir()), is_folder=True, mode=0o700)
-        self.folder = Path(self.ending.enter_context(place))
+        folder = str(self.ending.enter_context(place))
+        self.out = Path(folder) / "channels.npz"
         self.made_for = _surroundings()
-        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(self.folder))
+        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
         self.process = subprocess.Popen(
             # -P: it finds its modules where this process does, and not in the working folder.
-            [sys.executable, "-P", "-m", __spec__.name, str(self.folder)],
+            [sys.executable, "-P", "-m", __spec__.name, folder],
             env={**os.environ, **places, "PYTHONPATH": self.made_for[1]},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
 
-    def answer(self, request: tuple[Any, ...], limit: float) -> Any:
-        """What the function returned or raised.
-
-        **Raises:** `EOFError`, `OSError` or `UnpicklingError` where the process ended, or took
-        more than `limit` seconds.
-        """
+    def answers(self, words: list[object], limit: float) -> bool:
+        """Whether a file was read, or refused, within `limit` seconds: the answer is in `out`."""
         timer = threading.Timer(limit, self.process.kill)
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         timer.start()
         try:
-            pickle.dump(request, self.process.stdin)
+            self.process.stdin.write(json.dumps(words).encode() + b"\n")
             self.process.stdin.flush()
-            return pickle.load(self.process.stdout)
+            return bool(self.process.stdout.readline())
+        except OSError:  # it has ended
+            return False
         finally:
             timer.cancel()
 
@@ -120,7 +119,7 @@ def _surroundings() -> tuple[int, str]:
 def _reader() -> _Reader:
     if _readers:
         reader = _readers[0]
-        is_alive = reader.process.poll() is None and reader.folder.is_dir()
+        is_alive = reader.process.poll() is None and reader.out.parent.is_dir()
         if reader.made_for != _surroundings() or not is_alive:
             _end()
     if not _readers:
@@ -136,25 +135,47 @@ def _end() -> None:
             reader.end()
 
 
+def _unpacked(out: Path) -> Channels:
+    with np.load(out) as archive:
+        described = json.loads(archive["described"].tobytes())
+        if "error" in described:
+            raise DataError(described["error"])
+        if "memory" in described:
+            raise MemoryError(described["memory"])
+        names = described.pop("columns")
+        return Channels({name: archive[str(i)] for i, name in enumerate(names)}, **described)
+
+
 def _serve(folder: str) -> None:
-    """Read the files that are asked for, until nobody can ask any more."""
+    """Read the files that are asked for, a line each, until nobody can ask any more."""
     _limit_resources()
     # What a library prints is no answer.
-    answers = os.fdopen(os.dup(1), "wb")
+    answers = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     try:
-        with contextlib.suppress(EOFError):
-            while True:
-                read, file, arguments, limit = pickle.load(sys.stdin.buffer)
-                _limit_time(limit)
-                try:
-                    answer = read(file, *arguments)
-                except (DataError, MemoryError) as error:
-                    answer = error
-                pickle.dump(answer, answers)
-                answers.flush()
+        for line in sys.stdin.buffer:
+            module, function, file, arguments, limit = json.loads(line)
+            _limit_time(limit)
+            _pack(module, function, file, Path(folder) / "channels.npz", arguments)
+            os.write(answers, b"\n")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _pack(module: str, function: str, file: str, out: Path, arguments: list[object]) -> None:
+    """Read a file and write what it holds, or what is wrong with it."""
+    columns: dict[str, np.ndarray] = {}
+    try:
+        read = getattr(importlib.import_module(module), function)
+        found = read(Path(file), *arguments)
+        columns = found.columns
+        described = {**vars(found), "columns": list(columns)}
+    except DataError as error:
+        described = {"error": str(error)}
+    except MemoryError as error:
+        described = {"memory": str(error)}
+    arrays: dict[str, Any] = {str(i): values for i, values in enumerate(columns.values())}
+    np.savez(out, described=np.frombuffer(json.dumps(described).encode(), np.uint8), **arrays)
 
 
 def _limit_resources() -> None:

@@ -52,6 +52,11 @@ class _Family(NamedTuple):
         kinds = [frozenset(member) for member in self.members.values()]
         return max(kinds, key=lambda kind: (kinds.count(kind), len(kind)), default=frozenset())
 
+    @property
+    def differs(self) -> bool:
+        """Whether these are sheets of different kinds."""
+        return self.kind == "sheet" and len({frozenset(m) for m in self.members.values()}) > 1
+
     def has(self, names: Iterable[str]) -> bool:
         """Whether columns may be meant by all of these names; see [`column_named`][]."""
         return all(
@@ -89,8 +94,12 @@ def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "
     if not found or inside & {*named}:
         return Parts({"": channels})
     found = [f for f in found if f.has(named)] or found
-    if len({family.usual() for family in found}) > 1 or any(map(_differ, found)):
-        raise DataError(f"it holds recordings of several kinds: {_described(found)}; {CHOOSE}.")
+    if len({family.usual() for family in found}) > 1 or any(family.differs for family in found):
+        kinds = (
+            item for f in found for item in list(f.members.items())[: None if f.differs else 1]
+        )
+        listing = "; ".join(f"{name} with {listed(member)}" for name, member in kinds)
+        raise DataError(f"it holds recordings of several kinds: {listing}; {CHOOSE}.")
     held, broken = {}, {}
     for family in found:
         for name, member in family.members.items():
@@ -189,13 +198,12 @@ def _groups(channels: Channels) -> Iterator[_Family]:
                 member[inner] = name
         for (_, numbered), members in families.items():
             # Groups of HDF5 stand in the order of the alphabet, run10 before run2.
-            order = sorted(members, key=_number)
+            matches = {group: _NUMBERED.fullmatch(group) for group in members}
+            number = {
+                group: int(match["number"]) if match else 0 for group, match in matches.items()
+            }
+            order = sorted(members, key=number.__getitem__)
             yield _Family({g: members[g] for g in order}, "number" if numbered else "name")
-
-
-def _number(group: str) -> int:
-    found = _NUMBERED.fullmatch(group)
-    return int(found["number"]) if found else 0
 
 
 def _every_name(channels: Channels) -> list[str]:
@@ -221,21 +229,6 @@ def _are_recordings(family: _Family, channels: Channels) -> bool:
         return family.kind == "number" and len(sizes) > 1
     beside = {channels.columns[name].size for name in channels.columns if _is_time(name)}
     return not (len(sizes) == 1 and sizes <= beside)
-
-
-def _differ(family: _Family) -> bool:
-    """Whether sheets are of different kinds."""
-    return family.kind == "sheet" and len({frozenset(m) for m in family.members.values()}) > 1
-
-
-def _described(families: list[_Family]) -> str:
-    return "; ".join(
-        f"{name} with {listed(member)}"
-        for family in families
-        for name, member in (
-            family.members.items() if _differ(family) else [*family.members.items()][:1]
-        )
-    )
 
 
 def _is_time(name: str) -> bool:

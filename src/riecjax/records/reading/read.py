@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from riecjax.errors import DataError, RiecjaxError, printable, require
 from riecjax.extensions import extension, extension_names
@@ -58,7 +57,24 @@ def read_channels(
     file = Path(path)
     try:
         reader = _reader(file)
-        dialect = _dialect(file, reader, delimiter, decimal, columns)
+        takes = inspect.signature(reader).parameters
+        # A tab as it can be typed.
+        delimiter = "\t" if delimiter == "\\t" else delimiter
+        if delimiter and "delimiter" not in takes:
+            raise DataError(f"{file.name}: a delimiter is for text files.")
+        if (decimal and "decimal" not in takes) or (columns and "columns" not in takes):
+            raise DataError(
+                f"{file.name}: decimal sign and names of columns are for text files and "
+                f"spreadsheets."
+            )
+        if decimal not in (None, ".", ","):
+            raise DataError(f"{file.name}: the decimal sign must be '.' or ','; got {decimal!r}.")
+        if delimiter is not None and (
+            len(delimiter) != 1 or delimiter in '"\r\n' or not delimiter.isascii()
+        ):
+            raise DataError(f"{file.name}: the delimiter must be one character; got {delimiter!r}.")
+        given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
+        dialect = {name: value for name, value in given.items() if name in takes}
         require_memory(
             f"reading {file.name}", MEMORY_PER_BYTE * size_of(file), "Read a part of the file."
         )
@@ -113,33 +129,6 @@ def _reader(file: Path) -> Callable[..., Channels]:
     if size_of(file) > LARGEST_FILE:
         raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")
     return reader
-
-
-def _dialect(
-    file: Path,
-    reader: Callable[..., Channels],
-    delimiter: str | None,
-    decimal: str | None,
-    columns: Sequence[str],
-) -> dict[str, Any]:
-    """What the file's reader has to know besides the file: as much of this as it takes."""
-    takes = inspect.signature(reader).parameters
-    # A tab as it can be typed.
-    delimiter = "\t" if delimiter == "\\t" else delimiter
-    if delimiter and "delimiter" not in takes:
-        raise DataError(f"{file.name}: a delimiter is for text files.")
-    if (decimal and "decimal" not in takes) or (columns and "columns" not in takes):
-        raise DataError(
-            f"{file.name}: decimal sign and names of columns are for text files and spreadsheets."
-        )
-    if decimal not in (None, ".", ","):
-        raise DataError(f"{file.name}: the decimal sign must be '.' or ','; got {decimal!r}.")
-    if delimiter is not None and (
-        len(delimiter) != 1 or delimiter in '"\r\n' or not delimiter.isascii()
-    ):
-        raise DataError(f"{file.name}: the delimiter must be one character; got {delimiter!r}.")
-    given = {"delimiter": delimiter, "decimal": decimal, "columns": columns}
-    return {name: value for name, value in given.items() if name in takes}
 
 
 def _about(file: Path, error: RiecjaxError) -> RiecjaxError:

@@ -160,13 +160,12 @@ def column_named(channels: Channels, name: str) -> str:
     """
     if name in channels.columns:
         return name
-    found = [column for column in channels.columns if channels.named(column)[0] == name]
-    if not found and name.isdigit() and NUMBERED.format(name) in channels.columns:
-        return NUMBERED.format(name)
+    short = {column: channels.named(column)[0] for column in channels.columns}
     inner = (f"/{name}", f".{name}")
-    found = found or [
-        c for c in channels.columns if c.endswith(inner) or channels.named(c)[0].endswith(inner)
-    ]
+    found = [column for column in short if short[column] == name]
+    if not found and name.isdigit() and NUMBERED.format(name) in short:
+        return NUMBERED.format(name)
+    found = found or [c for c in short if c.endswith(inner) or short[c].endswith(inner)]
     if len(found) == 1:
         return found[0]
     if found:
@@ -269,8 +268,8 @@ def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -
 def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> dict[str, np.ndarray]:
     """Signal to its time in s, for each signal that has one."""
     if time is not None:
-        rest = [name for name in signals.values if name != time.name]
-        return {n: time.seconds for n in rest if signals.values[n].size == time.seconds.size}
+        seconds, values = time.seconds, signals.values
+        return {n: seconds for n in values if n != time.name and values[n].size == seconds.size}
     named = [name for name in dict.fromkeys(channels.time_of.values()) if name in signals.values]
     found = {name: find_time(signals.values, signals.units, name) for name in named}
     axes = {name: axis.seconds for name, axis in found.items() if axis}
