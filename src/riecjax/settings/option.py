@@ -382,25 +382,26 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
     if option.free or value in option.alone:
         return value
     named = option.form.rpartition("|")[2].partition("=")[0].lower()
-    one = value if isinstance(value, str) else "x"
+    example = repr(value) if type(value) is str else "'x'"
     shapes: dict[str, tuple[Any, str]] = {
         "named": (Mapping, f"{name}={{'x': ...}}, by {named}"),
-        "many": (list | tuple, f"{name}=({one!r},), a tuple"),
+        "many": (list | tuple, f"{name}=({example},), a tuple"),
         "once": (list | tuple if option.count > 1 else object, f"{name}=(1.0, 10.0)"),
         "flag": (bool, f"{name}=True"),
         "switch": (bool, f"{name}=False"),
     }
     kind, write = shapes[option.shape]
     require(name, value, kind, write, error)
+    held: Any = value
     if option.shape == "named":
-        for each in value:
+        for each in held:
             require(f"a name in {name}", each, str, "names as text, 'x'", error)
-            _check_leaf(f"{name} of '{each}'", option.kind, value[each], "it as text, 'x'", error)
-        return dict(value)
+            _check_leaf(f"{name} of '{each}'", option.kind, held[each], "it as text, 'x'", error)
+        return dict(held)
     if option.shape == "many" or option.count > 1:
-        for each in value:
+        for each in held:
             _check_leaf(f"a name in {name}", option.kind, each, "names as text, 'x'", error)
-        return tuple(value)
+        return tuple(held)
     _check_leaf(name, option.kind, value, "", error)
     return value
 
