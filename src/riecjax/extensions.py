@@ -110,7 +110,7 @@ def element(name: str, own: Sequence[str] = ()) -> Callable[..., Any]:
     """
     made = extension("elements", name)
     if made is None:
-        listed = ", ".join([*own, *extension_names("elements")])
+        listed = ", ".join(dict.fromkeys([*own, *extension_names("elements")]))
         raise ModelError(f"there is no element '{name}'; there are: {listed}.")
     return made
 

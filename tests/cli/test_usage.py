@@ -27,7 +27,7 @@ WRONG = {
         "--alpha 1e-4 --beta 1e-3": (1, "shorter than one sample"),
         "--alpha -1": (2, "'--alpha'"),
         "--beta inf": (2, "'--beta'"),
-        "--windows most": (2, "'most' is not a whole number, nor 'all'"),
+        "--windows most": (2, "'most' is not a whole number (or 'all')"),
         "--criterion foo": (2, "'riec', 'dols'"),
         "--criterion dols --band 1 10": (2, "belong to --criterion riec"),
         "--band 1 10 --alpha 0.05 --beta 0.5": (2, "--band sets the same lengths as --alpha and"),

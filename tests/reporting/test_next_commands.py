@@ -52,7 +52,8 @@ def test_what_a_job_says_is_replaced_too(tmp_path, monkeypatch):
     assert proposed == ["identify", "--job", "job.toml", "--shift", "v=0.008"]
     again = given_to(*proposed[1:], "--band", "1", "4")
     assert again.shifts == {"v": 0.008, "x": 1.0}
-    assert (again.alpha, again.band) == (None, (1.0, 4.0))
+    # What is typed beside a job is not to make any of it forgotten.
+    assert (again.alpha, again.band) == (1.0, (1.0, 4.0))
 
 
 def test_what_two_causes_ask_for_is_proposed_once_where_it_stands_first():

@@ -27,7 +27,7 @@ from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
-from riecjax.refinement.optimum import Bounds, Prior, is_pair
+from riecjax.refinement.optimum import Bounds, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refine_with_misfit
 from riecjax.simulation.equation_system import EquationSystem
@@ -173,7 +173,7 @@ def _search(
         key=asked.key,
         intervals=asked.intervals,
         bounds=settings.bounds or None,
-        priors={name: Prior(*each) for name, each in settings.priors.items()} or None,
+        priors=settings.priors or None,  # type: ignore[arg-type]
         max_steps=max_steps,
         progress=progress,
     )

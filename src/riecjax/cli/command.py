@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from riecjax.models.model import Model
     from riecjax.records.recording import Recording
 
+RENAMED = {"own": "per-record"}
+"""Keys of job files of earlier versions."""
 SMALL_FILES = 2**24
 """Bytes of all recordings below which compiling code takes longer than running it."""
 
@@ -80,7 +82,7 @@ def _parameter(name: str, settings: type[Settings]) -> click.Parameter:
         said |= {
             "type": (kind,) * option.count if option.count > 1 else kind,
             "multiple": many,
-            "metavar": option.metavar or None,
+            "metavar": option.metavar or (option.kind.name if "|" in option.kind.name else None),
             "default": None if many else option.default,
         }
     silent = option.default_in_words or option.default is None or option.default is False
@@ -273,14 +275,12 @@ class SettingsCommand(click.Command):
             held, recorded = read_job(job)
             values |= self._of_job(ctx, held, job.parent)
         for name, value in typed.items():
-            option, before = self.options[name], values[name]
-            values |= {each: self.options[each].default for each in option.excludes}
+            before = values[name]
             values[name] = (
                 {**before, **value}
                 if isinstance(before, dict) and isinstance(value, dict)
                 else value
             )
-        values |= {name: typed[name] for name in typed if not isinstance(typed[name], dict)}
         for param in sorted(self.params, key=lambda param: isinstance(param, click.Option)):
             name = str(param.name)
             if self.options[name].required and values[name] in (None, ()):
@@ -301,21 +301,21 @@ class SettingsCommand(click.Command):
 
         group = ctx.find_root().command
         other = group.get_command(ctx, "identify") if isinstance(group, click.Group) else None
-        others = {option.key for option in getattr(other, "options", {}).values()}
+        others = {option.key for option in getattr(other, "options", {}).values()} - {"job"}
         names = {option.key: name for name, option in self.options.items() if name != "job"}
-        for key, value in job.items():
+        for key, value in ((RENAMED.get(key, key), value) for key, value in job.items()):
             if key not in names:
                 if key in others:
                     continue
                 near = get_close_matches(key, names, 1)
                 remedy = "'riecjax init' prints a job with all of them"
                 remedy = f"the nearest is '{near[0]}'" if near else remedy
-                raise click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
+                raise click.UsageError(f"--job: there is no option '{key}'; {remedy}.", ctx)
             option = self.options[names[key]]
             try:
-                yield names[key], option.moved(option.of_plain(value), from_here)
+                yield names[key], option.of_plain(value, from_here)
             except ValueError as error:
-                raise click.UsageError(f"--job: {error}") from None
+                raise click.UsageError(f"--job: {error}", ctx) from None
 
     def invoke(self, ctx: click.Context) -> Any:
         try:

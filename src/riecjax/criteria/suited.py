@@ -62,7 +62,7 @@ def criterion_for(
     if not isinstance(fit, Fit):
         require("the criterion", fit, AbstractCriterion | None, WRITE_CRITERION)
         return suited(procedure, band, records)
-    if criterion not in (None, "riec", "dols"):
+    if not (criterion is None or isinstance(criterion, str)):
         require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
     if criterion == "dols":
         return DOLS()
@@ -77,8 +77,8 @@ def criterion_for(
     own: Any = criterion.windows
     alpha = own.alpha if fit.alpha is None else fit.alpha
     beta = own.beta if fit.beta is None else fit.beta
-    if isinstance(fit.windows, int):
-        windows = RandomWindows(alpha, beta, fit.windows)
+    if fit.windows is not None and not isinstance(fit.windows, str):
+        windows = RandomWindows(alpha, beta, int(fit.windows))
         return RIEC(windows, criterion.test_function, criterion.why)
     return criterion.between(alpha, beta)
 

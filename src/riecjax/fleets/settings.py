@@ -66,7 +66,9 @@ class Groups(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Fleets(Groups, Seed, Uncertainty, Known, Fit, Prepare, Read):
-    """Keywords of [`fleet`][riecjax.fleet].
+    """Which recordings count, and what is kept.
+
+    Keywords of [`fleet`][riecjax.fleet].
 
     **Fields:** also `allow_duplicates`: count recordings of a group that hold the same samples
     each; `out`: folder for `summaries.parquet` and `estimates.parquet`, `None` keeps nothing;

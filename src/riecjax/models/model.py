@@ -219,12 +219,15 @@ class Model(Shown):
                 others.append((element(kind, [*added]), signal, hertz))
             elif kind == "mode":
                 added[kind].append((signal, hertz))
+            elif hertz is not None:
+                raise ModelError(f"{kind}:{signal} is near no frequency: leave out ={hertz:g}.")
             else:
                 added[kind].append(signal)
         offsets, gains = (tuple(dict.fromkeys(added[kind])) for kind in ("offset", "gain"))
         model = self.with_sensor_errors(offsets, gains)
         for add, signal, hertz in others:
             model = add(model, signal, hertz)
+            require(f"what adds an element to {signal}", model, Model, "a function of a model")
         model = model.with_modes(*(HiddenMode(*each) for each in added["mode"]))
         return model.with_series_springs(*map(SeriesSpring, added["spring"]))
 

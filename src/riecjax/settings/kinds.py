@@ -14,14 +14,17 @@ class Kind:
 
     **Fields:** `name`, what help calls it; `parse`, which makes the value of a text and whose
     `ValueError` says what is wrong with it; `write`, its inverse; `is_number`, whether a job file
-    holds it as a number; `choices`, all texts there are, if they are few; `path`: `"file"` for a
-    path, `"code"` for `FILE.py[:OBJECT]` or a name, `""` for neither.
+    holds it as a number, and `is_whole`, a whole one; `word`, which stands in place of a number;
+    `choices`, all texts there are, if they are few; `path`: `"file"` for a path, `"code"` for
+    `FILE.py[:OBJECT]` or a name, `""` for neither.
     """
 
     name: str
     parse: Callable[[str], Any] = str
     write: Callable[[Any], str] = str
     is_number: bool = False
+    is_whole: bool = False
+    word: str = ""
     choices: tuple[str, ...] = ()
     path: str = ""
 
@@ -42,7 +45,7 @@ def number(name: str, condition: Callable[[float], bool], words: str, kind: type
             raise ValueError(f"'{text}' {words}.")
         return value
 
-    return Kind(name, parse, number_text, is_number=True)
+    return Kind(name, parse, number_text, is_number=True, is_whole=kind is int)
 
 
 def whole(low: int, high: int | None = None) -> Kind:
@@ -54,7 +57,13 @@ def whole(low: int, high: int | None = None) -> Kind:
 
 def choice(*texts: str) -> Kind:
     """One of a few words."""
-    return Kind("choice", choices=texts)
+
+    def parse(text: str) -> str:
+        if text not in texts:
+            raise ValueError(f"'{text}' is not one of {', '.join(map(repr, texts))}.")
+        return text
+
+    return Kind("choice", parse, choices=texts)
 
 
 @contextlib.contextmanager
@@ -102,9 +111,12 @@ def word_or(word: str, kind: Kind, form: str) -> Kind:
         try:
             return kind.parse(text)
         except ValueError as error:
-            raise ValueError(f"{str(error).rstrip('.')}, nor '{word}'.") from None
+            raise ValueError(f"{str(error).rstrip('.')} (or '{word}').") from None
 
-    return Kind(form, parse, lambda value: word if value == word else kind.write(value))
+    def write(value: Any) -> str:
+        return word if isinstance(value, str) else kind.write(value)
+
+    return dataclasses.replace(kind, name=form, parse=parse, write=write, word=word)
 
 
 MOST_WINDOWS = 100_000_000

@@ -15,7 +15,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from numbers import Real
+from numbers import Integral, Real
 from pathlib import Path
 from typing import (
     Any,
@@ -29,7 +29,7 @@ from typing import (
 )
 
 from riecjax.errors import ModelError, RiecjaxError, require
-from riecjax.settings.kinds import TRUTH, Kind, number_text
+from riecjax.settings.kinds import NAMES, TEXT, TRUTH, Kind, number_text
 
 Shape = Literal["once", "many", "named", "flag", "switch"]
 Plain = Any
@@ -158,8 +158,8 @@ class Option:
             return _number(texts[0])
         return [_number(text) if self.count > 1 else text for text in texts]
 
-    def of_plain(self, value: Plain) -> Any:
-        """The setting that a job file's value says.
+    def of_plain(self, value: Plain, move: Callable[[str], str] = str) -> Any:
+        """The setting that a job file's value says, its paths moved.
 
         **Raises:** `ValueError` for what is not of its kind.
         """
@@ -167,21 +167,27 @@ class Option:
             if not isinstance(value, bool):
                 raise ValueError(f"'{self.key}' must be true or false; got {value!r}.")
             return value
-        if isinstance(value, dict):
+        if isinstance(value, dict) and self.count == 1:
             if "=" not in self.form:
                 raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
             said = [f"{name}={self._text(each, name)}" for name, each in value.items()]
         elif self.count > 1:
             if not (isinstance(value, list) and len(value) == self.count):
                 raise ValueError(f"'{self.key}' must be a list of {self.count}; got {value!r}.")
-            return tuple(self.parsed(self._text(each)) for each in value)
+            said = [self._text(each) for each in value]
         elif not self.flag and not _is_text(value):
             raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
+        elif isinstance(value, list) and self.shape == "once":
+            # Names between commas may as well be a list.
+            said = [",".join(map(self._text, value))] if self.kind is NAMES else [self._text(value)]
         else:
             said = [self._text(each) for each in (value if isinstance(value, list) else [value])]
+        said = [str(self._moved(text, move)) for text in said] if self.kind.path else said
         try:
+            if self.count > 1:
+                return tuple(map(self.parsed, said))
             if self.shape == "once":
-                return self.parsed(",".join(said))
+                return self.parsed(said[0]) if said[0] or value != [] else self.default
             return self.collected(tuple(map(self.parsed, said)))
         except ValueError as error:
             raise ValueError(f"'{self.key}': {error}") from None
@@ -327,7 +333,9 @@ class Settings:
     def says(self, *names: str) -> bool:
         """Whether any of these is other than its default."""
         options = self.options()
-        return any(getattr(self, name) != options[name].default for name in names)
+        pairs = ((getattr(self, name), options[name].default) for name in names)
+        # Arrays and objects, which may not compare, are none.
+        return any(type(value) is not type(usual) or value != usual for value, usual in pairs)
 
 
 @functools.cache
@@ -379,17 +387,24 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
     """A value as its setting holds it, or the error that says what to write."""
     if value is None:
         return {} if option.default == {} else None
-    if option.free or value in option.alone:
+    if option.free or (isinstance(value, str) and value in option.alone):
         return value
+    if option.count > 1 and hasattr(value, "dtype"):
+        value = tuple(value)
+    if option.shape in ("flag", "switch") and hasattr(value, "dtype"):
+        value = bool(value)
     named = option.form.rpartition("|")[2].partition("=")[0].lower()
     example = repr(value) if type(value) is str else "'x'"
+    is_listed = option.shape == "many" or option.count > 1 or option.kind is NAMES
     shapes: dict[str, tuple[Any, str]] = {
         "named": (Mapping, f"{name}={{'x': ...}}, by {named}"),
         "many": (list | tuple, f"{name}=({example},), a tuple"),
-        "once": (list | tuple if option.count > 1 else object, f"{name}=(1.0, 10.0)"),
+        "once": (list | tuple if is_listed else object, f"{name}=(1.0, 10.0)"),
         "flag": (bool, f"{name}=True"),
         "switch": (bool, f"{name}=False"),
     }
+    if option.kind is NAMES:
+        shapes["once"] = shapes["many"]
     kind, write = shapes[option.shape]
     require(name, value, kind, write, error)
     held: Any = value
@@ -398,7 +413,7 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
             require(f"a name in {name}", each, str, "names as text, 'x'", error)
             _check_leaf(f"{name} of '{each}'", option.kind, held[each], "it as text, 'x'", error)
         return dict(held)
-    if option.shape == "many" or option.count > 1:
+    if is_listed:
         for each in held:
             _check_leaf(f"a name in {name}", option.kind, each, "names as text, 'x'", error)
         return tuple(held)
@@ -407,12 +422,20 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
 
 
 def _check_leaf(what: str, kind: Kind, value: Any, as_text: str, error: type[RiecjaxError]) -> None:
-    # Numbers of NumPy and JAX are numbers, traced ones too; objects stand in for their names.
-    if kind.is_number and not hasattr(value, "dtype"):
-        require(what, value, Real, "a number", error)
+    if kind.word and isinstance(value, str) and value == kind.word:
+        return
+    if kind.is_number:
+        # Numbers of NumPy and JAX are numbers, traced ones too.
+        shape, dtype = getattr(value, "shape", ()), getattr(value, "dtype", None)
+        fits = shape == () if dtype is not None else isinstance(value, Real)
+        if kind.is_whole and fits:
+            fits = dtype.kind in "iu" if dtype is not None else isinstance(value, Integral)
+        words = f"a {'whole ' * kind.is_whole}number{f' or {kind.word!r}' * bool(kind.word)}"
+        require(what, value, object if fits and not isinstance(value, bool) else (), words, error)
     elif isinstance(value, str) and kind.choices and value not in kind.choices:
+        # Objects stand in for their names.
         require(what, value, (), " or ".join(f"'{word}'" for word in kind.choices), error)
-    elif kind.name == "text" and as_text:
+    elif kind in (TEXT, NAMES) and as_text:
         require(what, value, str, as_text, error)
 
 
@@ -455,7 +478,8 @@ def taking(kind: Callable[Keywords, Given]) -> Taking[Keywords]:
             )
             for field in sorted(fields, key=lambda field: bool(field.kw_only))
         ]
-        signature = inspect.Signature([*own, *taken])
+        answer = inspect.signature(verb).return_annotation
+        signature = inspect.Signature([*own, *taken], return_annotation=answer)
 
         @functools.wraps(verb)
         def called(*arguments: Any, **keywords: Any) -> Any:
@@ -466,7 +490,10 @@ def taking(kind: Callable[Keywords, Given]) -> Taking[Keywords]:
                     f"{verb.__name__}() has no keyword '{name}'{remedy}. There are: "
                     f"{', '.join(signature.parameters)}."
                 )
-            bound = signature.bind(*arguments, **keywords).arguments
+            try:
+                bound = signature.bind(*arguments, **keywords).arguments
+            except TypeError as error:
+                raise TypeError(f"{verb.__name__}() {error}") from None
             mine = {each.name: bound.pop(each.name) for each in fields if each.name in bound}
             return verb(**bound, settings=kind(**mine))  # type: ignore[call-arg]
 

@@ -37,7 +37,7 @@ def _example(option: Option) -> str:
     if option.shape in ("flag", "switch"):
         return "false"
     # In TOML, all but numbers stands in quotes.
-    sign = "" if option.kind.is_number else '"'
+    sign = "" if option.kind.is_number and not option.kind.word else '"'
     name, equals, value = option.form.rpartition("|")[2].partition("=")
     if equals and BARE.fullmatch(name.strip("[")):
         return "{ " + f"{name.strip('[')} = {sign}{value.rstrip(']')}{sign}" + " }"

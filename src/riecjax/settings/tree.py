@@ -257,7 +257,7 @@ class Fit(Fitted):
     @property
     def says_of_criterion(self) -> bool:
         """Whether a criterion is asked for, so that it is not the one that suits."""
-        return self.criterion not in (None, "riec") or self.says_of_windows
+        return (self.criterion is not None and self.says("criterion")) or self.says_of_windows
 
     @property
     def says_of_windows(self) -> bool:
@@ -266,7 +266,7 @@ class Fit(Fitted):
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
-        if self.criterion != "riec" and self.criterion is not None and self.says_of_windows:
+        if self.criterion is not None and self.says("criterion") and self.says_of_windows:
             raise Contradiction(
                 "{band}, {alpha}, {beta}, {windows}, {test_function} and {quadrature} belong to "
                 "{criterion:riec}.",
@@ -313,6 +313,10 @@ class Uncertainty(Settings):
     """Leave out where a velocity with dry friction rests, or keep it."""
 
 
+BY_NAME = ("integral", "output-error")
+"""Refinements whose values are the answer."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Refine(Settings):
     """Whether and how the linear estimate is refined."""
@@ -339,7 +343,7 @@ class Refine(Settings):
     @property
     def is_asked_for(self) -> bool:
         """Whether refined values are the answer, whatever they leave."""
-        return self.refine not in (None, "auto", "none")
+        return not (self.refine is None or isinstance(self.refine, str)) or self.refine in BY_NAME
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
@@ -348,7 +352,7 @@ class Refine(Settings):
             require("refine", by, (), "refine=rx.OutputError(), 'auto' or None")
         if self.channels and self.refine != "output-error":
             raise Contradiction("{channels} goes with {refine:output-error}.", self.options())
-        if self.loss != "squares" and self.refine != "output-error":
+        if self.loss not in (None, "squares") and self.refine != "output-error":
             raise Contradiction("{loss} goes with {refine:output-error}.", self.options())
         if self.bounds and self.refine in (None, "none"):
             raise Contradiction(
@@ -452,7 +456,10 @@ class Offered(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Discover(Seed, Uncertainty, Known, Fit, Offered):
-    """Keywords of [`discover`][riecjax.discover]."""
+    """How terms are looked for.
+
+    Keywords of [`discover`][riecjax.discover].
+    """
 
     hold_out: float | None = setting("--hold-out SHARE", SHARE)
     """Choose without this share at the end of each recording, and take values and intervals
