@@ -45,8 +45,7 @@ def line_taken_off(name: str, time: "np.ndarray", offset: float, change: float) 
     """
     if not name.isidentifier():
         return ()
-    rate = change / float(time[-1] - time[0])
-    middle = 0.5 * (time[0] + time[-1])
+    rate, middle = change / float(time[-1] - time[0]), 0.5 * (time[0] + time[-1])
     constant = f"-({offset:.6g})" if offset else ""
     line = f"-({rate:.6g})*(t-{middle:.15g})" if change else ""
     return ("--derive", f"{name}={name}{constant}{line}")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 
 import riecjax as rx
@@ -211,3 +212,65 @@ def test_names_stand_for_objects(name):
 
     objects = {"bootstrap": rx.BlockBootstrap, "sandwich": rx.Sandwich, "naive": rx.Naive}
     assert isinstance(intervals_of(name), objects[name])
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "words"),
+    [
+        (tree.Fit, {"windows": 1.5}, "Write a whole number or 'all'"),
+        (tree.Fit, {"windows": "most"}, "windows is the text 'most'"),
+        (tree.Fit, {"alpha": np.ones(2)}, "alpha is a ndarray. Write a number"),
+        (tree.Fit, {"quadrature": 3}, None),
+        (tree.Read, {"columns": "tabcd"}, r"Write columns=\('tabcd',\)"),
+        (tree.Read, {"columns": ("a", 1)}, "a name in columns is an int"),
+        (tree.Prepare, {"align": np.array(["x", "y"])}, "align is a ndarray"),
+        (tree.Prepare, {"notches": ("50",)}, "Write a number or 'auto'"),
+        (tree.Validate, {"sweep": 1}, "Write sweep=False"),
+        (tree.Fit, {"windows": np.int64(100), "band": np.array([1.0, 9.0])}, None),
+        (tree.Validate, {"sweep": np.bool_(True)}, None),
+    ],
+)
+def test_values_of_python_are_checked_where_they_are_given(kind, settings, words):
+    if words is None:
+        kind(**settings)
+        return
+    with pytest.raises(rx.RiecjaxError, match=words):
+        kind(**settings)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("refine = 'x'", "'refine': 'x' is not one of 'auto', 'none'"),
+        ("refine = ['none', 'auto']", "'refine' must be a number, or a name in quotes"),
+        ("quadrature = 3", "'quadrature': '3' is not one of '2'"),
+        ("time-step = [0.005]", "'time-step' must be a number"),
+        ("band = [nan, 1]", "'band': 'nan' must be"),
+        ("job = 'x.toml'", "there is no option 'job'"),
+    ],
+)
+def test_a_job_is_wrong_usage_where_words_would_be(tmp_path, monkeypatch, text, words):
+    monkeypatch.chdir(tmp_path)
+    Path("job.toml").write_text(f"model = 'emps'\nrecords = ['a.csv']\n{text}\n")
+    with pytest.raises(click.UsageError) as error:
+        given_to(commands()["identify"], "--job", "job.toml")
+    assert words in error.value.format_message()
+
+
+def test_a_job_of_an_earlier_version_and_of_another_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("jobs").mkdir()
+    Path("out").write_text("in the way, but not of the job's folder")
+    job = "model = 'emps'\nrecords = ['a.csv']\nown = ['offset']\nout = 'out'\ncolumns = []\n"
+    Path("jobs/job.toml").write_text(job + "band = [1, 10]\n")
+    given = given_to(commands()["identify"], "--job", "jobs/job.toml", "--alpha", "0.2")
+    assert given.per_record == ("offset",)
+    assert given.out == Path("jobs/out")
+    assert given.columns == ()
+    # What is typed beside a job takes nothing of it away.
+    assert (given.band, given.alpha) == ((1.0, 10.0), 0.2)
+
+
+def test_an_element_that_is_near_no_frequency():
+    with pytest.raises(rx.ModelError, match="offset:u is near no frequency: leave out =3"):
+        rx.find_model("drag-oscillator").with_elements(tree.Elements(added=[("offset", "u", 3.0)]))

@@ -57,8 +57,13 @@ def _refusing(name: str, error: RiecjaxError) -> click.Command:
     def refuse() -> None:
         raise error
 
-    any_words = {"ignore_unknown_options": True, "allow_extra_args": True}
-    return click.Command(name, any_words, refuse, short_help=str(error), add_help_option=False)
+    return click.Command(
+        name,
+        {"ignore_unknown_options": True, "allow_extra_args": True},
+        refuse,
+        short_help=str(error),
+        add_help_option=False,
+    )
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

@@ -93,8 +93,7 @@ def running_integral(
     order = min(order, 2 * (samples.shape[1] // 2))
     if order > 2:
         # Of the polynomial centred on each interval; at either end of one for several.
-        n = samples.shape[1]
-        reach = order // 2 - 1
+        n, reach = samples.shape[1], order // 2 - 1
         inner = n - order + 1
         weights = interval_weights(order, reach)
         middle = sum(

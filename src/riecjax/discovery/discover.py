@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.motions import reading_velocities
 from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
-from riecjax.errors import DataError, ModelError, RiecjaxError, require
+from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
@@ -245,11 +244,9 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
 
 
 def _require_sense(procedure: Procedure, settings: DiscoverSettings) -> None:
-    hold_out, known = settings.hold_out, settings.known
-    require("hold_out", 0.5 if hold_out is None else hold_out, Real, "hold_out=0.3, a share")
+    known = settings.known
     for name in ("least", "smallest"):
         share = getattr(settings, name)
-        require(name, share, Real, f"{name}=0.01, a share")
         if not 0 < share < 1:
             raise ModelError(f"{name} is a share between 0 and 1; got {share:g}.")
     if procedure.has_hidden:

@@ -100,7 +100,7 @@ class Order:
             "equations": Outline.of(self.procedure.linear).fingerprint,
             "criterion": self.criterion.describe(),
             "edges": None if self.edges is None else self.edges.tolist(),
-            "reading": self.settings.reading.plain(),
+            "reading": repr(self.settings.reading),
             "columns": self.columns,
             "at_rest": self.settings.at_rest,
         }

@@ -46,8 +46,7 @@ def identification_page(document: Document) -> Page:
     ]
     groups = []  # what lies behind some warnings, and what it concerns
     for cause in document["verdict"]["causes"]:
-        names = ", ".join(cause["parameters"])
-        said = _sentence(cause["phrase"])[:-1]
+        names, said = ", ".join(cause["parameters"]), _sentence(cause["phrase"])[:-1]
         groups.append((said if said.endswith(names) else f"{said}: {names}", cause["codes"]))
     return Page(
         f"{document['model']} from {files}",

@@ -41,5 +41,6 @@ from .tree import Report as Report
 from .tree import Seed as Seed
 from .tree import Select as Select
 from .tree import Sharing as Sharing
+from .tree import Sums as Sums
 from .tree import Uncertainty as Uncertainty
 from .tree import Validate as Validate

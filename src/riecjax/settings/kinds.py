@@ -1,9 +1,8 @@
 """What one value of a setting may be: how its text is understood, and written so that it is."""
 
-import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +38,10 @@ def number(name: str, condition: Callable[[float], bool], words: str, kind: type
     article = "a whole number" if kind is int else "a number"
 
     def parse(text: str) -> Any:
-        with refusing(f"'{text}' is not {article}."):
+        try:
             value = kind(text)
+        except ValueError:
+            raise ValueError(f"'{text}' is not {article}.") from None
         if not condition(value):
             raise ValueError(f"'{text}' {words}.")
         return value
@@ -64,15 +65,6 @@ def choice(*texts: str) -> Kind:
         return text
 
     return Kind("choice", parse, choices=texts)
-
-
-@contextlib.contextmanager
-def refusing(message: str) -> Iterator[None]:
-    """Say this of a text that is no number."""
-    try:
-        yield
-    except ValueError:
-        raise ValueError(message) from None
 
 
 def _new(text: str, other: str, is_other: Callable[[Path], bool]) -> Path:
@@ -177,8 +169,10 @@ def _ends(text: str) -> tuple[float | None, float | None]:
     low, colon, high = text.partition(":")
     if not colon:
         raise ValueError(f"'{text}' is not of the form LOW:HIGH.")
-    with refusing(f"the ends in '{text}' are not numbers."):
+    try:
         return float(low) if low.strip() else None, float(high) if high.strip() else None
+    except ValueError:
+        raise ValueError(f"the ends in '{text}' are not numbers.") from None
 
 
 def _ends_text(ends: tuple[float | None, float | None]) -> str:

@@ -14,7 +14,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from numbers import Integral, Real
 from pathlib import Path
 from typing import (
@@ -121,20 +121,16 @@ class Option:
                 raise ValueError(f"'{name}' is given twice.")
         return dict(values) or self.default
 
-    def texts(self, value: Any) -> Iterator[list[str]]:
+    def texts(self, value: Any) -> list[list[str]]:
         """Texts that are understood as this value, a list for each time that it is said."""
+        write = self.kind.write
         if isinstance(value, str) and value in self.alone:
-            yield [value]
-        elif self.shape == "named":
-            for name, each in value.items():  # type: ignore[union-attr]
-                yield [f"{name}={self.kind.write(each)}"]
-        elif self.shape == "many":
-            for each in value or ():
-                yield [self.kind.write(each)]
-        elif self.count > 1:
-            yield [self.kind.write(each) for each in value]
-        else:
-            yield [self.kind.write(value)]
+            return [[value]]
+        if self.shape == "named":
+            return [[f"{name}={write(each)}"] for name, each in value.items()]  # type: ignore[union-attr]
+        if self.shape == "many":
+            return [[write(each)] for each in value]
+        return [[write(each) for each in value] if self.count > 1 else [write(value)]]
 
     def words(self, value: Any) -> list[str]:
         """Arguments of the command line that say this value."""
@@ -167,6 +163,7 @@ class Option:
             if not isinstance(value, bool):
                 raise ValueError(f"'{self.key}' must be true or false; got {value!r}.")
             return value
+        listed = value if isinstance(value, list) else [value]
         if isinstance(value, dict) and self.count == 1:
             if "=" not in self.form:
                 raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
@@ -175,13 +172,13 @@ class Option:
             if not (isinstance(value, list) and len(value) == self.count):
                 raise ValueError(f"'{self.key}' must be a list of {self.count}; got {value!r}.")
             said = [self._text(each) for each in value]
-        elif not self.flag and not _is_text(value):
+        elif not self.flag and not all(isinstance(each, str) for each in listed):
             raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
         elif isinstance(value, list) and self.shape == "once":
             # Names between commas may as well be a list.
             said = [",".join(map(self._text, value))] if self.kind is NAMES else [self._text(value)]
         else:
-            said = [self._text(each) for each in (value if isinstance(value, list) else [value])]
+            said = [self._text(each) for each in listed]
         said = [str(self._moved(text, move)) for text in said] if self.kind.path else said
         try:
             if self.count > 1:
@@ -197,7 +194,7 @@ class Option:
         if isinstance(value, bool) or not isinstance(value, str | int | float):
             raise ValueError(f"'{key}' must be a number, or a name in quotes; got {value!r}.")
         text = value if isinstance(value, str) else number_text(value)
-        if "\0" in text or (not text.isascii() and not _encodes(text)):
+        if any(sign == "\0" or "\ud800" <= sign <= "\udfff" for sign in text):
             raise ValueError(f"'{key}' must be text as can be typed; got {value!r}.")
         return text
 
@@ -223,19 +220,6 @@ class Option:
             both = given.keys() & further.keys() if self.combine else ()
             return {**given, **further} | {k: self.combine(given[k], further[k]) for k in both}  # type: ignore[misc]
         return (*given, *(each for each in further if each not in given))
-
-
-def _is_text(value: Plain) -> bool:
-    listed = value if isinstance(value, list) else [value]
-    return all(isinstance(each, str) for each in listed)
-
-
-def _encodes(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _number(text: str) -> float | str:
@@ -323,12 +307,6 @@ class Settings:
     def keywords(self) -> dict[str, Any]:
         """Its fields by name, to hand them on."""
         return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-
-    def plain(self) -> dict[str, Plain]:
-        """What is other than its default, by the keys of a job file and as one holds it."""
-        options = self.options().items()
-        said = {name: option for name, option in options if self.says(name)}
-        return {option.key: option.plain(getattr(self, name)) for name, option in said.items()}
 
     def says(self, *names: str) -> bool:
         """Whether any of these is other than its default."""

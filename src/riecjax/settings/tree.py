@@ -388,32 +388,32 @@ class Seed(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check(Sharing, Known, Fit):
-    """Keywords of [`check`][riecjax.check]; `key`, of random windows."""
+class Sums(Fit):
+    """What only Python says of sums: `key` of random windows, and the `noise` of bare records."""
 
     key: "Key[Array, ''] | None" = None
     noise: "GivenNoise" = "auto"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identify(Uncertainty, Sharing, Known, Fit):
-    """Keywords of [`identify`][riecjax.identify]; `key`, of random windows."""
-
-    key: "Key[Array, ''] | None" = None
-    noise: "GivenNoise" = "auto"
+class Check(Sharing, Known, Sums):
+    """Keywords of [`check`][riecjax.check]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assess(Validate, Uncertainty, Sharing, Known, Refine, Fit):
+class Identify(Uncertainty, Sharing, Known, Sums):
+    """Keywords of [`identify`][riecjax.identify]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assess(Validate, Uncertainty, Sharing, Known, Refine, Sums):
     """Keywords of [`assess`][riecjax.assess].
 
-    **Fields:** also `key`, of random windows; `on_estimate`, called with the estimate before all
-    that is slow, unless refinement answers; `progress`, called with the sum of squares after each
-    step of a refinement that was asked for.
+    **Fields:** also `on_estimate`, called with the estimate before all that is slow, unless
+    refinement answers; `progress`, called with the sum of squares after each step of a refinement
+    that was asked for.
     """
 
-    key: "Key[Array, ''] | None" = None
-    noise: "GivenNoise" = "auto"
     on_estimate: "Callable[[Estimate], None] | None" = None
     progress: Callable[[float], None] | None = None
 

@@ -129,8 +129,7 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     rows = [np.stack([np.roll(s.values, lag) for lag in LAGS]) for s in others if s.levels.size > 1]
     if len(rows) < 2 or side.starts.size < MANY_VISITS:
         return False
-    target = signal.values
-    inside = np.zeros(signal.values.size, bool)
+    target, inside = signal.values, np.zeros(signal.values.size, bool)
     inside[2:-2] = True
     known = inside & ~np.isnan(np.concatenate([target[None], *rows])).any(axis=0)
     held = known & (np.abs(target - side.extreme) <= signal.rounding)
@@ -144,8 +143,7 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
         kept = [row for i, row in enumerate(rows) if i not in left_out]
         columns = np.concatenate([*kept, np.ones((1, target.size))])[:, known]
         columns /= np.maximum(np.max(np.abs(columns), axis=1, keepdims=True), np.finfo(float).tiny)
-        outside = np.searchsorted(np.flatnonzero(known), free)
-        there = held[known]
+        outside, there = np.searchsorted(np.flatnonzero(known), free), held[known]
         weights = np.linalg.lstsq(columns[:, outside].T, target[free] / size, rcond=1e-10)[0]
         error = float(np.std(target[free] / size - weights @ columns[:, outside]))
         beyond = sign * (weights @ columns[:, there] - side.extreme / size)
