@@ -10,6 +10,7 @@ its number, so that one can be run again alone.
 
 import argparse
 import contextlib
+import functools
 import io
 import json
 import logging
