@@ -92,8 +92,9 @@ def main() -> None:
         if slower:
             print("again, for " + "; ".join(slower))
             suspects = [file for file, of_file in by_file.items() if fallen(of_file, recorded)]
-            again = measured(arguments.small, suspects)
-            slower = [each for of_file in again.values() for each in fallen(of_file, recorded)]
+            again = [fallen(r, recorded) for r in measured(arguments.small, suspects).values()]
+            once = {each.partition(":")[0] for each in slower}
+            slower = [e for of_file in again for e in of_file if e.partition(":")[0] in once]
         sys.exit("\n".join(slower) or 0)
     names = {result["name"] for result in results}
     kept = [result for result in recorded if result["name"] not in names]
