@@ -247,7 +247,6 @@ class SettingsCommand(click.Command):
     """A command that is given settings, some of which may stand in a job file."""
 
     def __init__(self, name: str, kinds: Sequence[type[Settings]], **said: Any):
-        self.kinds = kinds
         self.settings = {field: kind for kind in kinds for field in kind.options()}
         self.options = {field: kind.options()[field] for field, kind in self.settings.items()}
         params = [_parameter(field, kind) for field, kind in self.settings.items()]

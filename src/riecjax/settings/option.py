@@ -168,13 +168,11 @@ class Option:
             if "=" not in self.form:
                 raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
             said = [f"{name}={self._text(each, name)}" for name, each in value.items()]
-        elif self.count > 1:
-            if not (isinstance(value, list) and len(value) == self.count):
-                raise ValueError(f"'{self.key}' must be a list of {self.count}; got {value!r}.")
-            said = [self._text(each) for each in value]
+        elif self.count > 1 and not (isinstance(value, list) and len(value) == self.count):
+            raise ValueError(f"'{self.key}' must be a list of {self.count}; got {value!r}.")
         elif not self.flag and not all(isinstance(each, str) for each in listed):
             raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
-        elif isinstance(value, list) and self.shape == "once":
+        elif isinstance(value, list) and self.shape == "once" and self.count == 1:
             # Names between commas may as well be a list.
             said = [",".join(map(self._text, value))] if self.kind is NAMES else [self._text(value)]
         else:

@@ -474,7 +474,7 @@ class Discover(Seed, Uncertainty, Known, Fit, Offered):
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Settings):
-    """How a result is shown, and where it goes."""
+    """How a result is shown."""
 
     verbose: bool = flag("--verbose", of_result=True)
     """Tell everything, not the verdict alone."""
