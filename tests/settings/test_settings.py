@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -225,6 +227,13 @@ def test_names_stand_for_objects(name):
         (tree.Read, {"columns": ("a", 1)}, "a name in columns is an int"),
         (tree.Prepare, {"align": np.array(["x", "y"])}, "align is a ndarray"),
         (tree.Prepare, {"notches": ("50",)}, "Write a number or 'auto'"),
+        (tree.Prepare, {"notches": (50, 0)}, "notches: 0 must be .* greater than zero"),
+        (tree.Prepare, {"every": 0}, "^every: 0 must be from 1 on"),
+        (tree.Select, {"scale": {"x": np.nan}}, "^scale of 'x': nan is not a finite number"),
+        (tree.Select, {"time_step": np.float32(-0.5)}, "^time_step: -0.5 must be"),
+        (tree.Fit, {"windows": 0}, "^windows: 0 must be from 1 to 100000000"),
+        (tree.Validate, {"hold_out": 1.0}, "^hold_out: 1 must lie between 0 and 1"),
+        (tree.Discover, {"least": 0.0}, "^least: 0 must lie between 0 and 1"),
         (tree.Validate, {"sweep": 1}, "Write sweep=False"),
         (tree.Fit, {"windows": np.int64(100), "band": np.array([1.0, 9.0])}, None),
         (tree.Validate, {"sweep": np.bool_(True)}, None),
@@ -236,6 +245,13 @@ def test_values_of_python_are_checked_where_they_are_given(kind, settings, words
         return
     with pytest.raises(rx.RiecjaxError, match=words):
         kind(**settings)
+
+
+def test_numbers_of_jax_are_checked_where_they_have_a_size():
+    with pytest.raises(rx.RiecjaxError, match=r"^horizon: -1 must be"):
+        tree.Refine(horizon=jnp.array(-1.0))  # pyright: ignore[reportArgumentType]
+    traced = jax.jit(lambda value: tree.Known(known={"m": value}).known["m"] / value)
+    assert traced(jnp.array(2.0)) == 1.0
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
-from riecjax.errors import DataError, IdentifiabilityError, ModelError
+from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import (
     Check,
     check_sums,
@@ -87,8 +87,6 @@ def assess(
     recordings = ready(procedure, recordings, settings.noise)
     plain = [each.record for each in recordings]
     criterion = criterion_for(settings, procedure, model.band, plain)
-    if settings.horizon is not None and not settings.horizon > 0:
-        raise ModelError(f"horizon is a positive number of seconds; got {settings.horizon:g}.")
 
     def concerned(some: Sequence[Recording]) -> list[Recording]:
         """The recordings with what is said of signals that the criterion reads."""

@@ -245,10 +245,6 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
 
 def _require_sense(procedure: Procedure, settings: DiscoverSettings) -> None:
     known = settings.known
-    for name in ("least", "smallest"):
-        share = getattr(settings, name)
-        if not 0 < share < 1:
-            raise ModelError(f"{name} is a share between 0 and 1; got {share:g}.")
     if procedure.has_hidden:
         raise ModelError(
             "terms are looked for beside a model without hidden modes and springs: leave these out."

@@ -1,6 +1,5 @@
 """Settings of a fleet: what is estimated together, how all recordings are read, and by whom."""
 
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,10 +47,6 @@ class Groups(Settings):
         """**Raises:** [`Contradiction`][riecjax.Contradiction]; `ModelError` for no number."""
         if not self.keys or not all(isinstance(key, str) and key for key in self.keys):
             raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
-        if self.span is not None and not 0 < self.span < math.inf:
-            raise ModelError(f"span is a positive number of seconds; got {self.span!r}.")
-        if self.workers is not None and self.workers < 0:
-            raise ModelError(f"workers is a number of processes, 0 for none; got {self.workers!r}.")
         if self.workers is not None and self.scheduler is not None:
             raise Contradiction(
                 "{workers} are of this machine, {scheduler} has its own: give one.", self.options()

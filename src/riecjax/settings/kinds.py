@@ -13,7 +13,8 @@ class Kind:
 
     **Fields:** `name`, what help calls it; `parse`, which makes the value of a text and whose
     `ValueError` says what is wrong with it; `write`, its inverse; `is_number`, whether a job file
-    holds it as a number, and `is_whole`, a whole one; `word`, which stands in place of a number;
+    holds it as a number, and `is_whole`, a whole one; `holds`, whether a number lies in its range,
+    and `range`, words that say which; `word`, which stands in place of a number;
     `choices`, all texts there are, if they are few; `path`: `"file"` for a path, `"code"` for
     `FILE.py[:OBJECT]` or a name, `""` for neither.
     """
@@ -23,6 +24,8 @@ class Kind:
     write: Callable[[Any], str] = str
     is_number: bool = False
     is_whole: bool = False
+    holds: Callable[[float], bool] = lambda value: True
+    range: str = ""
     word: str = ""
     choices: tuple[str, ...] = ()
     path: str = ""
@@ -33,8 +36,8 @@ def number_text(value: float) -> str:
     return str(value) if isinstance(value, int) else repr(float(value)).removesuffix(".0")
 
 
-def number(name: str, condition: Callable[[float], bool], words: str, kind: type = float) -> Kind:
-    """A number that satisfies a condition; `words` follow the number in a refusal."""
+def number(name: str, holds: Callable[[float], bool], range: str, kind: type = float) -> Kind:
+    """A number in a range, whose words follow the number in a refusal."""
     article = "a whole number" if kind is int else "a number"
 
     def parse(text: str) -> Any:
@@ -42,11 +45,13 @@ def number(name: str, condition: Callable[[float], bool], words: str, kind: type
             value = kind(text)
         except ValueError:
             raise ValueError(f"'{text}' is not {article}.") from None
-        if not condition(value):
-            raise ValueError(f"'{text}' {words}.")
+        if not holds(value):
+            raise ValueError(f"'{text}' {range}.")
         return value
 
-    return Kind(name, parse, number_text, is_number=True, is_whole=kind is int)
+    return Kind(
+        name, parse, number_text, is_number=True, is_whole=kind is int, holds=holds, range=range
+    )
 
 
 def whole(low: int, high: int | None = None) -> Kind:

@@ -5,6 +5,7 @@ options of the command line, job files and the form of one, provenance, and prop
 """
 
 import ast
+import contextlib
 import dataclasses
 import difflib
 import functools
@@ -274,7 +275,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name, option in self.options().items():
             value = getattr(self, name)
-            object.__setattr__(self, name, _checked(name, option, value, self.error))
+            object.__setattr__(self, name, _checked(name, option, value, self.owner(name).error))
         self.require_sense()
 
     def require_sense(self) -> None:
@@ -297,10 +298,14 @@ class Settings:
         return " ".join(filter(None, (next(filter(None, texts), ""), repeatable, default)))
 
     @classmethod
+    def owner(cls, name: str) -> type["Settings"]:
+        """The class that has the field of a setting."""
+        return next(each for each in cls.__mro__ if name in vars(each).get("__annotations__", ()))
+
+    @classmethod
     def about(cls, name: str) -> str:
         """What a setting belongs to: the first words of the class that has its field."""
-        owner = next(each for each in cls.__mro__ if name in vars(each).get("__annotations__", ()))
-        return (owner.__doc__ or "").partition("\n")[0].rstrip(".")
+        return (cls.owner(name).__doc__ or "").partition("\n")[0].rstrip(".")
 
     def keywords(self) -> dict[str, Any]:
         """Its fields by name, to hand them on."""
@@ -408,6 +413,10 @@ def _check_leaf(what: str, kind: Kind, value: Any, as_text: str, error: type[Rie
             fits = dtype.kind in "iu" if dtype is not None else isinstance(value, Integral)
         words = f"a {'whole ' * kind.is_whole}number{f' or {kind.word!r}' * bool(kind.word)}"
         require(what, value, object if fits and not isinstance(value, bool) else (), words, error)
+        # A traced number has no size yet.
+        with contextlib.suppress(TypeError):
+            if not kind.holds(value):
+                raise error(f"{what}: {number_text(value)} {kind.range}.")
     elif isinstance(value, str) and kind.choices and value not in kind.choices:
         # Objects stand in for their names.
         require(what, value, (), " or ".join(f"'{word}'" for word in kind.choices), error)
