@@ -10,15 +10,26 @@ import click
 _answers: list[TextIO] = []
 
 
+def keep_for_answers() -> None:
+    """From now on what else is printed goes to standard error, up to the end of [`restored`][]."""
+    if not _answers:
+        _answers.append(sys.stdout)
+        sys.stdout = sys.stderr
+
+
+def is_for_answers() -> bool:
+    """Whether standard output holds one JSON document, of an error too."""
+    return bool(_answers)
+
+
 @contextlib.contextmanager
-def for_answers_alone() -> Iterator[None]:
-    """What else is printed goes to standard error."""
-    _answers.append(sys.stdout)
+def restored() -> Iterator[None]:
+    """Afterwards, what is printed goes where it went before."""
     try:
-        with contextlib.redirect_stdout(sys.stderr):
-            yield
+        yield
     finally:
-        _answers.pop()
+        if _answers:
+            sys.stdout = _answers.pop()
 
 
 def answer(text: str) -> None:

@@ -41,7 +41,7 @@ def example(option: Option, value: str) -> list[str]:
     """Arguments that give an option some value it takes."""
     if not option.flag:
         return ["a.csv"]
-    if option.shape in ("flag", "switch"):
+    if option.shape == "flag":
         return [option.flag.rpartition("/")[2]]
     if option.kind.choices:
         value = option.kind.choices[-1]
@@ -126,6 +126,12 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
         ("remove-offset = {x = 1}", ("'remove-offset'", "list of names")),
         ("quite_else = 1", ("'quite_else'", "riecjax init")),
         ("alpha = ", ("job.toml", "not understood")),
+        ("refine = 'x'", ("'refine': 'x' is not one of 'auto', 'none'",)),
+        ("refine = ['none', 'auto']", ("'refine' must be a number, or a name in quotes",)),
+        ("quadrature = 3", ("'quadrature': '3' is not one of '2'",)),
+        ("time-step = [0.005]", ("'time-step' must be a number",)),
+        ("band = [nan, 1]", ("'band': 'nan' must be",)),
+        ("job = 'x.toml'", ("there is no option 'job'",)),
         ("", ("RECORD",)),
     ],
 )

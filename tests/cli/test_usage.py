@@ -49,7 +49,6 @@ WRONG = {
         "--set M_s=nan": (2, "not a finite number"),
         "--set M_s=1 --set M_s=2": (2, "'M_s' is given twice"),
         "--map x1=zz": (1, "no column 'zz'; there are: t, x1"),
-        "--map x1=x2 --map x1=x3": (2, "'x1' is given twice"),
         "--map x2=x1": (1, "no signal 'x1'"),
         "--scale t=-1": (1, "time must increase"),
         "--low-pass x1=100": (1, "half the sampling rate, 100 Hz"),

@@ -129,7 +129,6 @@ def test_a_known_value_of_the_model_sets_its_scale(record):
         ),
         ({"candidates": [rx.Term("k", "zz")]}, "no signal 'zz'"),
         ({"known": {"zz": 1.0}}, "unknown parameter 'zz'"),
-        ({"hold_out": 2.0}, "hold_out: 2 must lie between 0 and 1"),
         ({"hold_out": "half"}, "hold_out"),
         ({"count": 300}, "5 blocks of time, of which terms are to be chosen"),
     ],

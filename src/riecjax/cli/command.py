@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from riecjax.cli.job import job_file, read_job
+from riecjax.cli.job import read_job
 from riecjax.settings import Contradiction, Elements, Option, Reading, Settings
 from riecjax.settings.kinds import TEST_FUNCTIONS
+from riecjax.standard_output import keep_for_answers
 from riecjax.whole_files import seen_from
 
 if TYPE_CHECKING:
@@ -42,22 +43,11 @@ class Parsed(click.ParamType):
             self.fail(str(error), param, ctx)
 
 
-def _collected(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
+def _collected(option: Option, ctx: click.Context, param: click.Parameter, value: Any) -> Any:
     try:
-        return param.type.option.collected(value)  # type: ignore[attr-defined]
+        return option.collected(value)
     except ValueError as error:
         raise click.BadParameter(str(error), ctx, param) from None
-
-
-class SettingOption(click.Option):
-    """An option that reads its help when it is asked for."""
-
-    settings: type[Settings]
-
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        self.help = self.settings.help(str(self.name))
-        self.required = self.settings.options()[str(self.name)].required
-        return super().get_help_record(ctx)
 
 
 def _parameter(name: str, settings: type[Settings]) -> click.Parameter:
@@ -65,7 +55,7 @@ def _parameter(name: str, settings: type[Settings]) -> click.Parameter:
     option = settings.options()[name]
     kind = click.Choice(option.kind.choices) if option.kind.choices else Parsed(option)
     many = option.shape in ("many", "named")
-    said: dict[str, Any] = {"callback": _collected} if many else {}
+    said: dict[str, Any] = {"callback": functools.partial(_collected, option)} if many else {}
     if not option.flag:
         # A command of one thing takes one; RECORD... stands for any number.
         return click.Argument(
@@ -76,7 +66,7 @@ def _parameter(name: str, settings: type[Settings]) -> click.Parameter:
             required=False,
             **said,
         )
-    if option.shape in ("flag", "switch"):
+    if option.shape == "flag":
         said = {"is_flag": True, "default": option.default}
     else:
         said |= {
@@ -87,9 +77,7 @@ def _parameter(name: str, settings: type[Settings]) -> click.Parameter:
         }
     silent = option.default_in_words or option.default is None or option.default is False
     shown = not silent and option.default not in ((), {})
-    made = SettingOption([*option.flag.split(" "), name], show_default=shown, **said)
-    made.settings = settings
-    return made
+    return click.Option([option.flag, name], show_default=shown, **said)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,7 +132,7 @@ class Given:
         from riecjax.records.faults.rows import refuse_duplicates
         from riecjax.records.recording import read_recordings
 
-        asked = {**self.take(Reading).keywords(), "model": model}
+        asked = {**vars(self.take(Reading)), "model": model}
         recordings = [
             recording
             for file in (self.files if files is None else files)
@@ -157,8 +145,7 @@ class Given:
     @property
     def is_small(self) -> bool:
         """Whether recordings are so short that what works on them runs in no time."""
-        files = [*self.files, *self.values.get("validate_on", ())]
-        return sum(file.stat().st_size for file in files if file.exists()) < SMALL_FILES
+        return sum(map(os.path.getsize, filter(os.path.isfile, self.inputs()))) < SMALL_FILES
 
     def shown(self, folder: Path | None = None) -> dict[str, Any]:
         """All that is set, with defaults, by the keys of a job file and as one holds it.
@@ -169,7 +156,7 @@ class Given:
         for name, option in self.command.options.items():
             value = self.values[name]
             idle = value is None or value in ((), {}) or value == option.default in option.alone
-            if option.shape == "switch" or not (idle or value is False):
+            if "/" in option.flag or not (idle or value is False):
                 shown[option.key] = option.plain(
                     option.moved(value, functools.partial(seen_from, folder))
                 )
@@ -187,21 +174,8 @@ class Given:
             if not option.of_result:
                 option.moved(self.values[name], lambda path: found.setdefault(path, path))
         # Of a folder, as a bag is, those in it.
-        return [
-            file
-            for path in found
-            for file in (
-                [os.path.join(path, name) for name in sorted(os.listdir(path))]
-                if os.path.isdir(path)
-                else [path]
-            )
-        ]
-
-    def digests(self, folder: Path | None = None) -> list[dict[str, Any]]:
-        """Size and SHA-256 of these files, as `provenance` keeps them."""
-        from riecjax.reporting.provenance import digests
-
-        return digests(self.inputs(), folder)
+        held = (sorted(Path(p).iterdir()) if os.path.isdir(p) else [p] for p in found)
+        return [str(file) for files in held for file in files]
 
     def changed_files(self) -> "list[Finding]":
         """Files that are others than those the job's results were made from, told at once.
@@ -236,11 +210,10 @@ class Given:
             typed[name] = both
             typed = {k: v for k, v in typed.items() if k not in option.excludes}
         said = [(self.command.options[name], value) for name, value in typed.items()]
-        arguments_first = sorted(said, key=lambda each: each[0].flag != "")
-        return [
-            str(self.command.name),
-            *(word for option, value in arguments_first for word in option.words(value)),
-        ]
+        files = [word for option, value in said if not option.flag for word in option.words(value)]
+        words = [word for option, value in said if option.flag for word in option.words(value)]
+        is_hidden = any(file.startswith("-") for file in files)
+        return [str(self.command.name), *([*words, "--", *files] if is_hidden else files + words)]
 
 
 class SettingsCommand(click.Command):
@@ -255,14 +228,12 @@ class SettingsCommand(click.Command):
     def typed(self, words: Sequence[str], ctx: click.Context | None = None) -> dict[str, Any]:
         """Settings that words say, in their order."""
         ctx = ctx or click.Context(self, resilient_parsing=True)
-        order = self.make_parser(ctx).parse_args(args=list(words))[2]
         super().parse_args(ctx, list(words))
         return {
-            param.name: ctx.params[param.name]
-            for param in order
-            if param.name in self.options
-            and ctx.get_parameter_source(param.name) is ParameterSource.COMMANDLINE
-            and ctx.params[param.name] not in ((), None)
+            name: value
+            for name, value in ctx.params.items()
+            if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE
+            and value not in ((), None)
         }
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -270,9 +241,11 @@ class SettingsCommand(click.Command):
         values = {name: option.default for name, option in self.options.items()}
         job, recorded = typed.get("job"), ()
         if job is not None:
-            job = job_file(job)
-            held, recorded = read_job(job)
-            values |= self._of_job(ctx, held, job.parent)
+            job = job / "results.json" if job.is_dir() else job  # of a folder, its results
+            with click.core.augment_usage_errors(ctx):
+                held, recorded = read_job(job)
+                of_job = dict(self._of_job(ctx, held, job.parent))
+            values |= self._not_replaced(of_job, typed)
         for name, value in typed.items():
             before = values[name]
             values[name] = (
@@ -309,14 +282,27 @@ class SettingsCommand(click.Command):
                 near = get_close_matches(key, names, 1)
                 remedy = "'riecjax init' prints a job with all of them"
                 remedy = f"the nearest is '{near[0]}'" if near else remedy
-                raise click.UsageError(f"--job: there is no option '{key}'; {remedy}.", ctx)
+                raise click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
             option = self.options[names[key]]
             try:
                 yield names[key], option.of_plain(value, from_here)
             except ValueError as error:
-                raise click.UsageError(f"--job: {error}", ctx) from None
+                raise click.UsageError(f"--job: {error}") from None
+
+    def _not_replaced(
+        self, of_job: Mapping[str, Any], typed: Mapping[str, Any]
+    ) -> Iterator[tuple[str, Any]]:
+        """What a job says without what typed settings stand for: of its band, both its ends."""
+        for name, value in of_job.items():
+            others = set(self.options[name].excludes)
+            together = others.union(*(self.options[other].excludes for other in others)) - {name}
+            is_complete = all(typed.get(other, of_job.get(other)) is not None for other in together)
+            if name in typed or not (others & typed.keys() and is_complete):
+                yield name, value
 
     def invoke(self, ctx: click.Context) -> Any:
+        if ctx.params["given"].values.get("as_json"):
+            keep_for_answers()
         try:
             return super().invoke(ctx)
         except Contradiction as error:
@@ -326,9 +312,15 @@ class SettingsCommand(click.Command):
         """Options below what their settings are about."""
         about: dict[str, list[tuple[str, str]]] = {}
         for param in self.get_params(ctx):
-            kind = self.settings.get(str(param.name))
-            if isinstance(param, click.Option) and (record := param.get_help_record(ctx)):
-                about.setdefault(kind.about(str(param.name)) if kind else "Help", []).append(record)
+            if not isinstance(param, click.Option):
+                continue
+            name, title = str(param.name), "Help"
+            if kind := self.settings.get(name):
+                title = kind.about(name)
+                # Not earlier: to read the texts takes long.
+                param.help, param.required = kind.help(name), self.options[name].required
+            if record := param.get_help_record(ctx):
+                about.setdefault(title, []).append(record)
         for title, records in about.items():
             with formatter.section(title):
                 formatter.write_dl(records)

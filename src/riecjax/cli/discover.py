@@ -43,7 +43,7 @@ def command(given: Given) -> None:
         offered = as_candidates(object_of_file(candidates))
         asked = dataclasses.replace(asked, candidates=offered)
     with Progress():
-        found = discover(model, given.recordings(model), **asked.keywords())
+        found = discover(model, given.recordings(model), **vars(asked))
     others, written = {}, None
     if out is not None:
         source = model_source(found, given.model_name, out, candidates)

@@ -48,7 +48,7 @@ def command(given: Given) -> None:
             on_estimate=progress.show_estimate,
             progress=progress.refining,
         )
-        assessment = assess(model, recordings, **asked.keywords())
+        assessment = assess(model, recordings, **vars(asked))
     # Not earlier: what reports are made with takes a second to import.
     from riecjax.reporting.identification import (
         identification_document,
@@ -56,13 +56,14 @@ def command(given: Given) -> None:
         print_identification,
     )
     from riecjax.reporting.output import emit
+    from riecjax.reporting.provenance import digests
 
     document = identification_document(assessment, given.arguments, given.with_options)
     # Files that changed have been told of already.
     told = list(document["warnings"]) if given.verbose or given.as_json else []
     document["warnings"] += [finding._asdict() for finding in changed]
     document["job"] = given.as_job(given.out)
-    document["provenance"]["files"] = given.digests(given.out)
+    document["provenance"]["files"] = digests(given.inputs(), given.out)
     emit(
         document,
         as_json=given.as_json,

@@ -1,6 +1,7 @@
 """`riecjax init`: a job file to fill in, from a look at recordings."""
 
 import codecs
+import re
 import sys
 
 import click
@@ -47,7 +48,4 @@ def _as_printed(job: str) -> str:
     """
     if codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8":
         return job
-    signs = ((c, ord(c)) for c in job)
-    return "".join(
-        c if c.isascii() else f"\\u{n:04x}" if n < 2**16 else f"\\U{n:08x}" for c, n in signs
-    )
+    return re.sub(r"[^\x00-\x7f]", lambda sign: f"\\U{ord(sign[0]):08x}", job)

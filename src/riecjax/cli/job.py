@@ -10,11 +10,6 @@ import click
 from riecjax.whole_files import read_plain
 
 
-def job_file(path: Path) -> Path:
-    """A job's file; of a folder with results the results.json in it."""
-    return path / "results.json" if path.is_dir() else path
-
-
 def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """The options that a file holds, and digests of their files if it is a results.json.
 

@@ -15,18 +15,11 @@ from riecjax.errors import RiecjaxError, printable, require
 from riecjax.extensions import extension, extension_names
 from riecjax.memory import REMEDY
 from riecjax.runtime import collect_seldom
-from riecjax.standard_output import answer, for_answers_alone
+from riecjax.standard_output import answer, is_for_answers, keep_for_answers, restored
 
 # Imported when called: `riecjax models` and `--help` need not wait for JAX.
-COMMANDS = {
-    "identify": "riecjax.cli.identify",
-    "discover": "riecjax.cli.discover",
-    "check": "riecjax.cli.check",
-    "init": "riecjax.cli.init",
-    "models": "riecjax.cli.models",
-    "simulate": "riecjax.cli.simulate",
-}
-"""Module of each of the core's own."""
+COMMANDS = ("identify", "discover", "check", "init", "models", "simulate")
+"""The core's own, each in a module of its name."""
 ORDER = ("identify", "discover", "fleet", "check", "init", "models", "simulate", "reproduce")
 """In which help lists them, before further ones."""
 
@@ -40,7 +33,7 @@ class LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name in COMMANDS:
-            return importlib.import_module(COMMANDS[cmd_name]).command
+            return importlib.import_module(f"riecjax.cli.{cmd_name}").command
         try:
             command: Any = extension("commands", cmd_name)
             if command is not None:
@@ -93,7 +86,9 @@ def run(arguments: list[str] | None = None) -> int:
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:
-        with for_answers_alone() if "--json" in given else contextlib.nullcontext():
+        with restored():
+            if "--json" in given:
+                keep_for_answers()
             status = _status(given)
         for stream in filter(None, (sys.stdout, sys.stderr)):
             stream.flush()
@@ -114,10 +109,10 @@ def _status(given: list[str]) -> int:
     except click.Abort:
         return _fail("interrupted.", INTERRUPTED)
     except RiecjaxError as error:
-        return _no_answer(str(error), error.code, given)
+        return _no_answer(str(error), error.code)
     except MemoryError as error:
         message = str(error) or "not enough memory for this record."
-        return _no_answer(message, "memory", given)
+        return _no_answer(message, "memory")
     except RuntimeError as error:
         # XLA's own word, where more was asked for than was foreseen.
         if "RESOURCE_EXHAUSTED" not in str(error):
@@ -125,7 +120,6 @@ def _status(given: list[str]) -> int:
         return _no_answer(
             f"the memory does not hold this computation ({str(error).splitlines()[0]}). {REMEDY}",
             "memory",
-            given,
         )
     return status if isinstance(status, int) else 0
 
@@ -146,8 +140,8 @@ def _lost(error: OSError) -> int:
     return _fail(f"{what} cannot be written or read: {error.strerror}.", 1)
 
 
-def _no_answer(message: str, code: str, arguments: list[str]) -> int:
-    if "--json" in arguments:
+def _no_answer(message: str, code: str) -> int:
+    if is_for_answers():
         from riecjax.reporting.document import SCHEMA
 
         error = {"code": code, "message": message}

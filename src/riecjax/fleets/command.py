@@ -53,7 +53,7 @@ def command(given: Given) -> None:
     began = time.monotonic()
     with _Told() as told:
         asked = replace(asked, out=given.out, progress=told.progress)
-        found = fleet(model, given.files, **asked.keywords())
+        found = fleet(model, given.files, **vars(asked))
     emit(
         fleet_document(found, given.arguments, time.monotonic() - began),
         as_json=given.as_json,

@@ -63,7 +63,7 @@ class Order:
 
         **Raises:** `DataError`, also for a part that it lacks.
         """
-        return read_recordings(file, **{**self.settings.reading.keywords(), "model": self.model})
+        return read_recordings(file, **{**vars(self.settings.reading), "model": self.model})
 
     @functools.cached_property
     def procedure(self) -> Procedure:

@@ -119,7 +119,7 @@ def read_record(path: str | os.PathLike[str], settings: Reading) -> Record:
 
     With the same keywords and errors, but only the signals.
     """
-    return read_recording(path, **settings.keywords()).record
+    return read_recording(path, **vars(settings)).record
 
 
 @taking(Reading)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,9 @@ class Kind:
 
     **Fields:** `name`, what help calls it; `parse`, which makes the value of a text and whose
     `ValueError` says what is wrong with it; `write`, its inverse; `is_number`, whether a job file
-    holds it as a number, and `is_whole`, a whole one; `holds`, whether a number lies in its range,
-    and `range`, words that say which; `word`, which stands in place of a number;
-    `choices`, all texts there are, if they are few; `path`: `"file"` for a path, `"code"` for
-    `FILE.py[:OBJECT]` or a name, `""` for neither.
+    holds it as a number, and `is_whole`, a whole one; `word`, which stands in place of a number;
+    `choices`, all texts there are, if they are few; `example` of a tuple; `path`: `"file"` for a
+    path, `"code"` for `FILE.py[:OBJECT]` or a name, `""` for neither.
     """
 
     name: str
@@ -24,10 +24,9 @@ class Kind:
     write: Callable[[Any], str] = str
     is_number: bool = False
     is_whole: bool = False
-    holds: Callable[[float], bool] = lambda value: True
-    range: str = ""
     word: str = ""
     choices: tuple[str, ...] = ()
+    example: tuple[Any, ...] = ()
     path: str = ""
 
 
@@ -36,8 +35,8 @@ def number_text(value: float) -> str:
     return str(value) if isinstance(value, int) else repr(float(value)).removesuffix(".0")
 
 
-def number(name: str, holds: Callable[[float], bool], range: str, kind: type = float) -> Kind:
-    """A number in a range, whose words follow the number in a refusal."""
+def number(name: str, condition: Callable[[float], bool], words: str, kind: type = float) -> Kind:
+    """A number that satisfies a condition; `words` follow the number in a refusal."""
     article = "a whole number" if kind is int else "a number"
 
     def parse(text: str) -> Any:
@@ -45,13 +44,11 @@ def number(name: str, holds: Callable[[float], bool], range: str, kind: type = f
             value = kind(text)
         except ValueError:
             raise ValueError(f"'{text}' is not {article}.") from None
-        if not holds(value):
-            raise ValueError(f"'{text}' {range}.")
+        if not condition(value):
+            raise ValueError(f"'{text}' {words}.")
         return value
 
-    return Kind(
-        name, parse, number_text, is_number=True, is_whole=kind is int, holds=holds, range=range
-    )
+    return Kind(name, parse, number_text, is_number=True, is_whole=kind is int)
 
 
 def whole(low: int, high: int | None = None) -> Kind:
@@ -96,6 +93,7 @@ NOT_NEGATIVE = number(
     "is negative or not finite; give a number from 0 on",
 )
 FINITE = number("number", math.isfinite, "is not a finite number")
+LIMIT = number("number", lambda value: not math.isnan(value), "is no end of a range")
 SHARE = number("share", lambda value: 0 < value < 1, "must lie between 0 and 1")
 
 
@@ -141,63 +139,49 @@ def _names(text: str) -> tuple[str, ...]:
 NAMES = Kind("A,B,...", _names, ",".join)
 
 
-def _place(text: str) -> tuple[str, float | None]:
-    name, equals, frequency = text.partition("=")
-    if not name.strip() or (equals and not frequency.strip()):
-        raise ValueError(f"'{text}' is not of the form SIGNAL[=HZ].")
-    return name.strip(), POSITIVE.parse(frequency) if equals else None
+def parts(
+    example: tuple[Any, ...], form: str, pattern: str, write: str, *kinds: Kind, more: str = ""
+) -> Kind:
+    """Values of these kinds, one for each group of a pattern, `None` for one that is not there.
+
+    **Arguments:** an `example`; its `form`, as help shows it; the `pattern` of texts; how to
+    `write` them, with a place for each; `more`, a further form that is understood.
+    """
+
+    def parse(text: str) -> tuple[Any, ...]:
+        match = re.fullmatch(pattern, text.strip())
+        if match is None:
+            raise ValueError(f"'{text}' is not of the form {form}{more}.")
+        pairs = zip(kinds, match.groups(), strict=True)
+        return tuple(None if part is None else kind.parse(part) for kind, part in pairs)
+
+    def written(values: Any) -> str:
+        pairs = zip(kinds, values, strict=True)
+        texts = ("" if part is None else kind.write(part) for kind, part in pairs)
+        return write.format(*texts).rstrip("=")
+
+    return Kind(form, parse, written, example=example)
 
 
-def _place_text(place: tuple[str, float | None]) -> str:
-    name, hertz = place
-    return name if hertz is None else f"{name}={number_text(hertz)}"
-
-
-PLACE = Kind("SIGNAL[=HZ]", _place, _place_text)
+SIGNAL = r"([^=\s](?:[^=]*[^=\s])?)\s*(?:=\s*(.*\S))?"
+PLACE = parts(("x", None), "SIGNAL[=HZ]", SIGNAL, "{}={}", TEXT, POSITIVE)
 """A signal, and perhaps a frequency near which something is looked for."""
-
-
-def _element(text: str) -> tuple[str, str, float | None]:
-    kind, colon, place = text.partition(":")
-    if not (kind.strip() and colon and place.strip()):
-        raise ValueError(f"'{text}' is not of the form KIND:SIGNAL[=HZ].")
-    return kind.strip(), *_place(place)
-
-
-ELEMENT = Kind(
-    "KIND:SIGNAL[=HZ]", _element, lambda element: f"{element[0]}:{_place_text(element[1:])}"
+ELEMENT = parts(
+    ("mode", "x", None),
+    "KIND:SIGNAL[=HZ]",
+    r"([^:]*[^:\s])\s*:\s*" + SIGNAL,
+    "{}:{}={}",
+    *(TEXT, TEXT, POSITIVE),
 )
 """A kind of element, where it is looked for, and perhaps near which frequency."""
-
-
-def _ends(text: str) -> tuple[float | None, float | None]:
-    low, colon, high = text.partition(":")
-    if not colon:
-        raise ValueError(f"'{text}' is not of the form LOW:HIGH.")
-    try:
-        return float(low) if low.strip() else None, float(high) if high.strip() else None
-    except ValueError:
-        raise ValueError(f"the ends in '{text}' are not numbers.") from None
-
-
-def _ends_text(ends: tuple[float | None, float | None]) -> str:
-    return ":".join("" if end is None else number_text(end) for end in ends)
-
-
-ENDS = Kind("LOW:HIGH", _ends, _ends_text)
+ENDS = parts((0.0, None), "LOW:HIGH", r"(.*\S)?\s*:\s*(.+)?", "{}:{}", LIMIT, LIMIT)
 """Both ends of a range, either of which may be left out."""
-
-
-def _mean_and_deviation(text: str) -> tuple[float, float]:
-    mean, sign, deviation = text.replace("+-", "±").partition("±")
-    if not sign:
-        raise ValueError(f"'{text}' is not of the form MEAN±SD (or MEAN+-SD).")
-    return FINITE.parse(mean), POSITIVE.parse(deviation)
-
-
-MEAN_AND_DEVIATION = Kind(
+MEAN_AND_DEVIATION = parts(
+    (1.0, 0.1),
     "MEAN±SD",
-    _mean_and_deviation,
-    lambda pair: "±".join(map(number_text, pair)),
+    r"(.*)(?:±|\+-)(.*)",
+    "{}±{}",
+    *(FINITE, POSITIVE),
+    more=" (or MEAN+-SD)",
 )
 """Mean and standard deviation, with `+-` between them too."""

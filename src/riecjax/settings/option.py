@@ -32,7 +32,7 @@ from typing import (
 from riecjax.errors import ModelError, RiecjaxError, require
 from riecjax.settings.kinds import NAMES, TEXT, TRUTH, Kind, number_text
 
-Shape = Literal["once", "many", "named", "flag", "switch"]
+Shape = Literal["once", "many", "named", "flag"]
 Plain = Any
 """What TOML and JSON have words for."""
 
@@ -43,10 +43,10 @@ class Option:
 
     **Fields:**
 
-    - `said`: the option and what its value looks like, as `--map SIGNAL=COLUMN`, of a switch
-      `--sweep/--no-sweep`, of an argument `RECORD...`; `kind` of each value.
+    - `said`: the option and what its value looks like, as `--map SIGNAL=COLUMN`, of a truth that
+      can be turned off too `--sweep/--no-sweep`, of an argument `RECORD...`; `kind` of each value.
     - `shape`: said `once` (with `count` values), `many` times (a tuple), for what it is `named` (a
-      dict), or a truth that a `flag` turns on and a `switch` on or off.
+      dict), or a truth (a `flag`).
     - `default`, and the same in words where it depends on others.
     - `alone`: words that stand for all values of a setting that is said many times.
     - `combine`: makes one value of the one that was given to a name and of a further one.
@@ -99,10 +99,13 @@ class Option:
         name, equals, said = (part.strip() for part in text.partition("="))
         if not (name and equals and said):
             raise ValueError(f"'{text}' is not of the form {self.form}.")
+        return self._pair(name, said)
+
+    def _pair(self, name: str, said: str) -> tuple[str, Any]:
         try:
             return name, self.kind.parse(said)
         except ValueError as error:
-            what = str(error).replace(f"'{said}'", f"'{said}' in '{text}'", 1)
+            what = str(error).replace(f"'{said}'", f"'{said}' in '{name}={said}'", 1)
             raise ValueError(what) from None
 
     def collected(self, values: tuple[Any, ...]) -> Any:
@@ -136,7 +139,7 @@ class Option:
     def words(self, value: Any) -> list[str]:
         """Arguments of the command line that say this value."""
         on, _, off = self.flag.partition("/")
-        if self.shape in ("flag", "switch"):
+        if self.shape == "flag":
             return list(filter(None, [on if value else off]))
         return [word for texts in self.texts(value) for word in filter(None, (on, *texts))]
 
@@ -144,10 +147,12 @@ class Option:
         """The value as a job file holds it."""
         if isinstance(value, bool):
             return value
+        if isinstance(value, Mapping):
+            return {name: _number(self.kind.write(each)) for name, each in value.items()}
         texts = [text for said in self.texts(value) for text in said]
         if isinstance(value, str) and value in self.alone:
             return [value] if self.shape == "many" else value
-        if self.shape == "named" or "=" in self.form:
+        if "=" in self.form:
             pairs = [text.partition("=") for text in texts]
             if len({name for name, equals, _ in pairs if equals}) == len(pairs):
                 return {name: _number(text) for name, _, text in pairs}
@@ -160,7 +165,7 @@ class Option:
 
         **Raises:** `ValueError` for what is not of its kind.
         """
-        if self.shape in ("flag", "switch"):
+        if self.shape == "flag":
             if not isinstance(value, bool):
                 raise ValueError(f"'{self.key}' must be true or false; got {value!r}.")
             return value
@@ -168,14 +173,19 @@ class Option:
         if isinstance(value, dict) and self.count == 1:
             if "=" not in self.form:
                 raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
-            said = [f"{name}={self._text(each, name)}" for name, each in value.items()]
+            texts = {name: self._text(each, name) for name, each in value.items()}
+            if self.shape == "named":
+                return dict(self._pair(name, text) for name, text in texts.items())
+            said = [f"{name}={text}" for name, text in texts.items()]
         elif self.count > 1 and not (isinstance(value, list) and len(value) == self.count):
             raise ValueError(f"'{self.key}' must be a list of {self.count}; got {value!r}.")
         elif not self.flag and not all(isinstance(each, str) for each in listed):
             raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
-        elif isinstance(value, list) and self.shape == "once" and self.count == 1:
+        elif isinstance(value, list) and self.kind is NAMES:
             # Names between commas may as well be a list.
-            said = [",".join(map(self._text, value))] if self.kind is NAMES else [self._text(value)]
+            return tuple(map(self._text, value))
+        elif isinstance(value, list) and self.shape == "once" and self.count == 1:
+            said = [self._text(value)]
         else:
             said = [self._text(each) for each in listed]
         said = [str(self._moved(text, move)) for text in said] if self.kind.path else said
@@ -256,9 +266,9 @@ def named(said: str, kind: Kind, default: str | None = None, **more: Any) -> Any
     return setting(said, kind, {} if default is None else default, shape="named", **more)
 
 
-def flag(said: str, **more: Any) -> Any:
-    """A field that is false unless it is said."""
-    return setting(said, TRUTH, False, shape="flag", **more)
+def flag(said: str, default: bool = False, **more: Any) -> Any:
+    """A field that is true or false."""
+    return setting(said, TRUTH, default, shape="flag", **more)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -307,10 +317,6 @@ class Settings:
         """What a setting belongs to: the first words of the class that has its field."""
         return (cls.owner(name).__doc__ or "").partition("\n")[0].rstrip(".")
 
-    def keywords(self) -> dict[str, Any]:
-        """Its fields by name, to hand them on."""
-        return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-
     def says(self, *names: str) -> bool:
         """Whether any of these is other than its default."""
         options = self.options()
@@ -346,59 +352,50 @@ class Contradiction(ModelError):
 
     def __init__(self, template: str, options: Mapping[str, Option]):
         self.template, self.options = template, options
-        super().__init__(template.format(**{name: _Keyword(name) for name in options}))
+        super().__init__(_SETTING.sub(lambda f: f[1] + (f"={f[2]!r}" if f[2] else ""), template))
 
     def typed(self) -> str:
         """The same on the command line."""
         flags = {name: option.flag.partition("/")[0] for name, option in self.options.items()}
-        return self.template.format(**{name: _Flag(flags[name]) for name in flags})
+        return _SETTING.sub(lambda f: f"{flags[f[1]]} {f[2]}".rstrip(), self.template)
 
 
-class _Keyword(str):
-    def __format__(self, value: str) -> str:
-        return f"{self!s}={value!r}" if value else str(self)
-
-
-class _Flag(str):
-    def __format__(self, value: str) -> str:
-        return f"{self!s} {value}".rstrip()
+_SETTING = re.compile(r"\{(\w+):?([^}]*)\}")
 
 
 def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -> Any:
     """A value as its setting holds it, or the error that says what to write."""
-    if value is None:
-        return {} if option.default == {} else None
     if option.free or (isinstance(value, str) and value in option.alone):
         return value
-    if option.count > 1 and hasattr(value, "dtype"):
-        value = tuple(value)
-    if option.shape in ("flag", "switch") and hasattr(value, "dtype"):
-        value = bool(value)
-    named = option.form.rpartition("|")[2].partition("=")[0].lower()
-    example = repr(value) if type(value) is str else "'x'"
     is_listed = option.shape == "many" or option.count > 1 or option.kind is NAMES
-    shapes: dict[str, tuple[Any, str]] = {
-        "named": (Mapping, f"{name}={{'x': ...}}, by {named}"),
-        "many": (list | tuple, f"{name}=({example},), a tuple"),
-        "once": (list | tuple if is_listed else object, f"{name}=(1.0, 10.0)"),
-        "flag": (bool, f"{name}=True"),
-        "switch": (bool, f"{name}=False"),
-    }
-    if option.kind is NAMES:
-        shapes["once"] = shapes["many"]
-    kind, write = shapes[option.shape]
-    require(name, value, kind, write, error)
-    held: Any = value
-    if option.shape == "named":
-        for each in held:
-            require(f"a name in {name}", each, str, "names as text, 'x'", error)
-            _check_leaf(f"{name} of '{each}'", option.kind, held[each], "it as text, 'x'", error)
+    if value is None:
+        # Of a choice it may stand for one: criterion=None for the one that suits.
+        is_needed = is_listed or option.shape == "named" or option.kind.is_number
+        return option.default if is_needed else None
+    if hasattr(value, "dtype") and (option.shape == "flag" or option.count > 1):
+        value = bool(value) if option.shape == "flag" else tuple(value)
+    if option.shape == "flag":
+        require(name, value, bool, f"{name}={not option.default}", error)
+    elif option.shape == "named":
+        named = option.form.rpartition("|")[2].partition("=")[0].lower()
+        require(name, value, Mapping, f"{name}={{'x': ...}}, by {named}", error)
+        held: Any = value
+        for key, each in held.items():
+            require(f"a name in {name}", key, str, "names as text, 'x'", error)
+            _check_leaf(f"{name} of '{key}'", option.kind, each, "it as text, 'x'", error)
         return dict(held)
-    if is_listed:
-        for each in held:
-            _check_leaf(f"a name in {name}", option.kind, each, "names as text, 'x'", error)
-        return tuple(held)
-    _check_leaf(name, option.kind, value, "", error)
+    elif is_listed:
+        example = repr(value) if type(value) is str else "'x'"
+        write = f"{name}=(1.0, 10.0)" if option.count > 1 else f"{name}=({example},), a tuple"
+        require(name, value, list | tuple, write, error)
+        if option.count > 1 and len(value) != option.count:
+            raise error(f"{name} has {len(value)} values. Write {write}.")
+        what = "a value of" if option.kind.is_number else "a name in"
+        for each in value:
+            _check_leaf(f"{what} {name}", option.kind, each, "names as text, 'x'", error)
+        return tuple(value)
+    else:
+        _check_leaf(name, option.kind, value, "", error)
     return value
 
 
@@ -406,6 +403,7 @@ def _check_leaf(what: str, kind: Kind, value: Any, as_text: str, error: type[Rie
     if kind.word and isinstance(value, str) and value == kind.word:
         return
     if kind.is_number:
+        number: Any = value
         # Numbers of NumPy and JAX are numbers, traced ones too.
         shape, dtype = getattr(value, "shape", ()), getattr(value, "dtype", None)
         fits = shape == () if dtype is not None else isinstance(value, Real)
@@ -413,13 +411,19 @@ def _check_leaf(what: str, kind: Kind, value: Any, as_text: str, error: type[Rie
             fits = dtype.kind in "iu" if dtype is not None else isinstance(value, Integral)
         words = f"a {'whole ' * kind.is_whole}number{f' or {kind.word!r}' * bool(kind.word)}"
         require(what, value, object if fits and not isinstance(value, bool) else (), words, error)
-        # A traced number has no size yet.
-        with contextlib.suppress(TypeError):
-            if not kind.holds(value):
-                raise error(f"{what}: {number_text(value)} {kind.range}.")
+        with contextlib.suppress(TypeError):  # a traced number has no size yet
+            text = str(int(number)) if kind.is_whole else number_text(number)
+            try:
+                kind.parse(text)
+            except ValueError as refused:
+                raise error(f"{what}: {refused}".replace(f"'{text}'", text, 1)) from None
     elif isinstance(value, str) and kind.choices and value not in kind.choices:
         # Objects stand in for their names.
         require(what, value, (), " or ".join(f"'{word}'" for word in kind.choices), error)
+    elif kind.example and (
+        isinstance(value, str) or not hasattr(value, "__len__") or len(value) != len(kind.example)
+    ):
+        require(what, value, (), str(kind.example), error)
     elif kind in (TEXT, NAMES) and as_text:
         require(what, value, str, as_text, error)
 
@@ -449,19 +453,14 @@ def taking(kind: Callable[Keywords, Given]) -> Taking[Keywords]:
 
     **Raises:** `TypeError`, from the verb, for a keyword that it has not, with the nearest.
     """
-    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    names = {each.name: each for each in dataclasses.fields(kind)}  # type: ignore[arg-type]
 
     def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
         *own, _ = inspect.signature(verb).parameters.values()
-        places = inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+        # Not the mark of a factory, which says nothing to a reader.
         taken = [
-            inspect.Parameter(
-                field.name,
-                places[not field.kw_only],
-                default={} if field.default is dataclasses.MISSING else field.default,
-                annotation=field.type,
-            )
-            for field in sorted(fields, key=lambda field: bool(field.kw_only))
+            each.replace(default={}) if names[name].default is dataclasses.MISSING else each
+            for name, each in inspect.signature(kind).parameters.items()
         ]
         answer = inspect.signature(verb).return_annotation
         signature = inspect.Signature([*own, *taken], return_annotation=answer)
@@ -479,7 +478,7 @@ def taking(kind: Callable[Keywords, Given]) -> Taking[Keywords]:
                 bound = signature.bind(*arguments, **keywords).arguments
             except TypeError as error:
                 raise TypeError(f"{verb.__name__}() {error}") from None
-            mine = {each.name: bound.pop(each.name) for each in fields if each.name in bound}
+            mine = {name: bound.pop(name) for name in names if name in bound}
             return verb(**bound, settings=kind(**mine))  # type: ignore[call-arg]
 
         called.__signature__ = signature  # type: ignore[attr-defined]

@@ -34,7 +34,7 @@ def form(
 
 def _example(option: Option) -> str:
     """What an option that is not set may be, in the place of its value."""
-    if option.shape in ("flag", "switch"):
+    if option.shape == "flag":
         return "false"
     # In TOML, all but numbers stands in quotes.
     sign = "" if option.kind.is_number and not option.kind.word else '"'

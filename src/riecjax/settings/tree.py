@@ -5,7 +5,7 @@ that `riecjax init` prints, and an entry of a result's provenance. To add one is
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from operator import add, mul
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -27,7 +27,6 @@ from riecjax.settings.kinds import (
     SHARE,
     TEST_FUNCTION,
     TEXT,
-    TRUTH,
     WINDOW_COUNT,
     choice,
     whole,
@@ -209,19 +208,14 @@ class Elements(Settings):
 
 
 @dataclass(frozen=True)
-class Fitted(Settings):
-    """What is made small."""
+class Fit(Settings):
+    """What is fitted: the criterion, by its band or as an object."""
 
     criterion: "Literal['riec', 'dols'] | AbstractCriterion | None" = setting(
         "--criterion", choice("riec", "dols"), "riec"
     )
     """Windowed integrals of the equation of motion, or the equation at every sample."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fit(Fitted):
-    """What is fitted: the criterion, by its band or as an object."""
-
+    _: KW_ONLY
     band: tuple[float, float] | None = setting(
         "--band LOW HIGH",
         POSITIVE,
@@ -262,7 +256,7 @@ class Fit(Fitted):
     @property
     def says_of_windows(self) -> bool:
         """Whether anything is said of the windows."""
-        return self.says(*WINDOWS)
+        return self.says("band", "alpha", "beta", "windows", "test_function", "quadrature")
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
@@ -277,10 +271,6 @@ class Fit(Fitted):
                 "{band} sets the same lengths as {alpha} and {beta}: leave out one of them.",
                 self.options(),
             )
-
-
-WINDOWS = ("band", "alpha", "beta", "windows", "test_function", "quadrature")
-"""What is said of the windows of a criterion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -313,10 +303,6 @@ class Uncertainty(Settings):
     """Leave out where a velocity with dry friction rests, or keep it."""
 
 
-BY_NAME = ("integral", "output-error")
-"""Refinements whose values are the answer."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Refine(Settings):
     """Whether and how the linear estimate is refined."""
@@ -340,11 +326,6 @@ class Refine(Settings):
     """What is made small of simulated minus recorded: squares, or Huber's loss, in which what
     no noise explains pulls less."""
 
-    @property
-    def is_asked_for(self) -> bool:
-        """Whether refined values are the answer, whatever they leave."""
-        return not (self.refine is None or isinstance(self.refine, str)) or self.refine in BY_NAME
-
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
         by = self.refine
@@ -359,7 +340,7 @@ class Refine(Settings):
                 "{bounds} goes with {refine:auto}, {refine:integral} or {refine:output-error}.",
                 self.options(),
             )
-        if self.priors and not self.is_asked_for:
+        if self.priors and self.refine in (None, "none", "auto"):
             raise Contradiction(
                 "{priors} goes with {refine:integral} or {refine:output-error}: the linear "
                 "estimate knows of none.",
@@ -375,7 +356,7 @@ class Validate(Settings):
     """Keep this share at the end of each recording for validation by simulation."""
     validate_on: "Records | Sequence[Path]" = many("--validate RECORD", FILE, free=True)
     """Simulate the identified model on this recording."""
-    sweep: bool = setting("--sweep/--no-sweep", TRUTH, True, shape="switch")
+    sweep: bool = flag("--sweep/--no-sweep", True)
     """Estimates against window length, which show an inexact model."""
 
 
@@ -436,12 +417,6 @@ class Assess(Validate, Uncertainty, Sharing, Known, Refine, Sums):
             )
 
 
-SHARE_OF_UNEXPLAINED, SHARE_OF_TARGET = 0.01, 2e-5
-"""What a term must make up for, of what is unexplained and of the target's energy."""
-RESAMPLES = 40
-"""Times that terms are searched for in data drawn again."""
-
-
 @dataclass(frozen=True)
 class Offered(Settings):
     """Which terms a model may lack."""
@@ -464,11 +439,12 @@ class Discover(Seed, Uncertainty, Known, Fit, Offered):
     hold_out: float | None = setting("--hold-out SHARE", SHARE)
     """Choose without this share at the end of each recording, and take values and intervals
     from it alone."""
-    least: float = setting("--least SHARE", SHARE, SHARE_OF_UNEXPLAINED)
+    least: float = setting("--least SHARE", SHARE, 0.01)
     """Of what is unexplained, the share that a term must make up for."""
-    smallest: float = setting("--smallest SHARE", SHARE, SHARE_OF_TARGET)
+    smallest: float = setting("--smallest SHARE", SHARE, 2e-5)
     """Of the target's energy, the share that a term must make up for: less for exact data."""
-    resamples: int = RESAMPLES
+    resamples: int = 40
+    """Times that terms are searched for in data drawn again."""
     noise: "GivenNoise" = "auto"
 
 

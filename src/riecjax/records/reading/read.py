@@ -107,7 +107,8 @@ def read_channels(
 
 def endings() -> tuple[str, ...]:
     """Endings of names of files that can be read, the core's own first."""
-    return (*READERS, *(f".{name}" for name in extension_names("readers") if "." not in name))
+    further = (f".{name}" for name in extension_names("readers") if "." not in name)
+    return tuple(dict.fromkeys((*READERS, *further)))
 
 
 def _reader(file: Path) -> Callable[..., Channels]:
