@@ -53,9 +53,21 @@ def read_rows(file):
 
 def read_wrongly(file):
     raise KeyError("two\\nlines")
+
+def read_lists(file):
+    return Channels({"t": [0.0, 1.0]})
+
+def read_and_exit(file):
+    raise SystemExit(3)
+
+def failing(model, signal, hertz):
+    raise ValueError("no such joint")
+
+def forgetful(model, signal, hertz):
+    model.with_terms({})
 """
 READERS = {"xyz": "read", "rows": "read_rows", "wrong": "read_wrongly", "npz": "read", "h5": "read",
-           "lost": "nobody"}  # fmt: skip
+           "lost": "nobody", "lists": "read_lists", "exit": "read_and_exit"}  # fmt: skip
 COMMANDS_TOO = {"greet": "greet", "number": "backlash", "models": "greet", "fleet": "greet"}
 
 
@@ -83,7 +95,8 @@ def install(tmp_path, monkeypatch):
 @pytest.fixture
 def foreign(install):
     install("foreign", FOREIGN, readers=READERS, commands=COMMANDS_TOO,
-            elements={"backlash": "backlash", "number": "NUMBER"})  # fmt: skip
+            elements={"backlash": "backlash", "number": "NUMBER", "failing": "failing",
+                      "forgetful": "forgetful"})  # fmt: skip
 
 
 def test_a_foreign_reader_takes_part(foreign, tmp_path):
@@ -110,7 +123,11 @@ def test_foreign_commands_and_elements_take_part(foreign, capfd):
     play = Elements(added=[("backlash", "dy", 12.0), ("offset", "u", None)])
     assert duffing.with_elements(play).name == "duffing with play of dy at 12.0"
     assert duffing.with_elements(play).sensors == duffing.with_sensor_errors(("u",)).sensors
-    with pytest.raises(ModelError, match=r"no element 'absent'; there are: backlash, number\."):
+    with pytest.raises(ModelError, match=r"^the element 'failing' failed at line \d+ of foreign"):
+        duffing.with_elements(Elements(added=[("failing", "dy", None)]))
+    with pytest.raises(ModelError, match=r"^what the element 'forgetful' returned is None\."):
+        duffing.with_elements(Elements(added=[("forgetful", "dy", None)]))
+    with pytest.raises(ModelError, match=r"no element 'absent'; there are: backlash, failing, "):
         element("absent")
     with pytest.raises(ExtensionError, match=r"from foreign:NUMBER: TypeError: 3 cannot be ca"):
         element("number")
@@ -140,6 +157,8 @@ BROKEN = {
     "a.rows": r"a\.rows: what its reader returned is a list\. Write a reader that returns "
     r"Channels\.",
     "a.wrong": r"a\.wrong: its reader failed: KeyError 'two\\nlines'",
+    "a.lists": r"a\.lists: its reader gave column 't' as list, not as a vector of 64-bit floats\.",
+    "a.exit": r"a\.exit: its reader failed: SystemExit 3",
 }
 
 

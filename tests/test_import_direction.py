@@ -9,41 +9,15 @@ import pytest
 
 import riecjax
 
-CORE = (
-    "records",
-    "equations",
-    "criteria",
-    "summaries",
-    "uncertainty",
-    "estimation",
-    "simulation",
-    "refinement",
-    "validation",
-    "models",
-    "discovery",
-    "assessment",
-    "reporting",
-    "cli",
-)
+CORE = ("records", "equations", "criteria", "summaries", "uncertainty", "estimation", "simulation",
+        "refinement", "validation", "models", "discovery", "assessment", "reporting",
+        "cli")  # fmt: skip
 """Stages in the order of the data; a module imports from its own or an earlier one."""
 RIM = ("readers", "fleets", "paper", "studies")
 """A foreign distribution could stand in the place of each: they import public names alone."""
-BASE = (
-    "compilation",
-    "errors",
-    "extensions",
-    "findings",
-    "leaves",
-    "linear_algebra",
-    "memory",
-    "public_names",
-    "runtime",
-    "settings",
-    "shows",
-    "standard_output",
-    "tails",
-    "whole_files",
-)
+BASE = ("compilation", "errors", "extensions", "findings", "leaves", "linear_algebra", "memory",
+        "public_names", "runtime", "settings", "shows", "standard_output", "tails",
+        "whole_files")  # fmt: skip
 """What stands beside the stages: all may import it, and it imports none of them but for types."""
 PLACE_OF_RIM = re.compile(rf"(riecjax)?\.({'|'.join(RIM)})\b")
 ROOT = Path(riecjax.__file__).parent

@@ -37,6 +37,10 @@ def test_missing_terms_are_told_and_the_model_file_runs(capsys, tmp_path, monkey
     assert found.status == 0, found.err
     values = {k: v["value"] for k, v in found.document["parameters"].items()}
     assert values == pytest.approx({k: v["value"] for k, v in document["parameters"].items()})
+    Path("job.toml").write_text("records = ['rig.csv']\nmodel = 'rig.py:RIG'\nleast = 0.02\n")
+    again = call(capsys, "check", "--job", "job.toml")
+    assert again.err == "warning: --job job.toml: check does not use least.\n"
+    assert again.status == call(capsys, "check", "--job", "out").status == 0
     made = ("--input", "rig.csv", "--out", "again.csv")
     status, _, said = call(capsys, "simulate", "out/model.py", *made)
     assert status == 0, said

@@ -42,6 +42,7 @@ WRONG = {
         "--quadrature 3": (2, "'--quadrature'"),
         "--test-function bump --quadrature 4": (2, "--quadrature belongs to the boxcar and the"),
         "--per-record foo": (1, "unknown parameter 'foo'"),
+        "--from 1.5 --to 1": (2, "--from must lie before --to."),
         "--from 5": (1, "the record lasts from 0 to 1.995 s, counted from its first sample"),
         "--resample 1e9": (1, "to identify from them takes about"),
         "--set foo=1": (1, "unknown parameter 'foo'; the model has: K_t, M_us, M_s"),
@@ -82,9 +83,7 @@ WRONG = {
         "identify --job none.toml": (2, "cannot be read"),
         "reproduce --roads 0": (2, "--roads"),
         "reproduce --out good.csv": (2, "'good.csv' is a file"),
-        # Otherwise one of the two would be dropped without a word.
         "reproduce --full --roads 2": (2, "--roads"),
-        "reproduce --quick --roads 2": (2, "--roads"),
     },
     "simulate duffing --out s.csv --input ": {
         "foo": (1, "unknown input 'foo'; give white-noise, robson, pothole"),

@@ -206,6 +206,8 @@ def test_a_keyword_that_is_none_is_answered_with_those_there_are():
         rx.read_record("a.csv", names=("x",))  # pyright: ignore[reportCallIssue]
     with pytest.raises(TypeError, match=r"no keyword 'per_recrod'; the nearest is 'per_record'"):
         rx.identify(None, (), per_recrod=("k",))  # pyright: ignore
+    with pytest.raises(TypeError, match=r"no keyword 'map'; the nearest is 'rename'"):
+        rx.read_recording("a.csv", map={"x": "y"})  # pyright: ignore
 
 
 @pytest.mark.parametrize("name", ["bootstrap", "sandwich", "naive"])
@@ -223,8 +225,9 @@ def test_names_stand_for_objects(name):
         (tree.Fit, {"windows": "most"}, "windows is the text 'most'"),
         (tree.Fit, {"alpha": np.ones(2)}, "alpha is a ndarray. Write a number"),
         (tree.Fit, {"quadrature": 3}, None),
-        (tree.Read, {"columns": "tabcd"}, r"Write columns=\('tabcd',\)"),
         (tree.Read, {"columns": ("a", 1)}, "a name in columns is an int"),
+        (tree.Read, {"columns": "a,b"}, r"Write columns=\('a', 'b'\), a tuple"),
+        (tree.Read, {"delimiter": 3}, "delimiter is an int. Write it as text"),
         (tree.Prepare, {"align": np.array(["x", "y"])}, "align is a ndarray"),
         (tree.Prepare, {"notches": ("50",)}, "Write a number or 'auto'"),
         (tree.Prepare, {"notches": (50, 0)}, "^a value of notches: 0 must be .* than zero"),

@@ -110,7 +110,14 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
     known = {name for fault in faults for name in fault.doubts}
     drift = {} if exact else drifts(assessment)
     left = {} if exact else left_out(assessment)
-    amiss = _amiss(assessment)
+    # Of each kind of fault all of what is amiss with the recordings, of kinds the worst.
+    amiss: dict[str, dict[str, float]] = {name: {} for name in answer.parameters}
+    for finding in assessment.findings():
+        for name in assessment.parameters_of(finding):
+            share = finding.doubts.get(name, finding.doubt)
+            if share > 0:
+                before = amiss[name].get(finding.code, 0.0)
+                amiss[name][finding.code] = before + share * abs(float(answer[name]))
     found = {}
     for i, name in enumerate(answer.parameters):
         finest = FINEST * abs(float(answer[name]))
@@ -118,21 +125,9 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
         drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, left))
         if assessment.sweep is not None:
             moved = min(moved, STEADIER * (drifted + max(scatter)))
-        found[name] = Doubt(*scatter, drifted, moved, amiss.get(name, 0.0), finest)
+        worst = max(amiss[name].values(), default=0.0)
+        found[name] = Doubt(*scatter, drifted, moved, worst, finest)
     return found
-
-
-def _amiss(assessment: "Assessment") -> dict[str, float]:
-    """By what is amiss with the recordings: of each kind of fault all of it, of kinds the worst."""
-    found: dict[str, dict[str, float]] = {}
-    for finding in assessment.findings():
-        for name in assessment.parameters_of(finding):
-            share = finding.doubts.get(name, finding.doubt)
-            if share > 0:
-                own = found.setdefault(name, {})
-                moved = share * abs(float(assessment.answer[name]))
-                own[finding.code] = own.get(finding.code, 0.0) + moved
-    return {name: max(own.values()) for name, own in found.items()}
 
 
 def drifts(assessment: "Assessment") -> dict[str, float]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from riecjax.findings import Finding
     from riecjax.models.model import Model
     from riecjax.records.recording import Recording
+    from riecjax.reporting.document import Document
 
 RENAMED = {"own": "per-record"}
 """Keys of job files of earlier versions."""
@@ -177,6 +178,13 @@ class Given:
         held = (sorted(Path(p).iterdir()) if os.path.isdir(p) else [p] for p in found)
         return [str(file) for files in held for file in files]
 
+    def keep_in(self, document: "Document") -> None:
+        """Write into a result what makes it again, and digests of the files that it is of."""
+        from riecjax.reporting.provenance import digests
+
+        document["job"] = self.as_job(self.out)
+        document["provenance"]["files"] = digests(self.inputs(), self.out)
+
     def changed_files(self) -> "list[Finding]":
         """Files that are others than those the job's results were made from, told at once.
 
@@ -244,7 +252,7 @@ class SettingsCommand(click.Command):
             job = job / "results.json" if job.is_dir() else job  # of a folder, its results
             with click.core.augment_usage_errors(ctx):
                 held, recorded = read_job(job)
-                of_job = dict(self._of_job(ctx, held, job.parent))
+                of_job = dict(self._of_job(ctx, held, job))
             values |= self._not_replaced(of_job, typed)
         for name, value in typed.items():
             before = values[name]
@@ -261,33 +269,43 @@ class SettingsCommand(click.Command):
         return []
 
     def _of_job(
-        self, ctx: click.Context, job: Mapping[str, Any], folder: Path
+        self, ctx: click.Context, job: Mapping[str, Any], file: Path
     ) -> Iterator[tuple[str, Any]]:
         """What a job says of this command's settings.
 
-        A job may hold all options of identify, also where another command reads it.
+        A job may hold all options of identify and discover, also where another command reads it;
+        what this one does not use is said.
         """
 
         def from_here(path: str) -> str:
-            return os.path.normpath(os.path.join(folder, path))
+            return os.path.normpath(os.path.join(file.parent, path))
 
-        group = ctx.find_root().command
-        other = group.get_command(ctx, "identify") if isinstance(group, click.Group) else None
-        others = {option.key for option in getattr(other, "options", {}).values()} - {"job"}
+        group, unused = ctx.find_root().command, []
+        others: dict[str, Option] = {
+            option.key: option
+            for name in (("discover", "identify") if isinstance(group, click.Group) else ())
+            for option in group.get_command(ctx, name).options.values()  # type: ignore[union-attr]
+            if option.key != "job"
+        }
         names = {option.key: name for name, option in self.options.items() if name != "job"}
         for key, value in ((RENAMED.get(key, key), value) for key, value in job.items()):
             if key not in names:
                 if key in others:
+                    is_said = others[key].of_plain(value) != others[key].default
+                    unused += [key] * (is_said and not others[key].of_result)
                     continue
                 near = get_close_matches(key, names, 1)
                 remedy = "'riecjax init' prints a job with all of them"
                 remedy = f"the nearest is '{near[0]}'" if near else remedy
-                raise click.UsageError(f"--job: there is no option '{key}'; {remedy}.")
+                raise click.UsageError(f"--job {file}: there is no option '{key}'; {remedy}.")
             option = self.options[names[key]]
             try:
                 yield names[key], option.of_plain(value, from_here)
             except ValueError as error:
-                raise click.UsageError(f"--job: {error}") from None
+                raise click.UsageError(f"--job {file}: {error}") from None
+        if unused:
+            unread = f"{self.name} does not use {', '.join(unused)}"
+            click.echo(f"warning: --job {file}: {unread}.", err=True)
 
     def _not_replaced(
         self, of_job: Mapping[str, Any], typed: Mapping[str, Any]

@@ -22,6 +22,7 @@ def command(given: Given) -> None:
     gain. With --out the model that was found is written to model.py, for identify and simulate.
     """
     asked = given.take(settings.Discover)
+    given.changed_files()
     start_jax(once=given.is_small, keep_compiled=True)
     from riecjax.discovery.candidate import as_candidates
     from riecjax.discovery.discover import discover
@@ -49,8 +50,10 @@ def command(given: Given) -> None:
         source = model_source(found, given.model_name, out, candidates)
         written = str(out / MODEL_FILE)
         others[MODEL_FILE] = lambda path: path.write_text(source, encoding="utf-8")
+    document = discovery_document(found, given.arguments, written)
+    given.keep_in(document)
     emit(
-        discovery_document(found, given.arguments, written),
+        document,
         as_json=given.as_json,
         out=out,
         show=print_discovery,

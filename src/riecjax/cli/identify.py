@@ -56,14 +56,12 @@ def command(given: Given) -> None:
         print_identification,
     )
     from riecjax.reporting.output import emit
-    from riecjax.reporting.provenance import digests
 
     document = identification_document(assessment, given.arguments, given.with_options)
     # Files that changed have been told of already.
     told = list(document["warnings"]) if given.verbose or given.as_json else []
     document["warnings"] += [finding._asdict() for finding in changed]
-    document["job"] = given.as_job(given.out)
-    document["provenance"]["files"] = digests(given.inputs(), given.out)
+    given.keep_in(document)
     emit(
         document,
         as_json=given.as_json,

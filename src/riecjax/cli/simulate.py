@@ -45,7 +45,7 @@ class Simulate(Settings):
     rms: float = setting("--rms", POSITIVE, 0.55)
     """Of white noise, in the input's unit."""
     out: Path | None = setting("--out", NEW_FILE, required=True)
-    """File to write: CSV, NPZ or MAT by its ending."""
+    """File to write: CSV, NPZ, Parquet or MAT by its ending."""
 
 
 @settings_command(

@@ -83,7 +83,16 @@ def discover(
     """
     found = as_model(model)
     procedure = with_rests(found.build_procedure(), settings.at_rest)
-    _require_sense(procedure, settings)
+    if procedure.has_hidden:
+        raise ModelError(
+            "terms are looked for beside a model without hidden modes and springs: leave these out."
+        )
+    # In the model's own words: of candidates none can be known, nor set a scale.
+    if unknown := [name for name in settings.known if name not in procedure.parameters]:
+        raise ModelError(
+            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
+        )
+    procedure.plan({*procedure.known, *settings.known})
     # Velocities that candidates read and no sensor measured are formed, if they can be.
     reading, recordings = reading_velocities(procedure), []
     for one in as_recordings(records):
@@ -241,20 +250,6 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
         tuple({one.message: one for one in amiss}.values()),
     )
     return found, late
-
-
-def _require_sense(procedure: Procedure, settings: DiscoverSettings) -> None:
-    known = settings.known
-    if procedure.has_hidden:
-        raise ModelError(
-            "terms are looked for beside a model without hidden modes and springs: leave these out."
-        )
-    # In the model's own words: of candidates none can be known, nor set a scale.
-    if unknown := [name for name in known if name not in procedure.parameters]:
-        raise ModelError(
-            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
-        )
-    procedure.plan({*procedure.known, *known})
 
 
 def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:

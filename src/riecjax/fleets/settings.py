@@ -31,7 +31,7 @@ Progress = Callable[[str, int, int, int], None]
 class Groups(Settings):
     """What is estimated together, and by whom."""
 
-    by: str | Sequence[str] = setting("--by file|folder|COLUMN[,COLUMN]", TEXT, "file")
+    by: str | Sequence[str] = setting("--by file|folder|COLUMN[,COLUMN]", TEXT, "file", free=True)
     """What is estimated together: each file, each folder, or all that agrees in keys of its path
     (vehicle=3/) or columns of its Parquet files."""
     span: float | None = setting("--span SECONDS", POSITIVE)
@@ -45,6 +45,7 @@ class Groups(Settings):
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.Contradiction]; `ModelError` for no number."""
+        super().require_sense()
         if not self.keys or not all(isinstance(key, str) and key for key in self.keys):
             raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
         if self.workers is not None and self.scheduler is not None:

@@ -216,7 +216,7 @@ class Model(Shown):
             if kind not in added:
                 from riecjax.extensions import element
 
-                others.append((element(kind, [*added]), signal, hertz))
+                others.append((kind, element(kind, [*added]), signal, hertz))
             elif kind == "mode":
                 added[kind].append((signal, hertz))
             elif hertz is not None:
@@ -225,9 +225,11 @@ class Model(Shown):
                 added[kind].append(signal)
         offsets, gains = (tuple(dict.fromkeys(added[kind])) for kind in ("offset", "gain"))
         model = self.with_sensor_errors(offsets, gains)
-        for add, signal, hertz in others:
-            model = add(model, signal, hertz)
-            require(f"what adds an element to {signal}", model, Model, "a function of a model")
+        for kind, add, signal, hertz in others:
+            with users_code(f"the element '{kind}'"):
+                model = add(model, signal, hertz)
+            write = "a function that returns the model with it"
+            require(f"what the element '{kind}' returned", model, Model, write)
         model = model.with_modes(*(HiddenMode(*each) for each in added["mode"]))
         return model.with_series_springs(*map(SeriesSpring, added["spring"]))
 

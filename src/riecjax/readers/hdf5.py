@@ -108,7 +108,14 @@ def walk(
         within = None
         if isinstance(item, h5py.Group):
             _check_items(followed + len(item))
-            within = _members(name, item, separator)
+            before = name + separator if name else ""
+            within = [
+                (before + key, item[key])
+                for key in map(str, item)
+                # MATLAB keeps what references lead to in groups of such names.
+                if not (name == "" and key.startswith("#"))
+                and isinstance(item.get(key, getlink=True), h5py.HardLink)
+            ]
         elif isinstance(item, h5py.Dataset):
             if not item.shape or item.is_virtual or item.external:
                 continue
@@ -131,19 +138,6 @@ def _check_items(count: int) -> None:
         raise DataError(
             f"has {count} groups and references or more; at most {MOST_ITEMS} are read."
         )
-
-
-def _members(name: str, group: Any, separator: str) -> list[tuple[str, Any]]:
-    import h5py
-
-    before = name + separator if name else ""
-    return [
-        (before + key, group[key])
-        for key in group
-        # MATLAB keeps what references lead to in groups of such names.
-        if not (name == "" and key.startswith("#"))
-        and isinstance(group.get(key, getlink=True), h5py.HardLink)
-    ]
 
 
 def _columns(name: str, dataset: Any) -> tuple[dict[str, np.ndarray], list[str]]:

@@ -52,7 +52,7 @@ def read_mat(file: Path) -> Channels:
     if start.startswith(V73) or HDF5 in (start[: len(HDF5)], start[HEADER:]):
         require_packages("HDF5")
         return read_apart(_read_v73, file, "MAT (v7.3)")
-    return read_apart(_read_v5, file, "MAT")
+    return read_apart(_channels_v5, file, "MAT")
 
 
 def _channels(arrays: Arrays, objects: Objects) -> Channels:
@@ -70,11 +70,7 @@ def _is_word(array: np.ndarray) -> bool:
     return array.dtype.kind == "U" and array.size == 1
 
 
-def _read_v5(file: Path) -> Channels:
-    return _channels(*_variables_v5(file))
-
-
-def _variables_v5(file: Path) -> tuple[Arrays, Objects]:
+def _channels_v5(file: Path) -> Channels:
     with foreign_reader("MAT", is_trusted=False):
         import scipy.io
 
@@ -96,7 +92,7 @@ def _variables_v5(file: Path) -> tuple[Arrays, Objects]:
                 for inner, array in _parts(name, value):
                     arrays[inner] = array
                     check_column_count(len(arrays))
-    return arrays, objects
+    return _channels(arrays, objects)
 
 
 def _word(text: object) -> str:

@@ -83,7 +83,8 @@ class Noise(eqx.Module):
         """
         require("the noise", std, Mapping, "{'x': 0.01}, standard deviation by signal", DataError)
         for name, value in std.items():
-            if is_concrete(value) and not (np.isfinite(value) & (np.asarray(value) >= 0)).all():
+            level = np.asarray(value if is_concrete(value) else 0.0)
+            if level.dtype.kind not in "iuf" or not (np.isfinite(level) & (level >= 0)).all():
                 raise DataError(
                     f"the standard deviation of the noise of '{name}' must be a number from 0 on, "
                     f"in the signal's unit; got {value}. Give 0 for a signal without noise."

@@ -83,15 +83,12 @@ def _(thing: Record) -> Chart:
         last = len(rows) == len(thing.arrays) - 1
         samples = samples_with_nan(thing, name)
         # Of a batch of records, one line each.
-        lines = [Line(*pair, width=THIN) for pair in _pairs(time, samples)]
+        every = samples.reshape(-1, samples.shape[-1])
+        times = np.broadcast_to(time, samples.shape).reshape(every.shape)
+        lines = [Line(*pair, width=THIN) for pair in zip(times, every)]
         axes = Axis("time / s" if last else ""), Axis(labelled(name, units.get(name)))
         rows.append([Panel(lines, *axes)])
     return Chart(rows, "Signals over time.", share_x=True)
-
-
-def _pairs(time: np.ndarray, samples: np.ndarray) -> Iterable[tuple[np.ndarray, np.ndarray]]:
-    every = samples.reshape(-1, samples.shape[-1])
-    return zip(np.broadcast_to(time, samples.shape).reshape(every.shape), every)
 
 
 @chart_of.register

@@ -35,18 +35,17 @@ def verdict_entries(verdict: Verdict, with_options: WithOptions | None = None) -
             }
             for name, one in verdict.parameters.items()
         },
-        "causes": [_cause(cause) for cause in verdict.causes],
+        "causes": [
+            {
+                "kind": cause.kind,
+                "phrase": cause.phrase,
+                "parameters": list(cause.parameters),
+                "share": finite(cause.share),
+                "codes": list(dict.fromkeys(finding.code for finding in cause.findings)),
+            }
+            for cause in verdict.causes
+        ],
         "next": list(_next(verdict.causes, with_options)),
-    }
-
-
-def _cause(cause: Cause) -> Document:
-    return {
-        "kind": cause.kind,
-        "phrase": cause.phrase,
-        "parameters": list(cause.parameters),
-        "share": finite(cause.share),
-        "codes": list(dict.fromkeys(finding.code for finding in cause.findings)),
     }
 
 

@@ -385,8 +385,9 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
             _check_leaf(f"{name} of '{key}'", option.kind, each, "it as text, 'x'", error)
         return dict(held)
     elif is_listed:
-        example = repr(value) if type(value) is str else "'x'"
-        write = f"{name}=(1.0, 10.0)" if option.count > 1 else f"{name}=({example},), a tuple"
+        likely = ("x", 50.0)[option.kind.is_number]
+        example = NAMES.parse(value) if type(value) is str else (likely,)
+        write = f"{name}=(1.0, 10.0)" if option.count > 1 else f"{name}={example}, a tuple"
         require(name, value, list | tuple, write, error)
         if option.count > 1 and len(value) != option.count:
             raise error(f"{name} has {len(value)} values. Write {write}.")
@@ -395,7 +396,7 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
             _check_leaf(f"{what} {name}", option.kind, each, "names as text, 'x'", error)
         return tuple(value)
     else:
-        _check_leaf(name, option.kind, value, "", error)
+        _check_leaf(name, option.kind, value, "it as text, 'x'", error)
     return value
 
 
@@ -424,7 +425,7 @@ def _check_leaf(what: str, kind: Kind, value: Any, as_text: str, error: type[Rie
         isinstance(value, str) or not hasattr(value, "__len__") or len(value) != len(kind.example)
     ):
         require(what, value, (), str(kind.example), error)
-    elif kind in (TEXT, NAMES) and as_text:
+    elif kind in (TEXT, NAMES):
         require(what, value, str, as_text, error)
 
 
@@ -468,7 +469,10 @@ def taking(kind: Callable[Keywords, Given]) -> Taking[Keywords]:
         @functools.wraps(verb)
         def called(*arguments: Any, **keywords: Any) -> Any:
             for name in keywords.keys() - signature.parameters.keys():
+                # What it is called in job files is the nearest of all.
+                keys = {option.key: field for field, option in kind.options().items()}  # type: ignore[attr-defined]
                 near = difflib.get_close_matches(name, signature.parameters, 1)
+                near = [keys[name]] if name in keys else near
                 remedy = f"; the nearest is '{near[0]}'" if near else ""
                 raise TypeError(
                     f"{verb.__name__}() has no keyword '{name}'{remedy}. There are: "

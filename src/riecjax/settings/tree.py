@@ -152,6 +152,12 @@ class Prepare(Settings):
     every: int = setting("--every N", whole(1), 1)
     """Use every N-th sample, after all other steps."""
 
+    def require_sense(self) -> None:
+        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+        super().require_sense()
+        if self.start is not None and self.stop is not None and self.start >= self.stop:
+            raise Contradiction("{start} must lie before {stop}.", self.options())
+
 
 @dataclass(frozen=True, kw_only=True)
 class Reading(Prepare, Read):
@@ -260,6 +266,7 @@ class Fit(Settings):
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+        super().require_sense()
         if self.criterion is not None and self.says("criterion") and self.says_of_windows:
             raise Contradiction(
                 "{band}, {alpha}, {beta}, {windows}, {test_function} and {quadrature} belong to "
@@ -328,6 +335,7 @@ class Refine(Settings):
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+        super().require_sense()
         by = self.refine
         if not (by is None or isinstance(by, str) or hasattr(type(by), "specify")):
             require("refine", by, (), "refine=rx.OutputError(), 'auto' or None")
@@ -400,8 +408,7 @@ class Assess(Validate, Uncertainty, Sharing, Known, Refine, Sums):
 
     def require_sense(self) -> None:
         """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
-        Fit.require_sense(self)
-        Refine.require_sense(self)
+        super().require_sense()
         validates = self.hold_out is not None or bool(self.validate_on)
         if self.horizon is not None and self.refine in (None, "none", "integral") and not validates:
             raise Contradiction(

@@ -196,7 +196,14 @@ class Summary(Shown, eqx.Module):
         every = self.coarsen_blocks(blocks).recordings
         count = sum(int(one.blocks) for one in every)
         seconds = sum(float(one.blocks) * float(one.block_seconds) for one in every)
-        noise = _noise([one.noise for one in every])
+        kernels: dict[str, dict[str, Leaf]] = {}
+        freedom: dict[str, Leaf] = {}
+        for one in every:
+            for signal, of in one.noise.kernels.items():
+                kernels[signal] = {**of, **kernels.get(signal, {})}
+            for source, degrees in one.noise.freedom.items():
+                freedom[source] = np.asarray(freedom.get(source, 0.0) + np.asarray(degrees, float))
+        noise = Noise(kernels, freedom)
         sources = [one.noise.sources for one in every]
         stages = [
             [
@@ -434,17 +441,6 @@ def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
         return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
 
     return min(one, other, key=rank)
-
-
-def _noise(every: Sequence[Noise]) -> Noise:
-    kernels: dict[str, dict[str, Leaf]] = {}
-    freedom: dict[str, Leaf] = {}
-    for one in every:
-        for signal, of in one.kernels.items():
-            kernels[signal] = {**of, **kernels.get(signal, {})}
-        for source, degrees in one.freedom.items():
-            freedom[source] = np.asarray(freedom.get(source, 0.0) + np.asarray(degrees, float))
-    return Noise(kernels, freedom)
 
 
 def _pooled(

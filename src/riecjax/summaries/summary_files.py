@@ -145,7 +145,20 @@ def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
         "criterion": to_plain_data(parts["criterion"]),
         "recordings": [
             {
-                "stages": [[_structure(equation) for equation in stage] for stage in one.stages],
+                # Of what there may be, whether there is; of a survey, whose reaches it has.
+                "stages": [
+                    [
+                        {
+                            "parameters": equation.parameters,
+                            "survey": None if (s := equation.survey) is None else sorted(s.reach),
+                            "factor": equation.factor is not None,
+                            "noise": equation.noise is not None,
+                            "constant": equation.constant is not None,
+                        }
+                        for equation in stage
+                    ]
+                    for stage in one.stages
+                ],
                 "noise": {signal: sorted(of) for signal, of in one.noise.kernels.items()},
             }
             for one in recordings
@@ -204,17 +217,6 @@ def _path(path: str | os.PathLike[str]) -> Path:
 
 def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path, simple=True, separator="/")
-
-
-def _structure(equation: EquationSums) -> Document:
-    """Names, and which of the optional parts there are; of a survey, whose reaches it has."""
-    return {
-        "parameters": equation.parameters,
-        "survey": None if equation.survey is None else sorted(equation.survey.reach),
-        "factor": equation.factor is not None,
-        "noise": equation.noise is not None,
-        "constant": equation.constant is not None,
-    }
 
 
 def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:

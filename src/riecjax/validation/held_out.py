@@ -342,10 +342,16 @@ def validate_held_out(
         # What the caller gives holds at the start; further on the record knows better.
         held = {n: v for n, v in given.items() if not runs or n not in recorded}
         first = _initial_state(system, measured, start, sources, held)
-        simulation = _simulate(system, inputs, start, stop, method, first)
-        runs.append(
-            _Run(start, stop, simulation, min(int(simulation.samples_reached), stop - start))
-        )
+        count = stop - start
+        # Each length compiles; with powers of two there are few.
+        length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
+        levels = {
+            name: jnp.concatenate([x[start:stop], jnp.full(length - count, x[stop - 1])])
+            for name, x in inputs.arrays.items()
+        }
+        padded = Record(levels, inputs.time_step, units=inputs.units)
+        simulation = simulate(system, padded, method=method, initial_state=first)
+        runs.append(_Run(start, stop, simulation, min(int(simulation.samples_reached), count)))
     record, simulated = _joined(system, measured, runs)
     fits: dict[str, SignalFit] = {}
     for name in compared:
@@ -426,25 +432,6 @@ def _initial_state(
     there |= {name: value[None] for name, value in values.items()}
     levels = system.carried_levels(there)
     return {name: level[0] for name, level in levels.items()} | values
-
-
-def _simulate(
-    system: AbstractSystem,
-    inputs: Record,
-    start: int,
-    stop: int,
-    method: AbstractMethod | None,
-    first: Mapping[str, Array],
-) -> Simulation:
-    count = stop - start
-    # Each length compiles; with powers of two there are few.
-    length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
-    levels = {
-        name: jnp.concatenate([x[start:stop], jnp.full(length - count, x[stop - 1])])
-        for name, x in inputs.arrays.items()
-    }
-    padded = Record(levels, inputs.time_step, units=inputs.units)
-    return simulate(system, padded, method=method, initial_state=first)
 
 
 def _joined(

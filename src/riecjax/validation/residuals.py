@@ -817,25 +817,21 @@ class EquationResidual(NamedTuple):
         """`unmodelled_mode`, `hysteresis`, `residual_follows_signal`, `uneven_errors`."""
         made: list[Finding] = []
         if not self.explained:
-            made += self._mode()
+            if (peak := self.peak) is not None and peak.size >= NOTABLE_SIZE:
+                said = (
+                    f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
+                    f"{100 * peak.share:.0f} % of its power up to {self.spectrum.band:.3g} Hz lies "
+                    f"from {peak.low:.3g} to {peak.high:.3g} Hz: the model leaves out a mode "
+                    f"there, or gets one wrong. {self._add()}, or use windows longer than "
+                    f"{1 / peak.frequency:.2g} s, over which it averages out."
+                )
+                made.append(Finding("unmodelled_mode", said))
             if self.loop is not None and self.loop.size >= NOTABLE_SIZE:
                 loop = self.loop.finding(float(self.error.time_step))
                 made.append(loop._replace(message=f"{self.name}: {loop.message}"))
             made += self._following()
         found = [*made, *self._uneven()]
         return [finding._replace(parameters=self.parameters) for finding in found]
-
-    def _mode(self) -> Iterator[Finding]:
-        peak = self.peak
-        if peak is not None and peak.size >= NOTABLE_SIZE:
-            yield Finding(
-                "unmodelled_mode",
-                f"{self.name}: the equation error peaks near {peak.frequency:.3g} Hz, and "
-                f"{100 * peak.share:.0f} % of its power up to {self.spectrum.band:.3g} Hz lies "
-                f"from {peak.low:.3g} to {peak.high:.3g} Hz: the model leaves out a mode there, "
-                f"or gets one wrong. {self._add()}, or use windows longer than "
-                f"{1 / peak.frequency:.2g} s, over which it averages out.",
-            )
 
     def _add(self) -> str:
         if self.carrying:
@@ -871,11 +867,13 @@ class EquationResidual(NamedTuple):
             )
             if self.names and first.signal not in self.names:
                 cause = "the model does not use it. Add a term in it."
+            lag = first.largest_lag
+            late = f", {abs(lag):.3g} s {'later' if lag > 0 else 'earlier'}" if lag else ""
             yield Finding(
                 "residual_follows_signal",
-                f"{self.name}: what the model leaves follows {first.signal}"
-                f"{_later(first.largest_lag)} (correlation {first.largest:.2f}), by "
-                f"{100 * size * self.averaged_size:.3g} % of the target: {cause}",
+                f"{self.name}: what the model leaves follows {first.signal}{late} (correlation "
+                f"{first.largest:.2f}), by {100 * size * self.averaged_size:.3g} % of the target: "
+                f"{cause}",
                 (first.signal,),
             )
 
@@ -884,12 +882,13 @@ class EquationResidual(NamedTuple):
         if errors is None or errors.relative_rms < NOTABLE_SIZE:
             return
         if errors.p_value < RARE and errors.ratio >= NOTABLE_RATIO:
-            loud = int(np.argmax(errors.mean_square))
+            loud, times = int(np.argmax(errors.mean_square)), np.sqrt(errors.target_ratio)
+            louder = f"{times:.2g} times" if times < 100 else "more than 100 times"
             yield Finding(
                 "uneven_errors",
                 f"{self.name}: errors of windows are {np.sqrt(errors.ratio):.2g} times as large "
                 f"from {errors.start[loud]:.4g} to {errors.stop[loud]:.4g} s as in the quietest "
-                f"stretch (the signal {_times(errors)}), so the estimate depends on it. See "
+                f"stretch (the signal {louder}), so the estimate depends on it. See "
                 f"what differs there; leave it out, or identify the stretches one by one.",
             )
         if self.has_constant_part:
@@ -943,17 +942,6 @@ class EquationResidual(NamedTuple):
                 "mean_length_over_record": windows.window_share,
             },
         }
-
-
-def _later(lag: float) -> str:
-    if lag == 0:
-        return ""
-    return f", {abs(lag):.3g} s {'later' if lag > 0 else 'earlier'}"
-
-
-def _times(errors: WindowErrors) -> str:
-    times = np.sqrt(errors.target_ratio)
-    return f"{times:.2g} times" if times < 100 else "more than 100 times"
 
 
 LAGS = 50

@@ -81,10 +81,10 @@ def test_derived_signals_of_a_file(tmp_path):
         rename={"q": "q (mm)"},
         scale={"q": 1e-3},
         derive={"force": "35 * vir - mean(vir)", "power": "force * q * t", "q": "-q"},
-        units={"force": "N"},
+        units={"force": "N", "power": "kW"},
     )
     assert np.asarray(record.missing["force"]).tolist() == [False, True, False]
     np.testing.assert_allclose(record["force"][np.array([0, 2])], [33.0, 103.0])
-    np.testing.assert_allclose(record["power"][2], 103 * 0.03)
+    np.testing.assert_allclose(record["power"][2], 1e3 * 103 * 0.03)
     np.testing.assert_allclose(record["q"], [-0.01, -0.02, -0.03])
-    assert dict(record.units) == {"force": "N"}
+    assert dict(record.units) == {"force": "N", "power": "W"}

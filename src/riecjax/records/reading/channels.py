@@ -80,8 +80,9 @@ def foreign_reader(kind: str, is_trusted: bool = True) -> Iterator[None]:
 def first_sentence(error: BaseException) -> str:
     """The start of an exception's first line, or its type where it has none."""
     said = (str(error).strip().splitlines() or [""])[0][:LONGEST_REASON]
-    # A missing key says no more than its name.
-    return said if said and not isinstance(error, KeyError) else f"{type(error).__name__} {said}"
+    # A missing key says no more than its name, an end of the process no more than its status.
+    is_bare = not said or isinstance(error, KeyError | SystemExit)
+    return f"{type(error).__name__} {said}" if is_bare else said
 
 
 WIDEST_MATRIX = 1000

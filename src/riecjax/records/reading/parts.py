@@ -77,7 +77,14 @@ def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "
     **Raises:** `DataError` if there is no such part, or where it is unclear which parts are meant.
     """
     if channels.parts:
-        members = {sheet: _below(f"{sheet}/", channels.columns) for sheet in channels.parts}
+        members = {
+            sheet: {
+                name.removeprefix(f"{sheet}/"): name
+                for name in channels.columns
+                if name.startswith(f"{sheet}/")
+            }
+            for sheet in channels.parts
+        }
         families = [_Family(members, "sheet")]
     elif channels.nested:
         families = [*_structures(channels), *_cells(channels), *_groups(channels)]
@@ -137,10 +144,6 @@ def _alone(channels: Channels, member: Member) -> Channels:
         channels.left_out,
         channels.notes,
     )
-
-
-def _below(group: str, names: Iterable[str]) -> Member:
-    return {name.removeprefix(group): name for name in names if name.startswith(group)}
 
 
 def _structures(channels: Channels) -> Iterator[_Family]:
@@ -216,7 +219,9 @@ def _are_recordings(family: _Family, channels: Channels) -> bool:
         return len(family.members) >= 2
     usual = family.usual()
     signals = [name for name in usual if not _is_time(name)]
-    if len(usual) < 2 or all(_bare(name) in GENERIC for name in signals):
+    # The last of their names, without a place in a matrix.
+    bare = [_SEPARATOR.split(name)[-1].partition("[")[0].lower() for name in signals]
+    if len(usual) < 2 or {*bare} <= {*GENERIC}:
         return False
     members = [member for member in family.members.values() if member]
     sizes = {_size(channels, member) for member in members}
@@ -233,11 +238,6 @@ def _are_recordings(family: _Family, channels: Channels) -> bool:
 
 def _is_time(name: str) -> bool:
     return is_called_time(_SEPARATOR.split(name)[-1], {})
-
-
-def _bare(name: str) -> str:
-    """The last of a column's names in small letters, without its place in a matrix."""
-    return _SEPARATOR.split(name)[-1].partition("[")[0].lower()
 
 
 def _size(channels: Channels, member: Member) -> int:

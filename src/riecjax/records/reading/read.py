@@ -83,6 +83,12 @@ def read_channels(
     try:
         channels = reader(file, **dialect)
         require("what its reader returned", channels, Channels, "a reader that returns Channels")
+        for name, samples in channels.columns.items():
+            if getattr(samples, "ndim", 0) != 1 or samples.dtype != float:
+                raise DataError(
+                    f"its reader gave column '{name}' as {type(samples).__name__}, not as a vector "
+                    f"of 64-bit floats."
+                )
         # Nothing in names and words may steer a terminal.
         check_names(map(printable, channels.columns))
         return replace(
@@ -97,7 +103,7 @@ def read_channels(
     except OSError as error:
         said = f"{file.name}: cannot be read: {error.strerror or error}."
         raise DataError(printable(said)) from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if isinstance(error, MemoryError) or file.suffix.lower() in READERS:
             raise
         # Of a reader from elsewhere anything may come.

@@ -77,20 +77,30 @@ def record_from_channels(
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
     rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
     signals, registers = _renamed(channels, rename)
-    units_read, stated = read or {}, dict(signals.units)
+    units_read, stated, asked_of = read or {}, dict(signals.units), {}
+    formulas, labels = dict(selection.derive), dict(selection.units)
+    for name in formulas.keys() & labels.keys():
+        found = conversion(name, labels[name], units_read.get(name) or None)
+        if found is not None:
+            formulas[name], labels[name] = f"{found.factor!r}*({formulas[name]})", found.unit
+    selection = replace(selection, derive=formulas, units=labels)
     # What the user says goes before what the file states.
     for name, unit in selection.units.items():
         if name in selection.derive:
             continue
-        if name in selection.scale:
-            raise DataError(f"'{name}' is given both a scale and a unit; leave out one of them.")
         require_known_unit(name, unit)
-        stated |= dict.fromkeys(_signals_called(name, signals, channels), unit)
+        for signal in _signals_called(name, signals, channels):
+            if signal in asked_of:
+                raise DataError(
+                    f"'{asked_of[signal]}' and '{name}' are one column, given two units; leave "
+                    f"out one of them."
+                )
+            stated[signal], asked_of[signal] = unit, name
     signals = signals._replace(units=stated)
     for name, column in rename.items():
         if name not in signals.units and not {name, column} & {*selection.scale}:
             require_sure_unit(name, column, units_read.get(name, ""))
-    signals = _scaled(signals, channels, selection.scale)
+    signals = _scaled(signals, channels, selection.scale, asked_of)
     time = find_time(
         signals.values,
         signals.units,
@@ -121,7 +131,7 @@ def record_from_channels(
         why = _first_reason(replace(channels, left_out={**channels.left_out, **signals.left_out}))
         raise DataError(f"a record needs at least one signal besides its time{why}.")
     matter = asked or {*signals.values}
-    step, formulas = selection.time_step, selection.derive
+    step = selection.time_step
     # What a program hands over as arrays is left as it is.
     how = selection.outliers if isinstance(selection, Read) else "keep"
     columns, axis, axes = signals.values, None, times
@@ -247,8 +257,16 @@ def _signals_called(name: str, signals: _Signals, channels: Channels) -> list[st
     return [signal for signal in signals.values if signals.column[signal] == source]
 
 
-def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -> _Signals:
-    """Scaled signals; what is scaled no longer has the unit that the file states."""
+def _scaled(
+    signals: _Signals,
+    channels: Channels,
+    scale: Mapping[str, float],
+    asked_of: Mapping[str, str],
+) -> _Signals:
+    """Scaled signals; what is scaled no longer has the unit that the file states.
+
+    **Arguments:** `asked_of`, under which names signals were given a unit.
+    """
     values, units, done = dict(signals.values), dict(signals.units), set()
     for name, factor in scale.items():
         if not (np.isfinite(factor) and factor != 0):
@@ -256,6 +274,9 @@ def _scaled(signals: _Signals, channels: Channels, scale: Mapping[str, float]) -
         for target in _signals_called(name, signals, channels):
             if target in done:
                 raise DataError(f"'{target}' is scaled twice.")
+            if target in asked_of:
+                both = " and ".join(f"'{word}'" for word in dict.fromkeys((name, asked_of[target])))
+                raise DataError(f"{both} is given both a scale and a unit; leave out one of them.")
             values[target] = values[target] * factor
             units.pop(target, None)
             # Scaled to seconds, whatever its name says.

@@ -322,7 +322,14 @@ def interactive(chart: Chart) -> dict[str, Any]:
                 bar = {"x": across[1], "y": sum(down) / 2, "len": down[1] - down[0]}
                 trace["colorbar"] = trace["colorbar"] | bar
         legend = "legend" if chart.legend else f"legend{number}"
-        _name(drawn, legend, shown=panel.legend and (i == 0 or not chart.legend))
+        # A name stands in a legend once.
+        shown, named = panel.legend and (i == 0 or not chart.legend), set()
+        for trace in drawn:
+            if "name" in trace:
+                name = plain_text(trace["name"])
+                trace |= {"name": name, "legendgroup": name or None, "legend": legend}
+                trace["showlegend"] = shown and bool(name) and name not in named
+                named.add(name)
         data += drawn
         own_legend = bool(panel.labels) and not chart.legend
         if own_legend or (chart.legend and i == 0):
@@ -384,15 +391,3 @@ def _sharing(wanted: Axis, first: str, own: str) -> dict[str, Any]:
     """Let an axis zoom with the `first` of its row or column; without a label it has no numbers."""
     zoom = {} if first == own else {"matches": first}
     return zoom if wanted.label else zoom | {"showticklabels": False}
-
-
-def _name(drawn: list[dict[str, Any]], legend: str, *, shown: bool) -> None:
-    """Say of a panel's traces where they are named; a name stands in a legend once."""
-    named = set()
-    for trace in drawn:
-        if "name" in trace:
-            name = plain_text(trace["name"])
-            first = shown and bool(name) and name not in named
-            named.add(name)
-            trace |= {"name": name, "legendgroup": name or None}
-            trace |= {"showlegend": first, "legend": legend}
