@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from tests.machines import DRAG
 
 import riecjax as rx
 from nightly import nightly
@@ -143,6 +144,20 @@ def test_the_core_and_its_own_distribution_come_before_foreign_ones(foreign, tmp
     assert reader.__module__ == "riecjax.readers.hdf5"
     assert isinstance(command, click.Command)
     assert command.name == "fleet"
+
+
+def test_the_example_of_the_documentation_takes_part(install, tmp_path, capfd):
+    page = (Path(__file__).parents[1] / "docs/reference/extensions.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert '[project.entry-points."riecjax.elements"]\ngravity = "bench_rig:gravity"\n' in page
+    install("bench_rig", code, readers={"rig": "read_rig"}, elements={"gravity": "gravity"})
+    record = DRAG.record(0.0, 1)
+    rows = np.column_stack([record.time, 1e3 * record["x"], record["u"] + 15.0])
+    np.savetxt(tmp_path / "a.rig", rows)
+    rig = ("identify", str(tmp_path / "a.rig"), "--model", "drag-oscillator", "--refine", "none")
+    assert run([*rig, "--add", "gravity:x", "--no-sweep", "--json"]) == 0
+    weight = json.loads(capfd.readouterr().out)["parameters"]["weight_x"]
+    assert weight["value"] == pytest.approx(15.0, rel=0.01)
 
 
 def test_what_two_foreign_distributions_offer_is_refused_with_both_names(foreign, install):

@@ -37,6 +37,7 @@ class ReadMore(Read):
 
     skipped: Sequence[str] = many("--skip COLUMN", TEXT)
     """Columns that are not read."""
+    colours: Sequence[str] = many("--colour", choice("red", "blue"))
 
 
 @taking(ReadMore)
@@ -66,6 +67,7 @@ def test_a_field_is_a_keyword():
 def test_a_field_is_an_option_with_its_help():
     given = given_to(command, "--skip", "x", "--skip", "y")
     assert given.take(ReadMore) == read("a.csv", skipped=("x", "y"))
+    assert given_to(command, "--colour", "red", "--colour", "blue").colours == ("red", "blue")
     help = " ".join(command.get_help(click.Context(command)).split())
     assert "--skip COLUMN Columns that are not read. Repeatable." in help
 
@@ -166,8 +168,8 @@ def test_jobs_of_results_that_are_kept_say_the_same_again():
     jobs = [json.loads(file.read_text(encoding="utf-8")).get("document") for file in APPROVED]
     jobs = [document["job"] for document in jobs if document and "job" in document]
     assert len(jobs) > 50
-    identify = commands()["identify"]
-    options = {option.key: option for option in identify.options.values()}
+    both = (commands()[name].options.values() for name in ("discover", "identify"))
+    options = {option.key: option for each in both for option in each}
     for job in jobs:
         for key, written in job.items():
             value = options[key].of_plain(written)
@@ -232,6 +234,7 @@ def test_names_stand_for_objects(name):
         (tree.Prepare, {"notches": ("50",)}, "Write a number or 'auto'"),
         (tree.Prepare, {"notches": (50, 0)}, "^a value of notches: 0 must be .* than zero"),
         (tree.Prepare, {"every": 0}, "^every: 0 must be from 1 on"),
+        (tree.Refine, {"horizon": jnp.array(-1.0)}, "^horizon: -1 must be a finite number"),
         (tree.Select, {"scale": {"x": np.nan}}, "^scale of 'x': nan is not a finite number"),
         (tree.Select, {"time_step": np.float32(-0.5)}, "^time_step: -0.5 must be"),
         (tree.Fit, {"windows": 0}, "^windows: 0 must be from 1 to 100000000"),
@@ -254,43 +257,39 @@ def test_values_of_python_are_checked_where_they_are_given(kind, settings, words
         kind(**settings)
 
 
-def test_numbers_of_jax_are_checked_where_they_have_a_size():
-    with pytest.raises(rx.RiecjaxError, match=r"^horizon: -1 must be"):
-        tree.Refine(horizon=jnp.array(-1.0))  # pyright: ignore[reportArgumentType]
+def test_a_traced_number_has_no_size():
     traced = jax.jit(lambda value: tree.Known(known={"m": value}).known["m"] / value)
     assert traced(jnp.array(2.0)) == 1.0
+
+
+def of_job(text: str, *typed: str, folder: str = "") -> Given:
+    file = Path(folder, "job.toml")
+    file.write_text(f"model = 'emps'\nrecords = ['a.csv']\n{text}")
+    return given_to(commands()["identify"], "--job", str(file), *typed)
 
 
 def test_a_job_of_an_earlier_version_and_of_another_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("jobs").mkdir()
     Path("out").write_text("in the way, but not of the job's folder")
-    job = "model = 'emps'\nrecords = ['a.csv']\nown = ['offset']\nout = 'out'\ncolumns = []\n"
-    Path("jobs/job.toml").write_text(job + "band = [1, 10]\n")
-    given = given_to(commands()["identify"], "--job", "jobs/job.toml", "--alpha", "0.2")
-    assert given.per_record == ("offset",)
+    given = of_job("own = ['offset']\nout = 'out'\ncolumns = []\n", folder="jobs")
+    assert (given.per_record, given.columns) == (("offset",), ())
     assert given.out == Path("jobs/out")
-    assert given.columns == ()
-    # What is typed beside a job takes nothing of it away.
-    assert (given.band, given.alpha) == ((1.0, 10.0), 0.2)
 
 
 def test_what_stands_for_settings_of_a_job_takes_their_place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    identify = commands()["identify"]
-    Path("band.toml").write_text("model = 'emps'\nrecords = ['a.csv']\nband = [1, 10]\n")
-    Path("ends.toml").write_text("model = 'emps'\nrecords = ['a.csv']\nalpha = 0.1\nbeta = 0.2\n")
-    given = given_to(identify, "--job", "band.toml", "--alpha", "0.1", "--beta", "0.5")
+    given = of_job("band = [1, 10]", "--alpha", "0.1")
+    assert (given.band, given.alpha) == ((1.0, 10.0), 0.1)
+    given = of_job("band = [1, 10]", "--alpha", "0.1", "--beta", "0.5")
     assert (given.band, given.alpha, given.beta) == (None, 0.1, 0.5)
-    given = given_to(identify, "--job", "ends.toml", "--band", "1", "10")
+    given = of_job("alpha = 0.1\nbeta = 0.2", "--band", "1", "10")
     assert (given.band, given.alpha, given.beta) == ((1.0, 10.0), None, None)
 
 
 def test_names_of_a_job_are_taken_whole(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = "model = 'emps'\nrecords = ['a.csv']\nunit = {'a=b' = 'mm'}\ncolumns = ['a', 'b,c']\n"
-    Path("job.toml").write_text(text)
-    given = given_to(commands()["identify"], "--job", "job.toml")
+    given = of_job("unit = {'a=b' = 'mm'}\ncolumns = ['a', 'b,c']")
     assert (given.units, given.columns) == ({"a=b": "mm"}, ("a", "b,c"))
     assert given.shown()["unit"] == {"a=b": "mm"}
 
@@ -300,18 +299,6 @@ def test_arguments_that_look_like_options_stand_last():
     proposed = given.with_options(["--seed", "3"])
     assert proposed == ["identify", "--model", "emps", "--seed", "3", "--", "-d.csv"]
     assert given_to(commands()["identify"], *proposed[1:]).files == (Path("-d.csv"),)
-
-
-def test_one_of_a_few_words_may_be_said_many_times():
-    @dataclass(frozen=True, kw_only=True)
-    class Colours(Settings):
-        colours: Sequence[str] = many("--colour", choice("red", "blue"))
-
-    @settings_command("paint", Colours, short_help="")
-    def paint(given: Given) -> None:
-        """Paint."""
-
-    assert given_to(paint, "--colour", "red", "--colour", "blue").colours == ("red", "blue")
 
 
 def test_what_says_nothing():
@@ -327,9 +314,7 @@ def test_a_job_may_ask_for_one_document(tmp_path, monkeypatch, capsys):
     assert run(["identify", "--job", "job.toml"]) == 1
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "data"
     assert run(["identify", "--job", "gone.toml"]) == 2
-    said = capsys.readouterr()
-    assert said.err.endswith("See 'riecjax identify --help'.\n")
-    assert said.out == ""
+    assert capsys.readouterr().err.endswith("See 'riecjax identify --help'.\n")
 
 
 def test_an_element_that_is_near_no_frequency():
