@@ -18,8 +18,8 @@ def form(
     **Arguments:** `kinds`, to which each setting belongs; `said`, values by key, as a job file
     holds them; `notes`, lines that go below a key's own, or instead of its empty one.
     """
-    yield "# A job for: riecjax identify --job FILE. Paths are relative to this file: save it in the"
-    yield "# folder where 'riecjax init' was called, or change them."
+    yield "# A job for: riecjax identify --job FILE. Paths are relative to this file: save it in"
+    yield "# the folder where 'riecjax init' was called, or change them."
     options = {name: kind.options()[name] for name, kind in kinds.items()}
     for name in sorted(options, key=lambda name: not options[name].required):
         option = options[name]
