@@ -37,7 +37,8 @@ AHEAD = 4
 TOGETHER, LARGEST = 16, 2**22
 """Items of a task at most, and bytes of them: enough to take longer than to hand it over."""
 WAITS = 30.0
-"""Seconds to wait for a scheduler that does not answer, and for processes to come back."""
+"""Seconds to wait for a scheduler that does not answer; twice as long for processes to come back,
+which Dask takes for lost after 15."""
 
 Item = TypeVar("Item")
 Task = Callable[[bytes, list[Item]], Any]
@@ -101,14 +102,15 @@ class Cluster(contextlib.AbstractContextManager):
             opened.enter_context(dask.config.set(SETTINGS))
             try:
                 if scheduler is None:
-                    folder = tempfile.TemporaryDirectory(prefix="riecjax-")
                     settings = {
                         "n_workers": workers,
                         "threads_per_worker": 1,
                         "processes": True,
                         "dashboard_address": None,
                         "host": "127.0.0.1",
-                        "local_directory": opened.enter_context(folder),
+                        "local_directory": opened.enter_context(
+                            tempfile.TemporaryDirectory(prefix="riecjax-")
+                        ),
                         "silence_logs": logging.CRITICAL,
                     }
                     self._processes = opened.enter_context(distributed.LocalCluster(**settings))
@@ -178,10 +180,12 @@ class Cluster(contextlib.AbstractContextManager):
                     done.thread_condition.wait(0.1)
                 if self._processes is None or self._processes.scheduler.workers:
                     alive = time.monotonic()
-                elif time.monotonic() - alive > WAITS:
+                elif time.monotonic() - alive > 2 * WAITS:
                     raise self._gone()
+                # One that ends while it starts, as on a busy machine, does not come back by itself.
+                if self._processes is not None and len(self._processes.workers) < self.workers:
+                    self._processes.scale(self.workers)
             future = next(done)
-            batch = running.pop(future)
             hand_over(1)
             if future.status == "cancelled":  # as all are whose scheduler has ended
                 raise self._gone()
@@ -192,15 +196,15 @@ class Cluster(contextlib.AbstractContextManager):
                 answer = Lost(f"{LOST_WORKERS + 1} workers ended while on it")
             except (CancelledError, CommClosedError):
                 raise self._gone() from None
-            yield batch, answer
+            yield running.pop(future), answer
 
     def _gone(self) -> DataError:
-        what = (
+        gone = (
             f"the scheduler at {self._scheduler} is" if self._scheduler else "Dask's processes are"
         )
         return DataError(
-            f"{what} gone. What was summed is kept: run the same command again, "
-            f"which goes on from there."
+            f"{gone} gone. What was summed is kept: run the same command again, which goes on from "
+            f"there."
         )
 
     def __exit__(self, *given: Any) -> None:
