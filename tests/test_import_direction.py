@@ -45,6 +45,12 @@ PUBLIC = {
 }
 
 
+def test_no_public_name_is_that_of_a_module_beside_it():
+    """To import the module would put it in the name's place."""
+    beside = {".".join(("riecjax", *path.with_suffix("").parts)) for path in MODULES}
+    assert not beside & PUBLIC.keys()
+
+
 def read(module: Path) -> str:
     return (ROOT / module).read_text(encoding="utf-8")
 

@@ -40,7 +40,7 @@ MANY_IMPORTS = {
     "riecjax.fleets.fleet": 14,
     "riecjax.records.recording": 17,
     "riecjax.refinement.output_error": 14,
-    "riecjax.reporting.identification_figures": 16,
+    "riecjax.reporting.result_figures": 16,
     "riecjax.reporting.plots": 16,
     "riecjax.reporting.result_files": 18,
     "riecjax.reporting.views": 26,

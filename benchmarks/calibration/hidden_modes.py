@@ -25,7 +25,7 @@ from tests.machines import BODY, noisy
 import riecjax as rx
 from benchmarks.calibration.noise_problems import car_motion
 from benchmarks.recorded import FOLDER, write_json
-from riecjax.estimation.mode_evidence import ModeEvidence, mode_evidence
+from riecjax.estimation.evidence import ModeEvidence, mode_evidence
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.published import TABLE_6
 from riecjax.studies import over_keys

@@ -90,7 +90,7 @@ CODES: dict[str, FindingCode] = {
     ),
     "undetermined": FindingCode("undetermined", "the recordings say nothing of {parameters}"),
     "mode_not_carried": FindingCode(
-        "undetermined", "the recordings carry no such mode", "estimation.mode_evidence:CERTAIN"
+        "undetermined", "the recordings carry no such mode", "estimation.evidence:CERTAIN"
     ),
     "series_spring_not_carried": FindingCode(
         "undetermined",

@@ -34,16 +34,8 @@ ASKED = {
         "an array of 2 keys. Write key=keys[0]",
     ),
     "known names": ((EQUATION, RECORD, ALL), {"known": ["k"]}, "known={'x': ...}, by name"),
-    "known as nan": (
-        (TWO, RECORD, ALL),
-        {"known": {"k": np.nan}},
-        "k is held at nan: give a finite number",
-    ),
-    "known as two": (
-        (TWO, RECORD, ALL),
-        {"known": {"k": [1.0, 2.0]}},
-        "known of 'k' is a list. Write a number.",
-    ),
+    "known as nan": ((TWO, RECORD, ALL), {"known": {"k": np.nan}}, "'k': nan is not a finite"),
+    "known as two": ((TWO, RECORD, ALL), {"known": {"k": [1.0, 2.0]}}, "a list. Write a number."),
     "per record, one name": ((EQUATION, RECORD, ALL), {"per_record": "k"}, "per_record=('k',)"),
 }
 

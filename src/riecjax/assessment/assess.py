@@ -45,7 +45,7 @@ from riecjax.validation.sweep import sweep_edges, window_sweep
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
-    from riecjax.estimation.mode_evidence import ModeEvidence
+    from riecjax.estimation.evidence import ModeEvidence
 
 
 @taking(Assess)
@@ -236,7 +236,7 @@ def _about_hidden(
     """What speaks for hidden modes, and the sums, linearised about hidden elements."""
     if not procedure.has_hidden:
         return [], summary
-    from riecjax.estimation.mode_evidence import mode_evidence
+    from riecjax.estimation.evidence import mode_evidence
     from riecjax.estimation.mode_windows import linearised
 
     evidence = mode_evidence(procedure, estimate) if procedure.modes else []

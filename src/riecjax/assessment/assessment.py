@@ -22,7 +22,7 @@ from riecjax.validation.sweep import WindowSweep
 from riecjax.validation.whiteness import Whiteness
 
 if TYPE_CHECKING:
-    from riecjax.estimation.mode_evidence import ModeEvidence
+    from riecjax.estimation.evidence import ModeEvidence
     from riecjax.validation.held_out import HeldOut
 
 

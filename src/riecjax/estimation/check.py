@@ -31,7 +31,7 @@ from riecjax.summaries.sums import Survey
 from riecjax.summaries.task import ready, signals_read, task
 
 if TYPE_CHECKING:
-    from riecjax.estimation.mode_evidence import ModeEvidence
+    from riecjax.estimation.evidence import ModeEvidence
 
 FEWEST_STRETCHES = 10
 """Stretches of twice the longest window that the records should hold."""

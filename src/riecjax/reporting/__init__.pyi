@@ -6,14 +6,14 @@ from .document import number as number
 from .document import probability as probability
 from .document import versions as versions
 from .identification import identification_document as identification_document
-from .identification_figures import identification_figures as identification_figures
-from .identification_page import identification_page as identification_page
-from .identification_page import write_report as write_report
 from .output import emit as emit
 from .output import require_folder as require_folder
 from .page import Page as Page
 from .page import Section as Section
+from .result_figures import identification_figures as identification_figures
 from .result_files import Results as Results
+from .result_page import identification_page as identification_page
+from .result_page import write_report as write_report
 from .tables import Table as Table
 from .tables import View as View
 from .tables import in_rich as in_rich

@@ -30,7 +30,7 @@ from riecjax.reporting.tables import say
 from riecjax.reporting.verdict import WithOptions, as_typed, print_verdict, verdict_entries
 
 if TYPE_CHECKING:
-    from riecjax.estimation.mode_evidence import ModeEvidence
+    from riecjax.estimation.evidence import ModeEvidence
 
 
 def identification_document(

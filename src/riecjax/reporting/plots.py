@@ -12,7 +12,7 @@ import numpy as np
 
 from riecjax.assessment.assessment import Assessment
 from riecjax.estimation.estimate import AbstractEstimate
-from riecjax.estimation.mode_evidence import ModeEvidence
+from riecjax.estimation.evidence import ModeEvidence
 from riecjax.leaves import on_host
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.recording import Recording
@@ -34,14 +34,14 @@ from riecjax.reporting.charts.chart import (
 )
 from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of
-from riecjax.reporting.identification_figures import (
+from riecjax.reporting.result_figures import (
     held_out_figure,
     identification_figures,
     mode_map_figure,
     spectra_figure,
     sweep_figure,
 )
-from riecjax.reporting.identification_page import write_report
+from riecjax.reporting.result_page import write_report
 from riecjax.reporting.tables import with_error
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests

@@ -13,7 +13,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import Procedure
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
-from riecjax.estimation.mode_evidence import ModeEvidence
+from riecjax.estimation.evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
 from riecjax.models.model import Model

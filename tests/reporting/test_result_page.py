@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from riecjax.reporting.identification_page import identification_page
+from riecjax.reporting.result_page import identification_page
 from riecjax.reporting.tables import Table
 
 OUTPUTS = Path(__file__).parents[1] / "approved" / "outputs"

@@ -14,9 +14,9 @@ from riecjax.reporting.identification import (
     search_in_words,
     windows_in_words,
 )
-from riecjax.reporting.identification_figures import identification_figures
 from riecjax.reporting.output import require_folder, write_folder
 from riecjax.reporting.page import Page, Section
+from riecjax.reporting.result_figures import identification_figures
 from riecjax.reporting.tables import Table
 from riecjax.reporting.verdict import doubt_in_words
 
@@ -26,7 +26,7 @@ BETWEEN = "{} to {}"
 
 def identification_page(document: Document) -> Page:
     """What `riecjax identify` found, from its document; with the charts of
-    [`identification_figures`][riecjax.reporting.identification_figures.identification_figures]."""
+    [`identification_figures`][riecjax.reporting.identification_figures]."""
     files = ", ".join(dict.fromkeys(_name(r["file"]) for r in document["provenance"]["records"]))
     sections = [
         _parameters(document),

@@ -15,7 +15,7 @@ from riecjax.estimation.check import Check
 from riecjax.models.model import as_model
 from riecjax.reporting.charts.chart import Dots, Line
 from riecjax.reporting.identification import identification_document
-from riecjax.reporting.identification_figures import (
+from riecjax.reporting.result_figures import (
     curves_figure,
     identification_figures,
     identified_curves,

@@ -16,7 +16,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.mode_evidence import ModeEvidence
+from riecjax.estimation.evidence import ModeEvidence
 from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import values_of_record
 from riecjax.records.record import Record, samples_with_nan
