@@ -385,8 +385,8 @@ def _checked(name: str, option: Option, value: Any, error: type[RiecjaxError]) -
             _check_leaf(f"{name} of '{key}'", option.kind, each, "it as text, 'x'", error)
         return dict(held)
     elif is_listed:
-        likely = ("x", 50.0)[option.kind.is_number]
-        example = NAMES.parse(value) if type(value) is str else (likely,)
+        likely = (50.0,) if option.kind.is_number else ("x",)
+        example = NAMES.parse(value) if type(value) is str else likely
         write = f"{name}=(1.0, 10.0)" if option.count > 1 else f"{name}={example}, a tuple"
         require(name, value, list | tuple, write, error)
         if option.count > 1 and len(value) != option.count:
@@ -471,9 +471,9 @@ def taking(kind: Callable[Keywords, Given]) -> Taking[Keywords]:
             for name in keywords.keys() - signature.parameters.keys():
                 # What it is called in job files is the nearest of all.
                 keys = {option.key: field for field, option in kind.options().items()}  # type: ignore[attr-defined]
-                near = difflib.get_close_matches(name, signature.parameters, 1)
-                near = [keys[name]] if name in keys else near
-                remedy = f"; the nearest is '{near[0]}'" if near else ""
+                alike = difflib.get_close_matches(name, signature.parameters, 1)
+                near = keys.get(name, *alike[:1])
+                remedy = f"; the nearest is '{near}'" if near else ""
                 raise TypeError(
                     f"{verb.__name__}() has no keyword '{name}'{remedy}. There are: "
                     f"{', '.join(signature.parameters)}."
