@@ -23,7 +23,7 @@ FORMULA = r"(^|[;|,\t]\s*)(?=[=+@-])"
 def write_record(path: str | os.PathLike[str], record: Record) -> None:
     """Write a record to CSV, NPZ, MAT or Parquet, by the file name's ending, time as column `t`.
 
-    A missing sample is written as NaN, in CSV as an empty field; a pause is one in the times. Only
+    A gap is written as NaN, in CSV as an empty field; a pause is one in the times. Only
     Parquet keeps units. In CSV a name that a spreadsheet would take for a formula has a `'` before
     its sign, which is dropped where it is read. The file appears whole or not at all: it is written
     under a temporary name and renamed.
@@ -36,7 +36,7 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     writer = WRITERS[file.suffix.lower()]
     if "t" in record.arrays:
         raise DataError("a signal called 't' would take the place of time; give it another name.")
-    # NaN where a sample is missing, without the samples that mark pauses.
+    # NaN in gaps, without the samples that mark pauses.
     columns = {name: record.signal(name).with_nan for name in record.arrays}
     columns = {"t": np.asarray(record.time, dtype=float)} | columns
     if record.stamps is not None:

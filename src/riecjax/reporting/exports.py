@@ -93,7 +93,7 @@ def _axes(shape: tuple[int, ...]) -> list[str]:
 
 def to_frame(source: Any) -> Any:
     """A data frame, see [`Tabled.to_frame`][riecjax.shows.Tabled.to_frame]; or of a record, its
-    signals over time in seconds, NaN where a sample is missing."""
+    signals over time in seconds, NaN where there is no sample."""
     require_packages("frame")
     import pandas
 

@@ -560,7 +560,7 @@ WINDOWS, SHORTEST_WINDOW = 12, 250
 MOST_SAMPLES, LONGEST_PIECE = 2**15, 2**13
 """Of a long record, samples that are looked at, in pieces evenly spread."""
 SHORT_GAP = 5
-"""Missing samples in a row that are filled in."""
+"""Samples of a gap that is filled in."""
 SPIKE = 5.0
 """Times that a spike leaves the median of five samples further than its neighbours range."""
 MOST_SPIKES = 0.05
@@ -827,12 +827,12 @@ def _filled(values: np.ndarray) -> np.ndarray:
         spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=1)) + half
         if spikes.size <= MOST_SPIKES * values.size:
             found[spikes] = np.nan
-    missing = np.isnan(found)
-    if missing.any() and np.sum(~missing) > 4:
-        at, (starts, stops) = np.arange(found.size), runs(missing)
-        short = missing.copy()
-        short[missing] = np.repeat(stops - starts <= SHORT_GAP, stops - starts)
-        cubics = scipy.interpolate.Akima1DInterpolator(at[~missing], found[~missing])
+    gaps = np.isnan(found)
+    if gaps.any() and np.sum(~gaps) > 4:
+        at, (starts, stops) = np.arange(found.size), runs(gaps)
+        short = gaps.copy()
+        short[gaps] = np.repeat(stops - starts <= SHORT_GAP, stops - starts)
+        cubics = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])
         found[short] = cubics(at[short])
     return found
 

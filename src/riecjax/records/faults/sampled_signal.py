@@ -69,7 +69,7 @@ class SampledSignal(NamedTuple):
     name: str
     unit: str
     values: np.ndarray
-    """Shape (n,), NaN where missing."""
+    """Shape (n,), NaN in gaps."""
     time: np.ndarray
     """Seconds from the recording's first sample, shape (n,)."""
     time_step: float
@@ -91,7 +91,7 @@ class SampledSignal(NamedTuple):
 
     @property
     def sample_count(self) -> int:
-        """Samples that are not missing."""
+        """Samples without those of gaps."""
         return int(self.counts.sum())
 
     @property
