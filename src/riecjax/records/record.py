@@ -465,6 +465,14 @@ def runs(mask: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).T
 
 
+def run_lengths(mask: np.ndarray) -> np.ndarray:
+    """Of each sample how many there are in its stretch in which a mask is True, 0 outside."""
+    starts, stops = runs(mask)
+    lengths = np.zeros(mask.size, int)
+    lengths[mask] = np.repeat(stops - starts, stops - starts)
+    return lengths
+
+
 TO_A_DOUBLING = 4
 """Lengths that [`shared_length`][] has between one power of two and the next."""
 

@@ -324,9 +324,10 @@ def _in_model_units(record: Record, model: Any, selection: Select) -> tuple[Reco
                 f"...}} (on the command line: --unit {name}=UNIT), or convert it: --scale "
                 f"{name}=FACTOR."
             )
-    named = {name: record.by_name[name] for name in units if name in record.arrays}
-    signals = {name: replace(signal, unit=units[name]) for name, signal in named.items()}
-    return record.with_signals(signals), mismatches
+    signals = record.by_name.items()
+    return record.with_signals(
+        {name: replace(signal, unit=units[name]) for name, signal in signals if name in units}
+    ), mismatches
 
 
 def common_steps(recordings: Sequence[Recording]) -> list[str]:

@@ -37,7 +37,7 @@ from jaxtyping import Bool, Complex, Float
 
 from riecjax.findings import option_for
 from riecjax.records.noise import noise_level
-from riecjax.records.record import Record, runs
+from riecjax.records.record import Record, run_lengths
 from riecjax.records.remembered import remembered
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -361,11 +361,6 @@ class Course(NamedTuple):
             *option_for("--clock", late, f"{ppm:.5g}"),
         )
 
-    @property
-    def way(self) -> str:
-        """What the signal does whose delay changes evenly."""
-        return "falls behind" if self.change > 0 else "gets ahead of"
-
 
 def delay_course(
     parts: Sequence[Sequence[Piece]],
@@ -646,18 +641,16 @@ class Pair(NamedTuple):
     @property
     def offset(self) -> float:
         """Of the derivative, in its unit, 0 unless it surely matters."""
-        sure = abs(self.fit.offset) > max(
-            OFFSET * self.rms, TAILS * self._sure * self.fit.errors[2]
-        )
-        return self.fit.offset * self.scale / self.step if sure else 0.0
+        return self._if_sure(self.fit.offset, OFFSET, self.fit.errors[2])
 
     @property
     def drift(self) -> float:
         """Of the derivative over the record, in its unit, 0 unless it surely matters."""
-        sure = abs(self.fit.drift) > max(
-            2 * OFFSET * self.rms, TAILS * self._sure * self.fit.errors[3]
-        )
-        return self.fit.drift * self.scale / self.step if sure else 0.0
+        return self._if_sure(self.fit.drift, 2 * OFFSET, self.fit.errors[3])
+
+    def _if_sure(self, size: float, share: float, error: float) -> float:
+        sure = abs(size) > max(share * self.rms, TAILS * self._sure * error)
+        return size * self.scale / self.step if sure else 0.0
 
 
 @remembered(
@@ -829,9 +822,7 @@ def _filled(values: np.ndarray) -> np.ndarray:
             found[spikes] = np.nan
     gaps = np.isnan(found)
     if gaps.any() and np.sum(~gaps) > 4:
-        at, (starts, stops) = np.arange(found.size), runs(gaps)
-        short = gaps.copy()
-        short[gaps] = np.repeat(stops - starts <= SHORT_GAP, stops - starts)
+        at, short = np.arange(found.size), gaps & (run_lengths(gaps) <= SHORT_GAP)
         cubics = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])
         found[short] = cubics(at[short])
     return found

@@ -121,14 +121,15 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    values = record.signal(name).with_nan
+    signal = record.signal(name)
+    values = signal.with_nan
     known = values[~np.isnan(values)]
     rounding = rounding_of(known)
     levels, counts = levels_of(known, rounding)
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return SampledSignal(
         name,
-        dict(record.units).get(name, ""),
+        signal.unit,
         values,
         np.asarray(record.elapsed),
         float(record.time_step),
