@@ -241,7 +241,8 @@ class Record(Drawn, eqx.Module):
 
     def with_samples(self, columns: Mapping[str, ArrayLike | Array]) -> "Record":
         """A record with other samples of these signals, NaN where they are missing."""
-        return self.with_signals({n: self.signal(n).with_samples(v) for n, v in columns.items()})
+        signals = ((name, self.signal(name), samples) for name, samples in columns.items())
+        return self.with_signals({n: Signal.of(v, s.unit, s.noise) for n, s, v in signals})
 
     def with_noise(self, noise: Noise) -> "Record":
         """The same samples; of the noise of the signals that it names, this is known."""

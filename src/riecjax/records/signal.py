@@ -5,7 +5,6 @@ and its noise is the sum of theirs, source by source.
 """
 
 import dataclasses
-import numbers
 from typing import Any
 
 import equinox as eqx
@@ -74,17 +73,13 @@ class Signal(eqx.Module):
             values[~np.asarray(self.present)] = np.nan
         return values
 
-    def with_samples(self, samples: ArrayLike | Array) -> "Signal":
-        """Other samples, NaN where they are missing, of the same unit and noise."""
-        return Signal.of(samples, self.unit, self.noise)
-
     def through_taps(self, taps: Float[np.ndarray, " taps"]) -> SignalNoise | None:
         """What is known of its noise behind a filter of an odd number of taps, the middle one for
         the same sample."""
         return None if self.noise is None else self.noise.convolved(taps)
 
     def __mul__(self, factor: Any) -> "Signal":
-        noise = None if self.noise is None else factor * self.noise
+        noise = self.noise and factor * self.noise
         return dataclasses.replace(self, values=factor * self._array, noise=noise)
 
     __rmul__ = __mul__
@@ -94,14 +89,9 @@ class Signal(eqx.Module):
 
     def __add__(self, other: Any) -> "Signal":
         if not isinstance(other, Signal):
-            if isinstance(other, numbers.Number) and other == 0:  # where `sum` begins
-                return self
-            total = _held(self._array + _array(other), self.present)
-            return dataclasses.replace(self, values=total)
+            return dataclasses.replace(self, values=_held(self._array + other, self.present))
         # Nothing known of one, nothing known of the sum.
-        noise = None
-        if self.noise is not None and other.noise is not None:
-            noise = self.noise + other.noise
+        noise = self.noise and other.noise and self.noise + other.noise
         unit = self.unit if self.unit == other.unit else ""
         total, present = self._array + other._array, both(self.present, other.present)
         return Signal(_held(total, present), present, unit, noise)
@@ -110,6 +100,9 @@ class Signal(eqx.Module):
 
     def __sub__(self, other: Any) -> "Signal":
         return self + -1.0 * other
+
+    def __rsub__(self, other: Any) -> "Signal":
+        return -self + other
 
     @property
     def _array(self) -> Any:
