@@ -10,10 +10,12 @@ deviation. A velocity differentiated from it shares the source, and has the taps
 so covariances between signals, and between samples of one, all follow from the kernels.
 """
 
+import dataclasses
 from collections.abc import Collection, Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
@@ -39,7 +41,9 @@ LONGEST_KERNEL = 4001
 """Taps, past which a kernel's ends are cut off in any case."""
 
 
-class SignalNoise(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(init=False, eq=False)
+class SignalNoise:
     """What is known of the noise on one signal; without any source it has none.
 
     **Fields:**

@@ -7,7 +7,6 @@ and its noise is the sum of theirs, source by source.
 import dataclasses
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -17,11 +16,10 @@ from riecjax.leaves import Leaf, namespace
 from riecjax.records.noise import SignalNoise
 
 
-def _array(values: Any) -> Any:
-    return values if values is None or isinstance(values, jax.Array) else np.asarray(values)
-
-
-class Signal(eqx.Module):
+# A record has hundreds of them, which JAX takes apart faster than Equinox's modules.
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Signal:
     """Samples of one signal, as a [`Record`][riecjax.Record] holds them.
 
     A sample that is missing (a NaN in the file, a pause of the logger) holds the last value before
@@ -39,27 +37,17 @@ class Signal(eqx.Module):
     __array_ufunc__ = None
 
     values: Float[Leaf, "*batch n"]
-    present: Bool[Leaf, "... n"] | None
-    unit: str = eqx.field(static=True)
-    noise: SignalNoise | None
-
-    def __init__(
-        self,
-        values: ArrayLike | Array,
-        present: ArrayLike | Array | None = None,
-        unit: str = "",
-        noise: SignalNoise | None = None,
-    ):
-        self.values, self.present = _array(values), _array(present)
-        self.unit, self.noise = unit, noise
+    present: Bool[Leaf, "... n"] | None = None
+    unit: str = dataclasses.field(default="", metadata={"static": True})
+    noise: SignalNoise | None = None
 
     @classmethod
     def of(
         cls, samples: ArrayLike | Array, unit: str = "", noise: SignalNoise | None = None
     ) -> "Signal":
         """A signal of samples that are NaN where they are missing."""
-        samples = _array(samples)
         xp = namespace(samples)
+        samples = xp.asarray(samples)
         present = ~xp.isnan(samples)
         if xp is np and present.all():
             return cls(samples, None, unit, noise)

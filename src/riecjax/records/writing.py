@@ -37,7 +37,7 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     if "t" in record.arrays:
         raise DataError("a signal called 't' would take the place of time; give it another name.")
     # NaN in gaps, without the samples that mark pauses.
-    columns = {name: record.signal(name).with_nan for name in record.arrays}
+    columns = {name: signal.with_nan for name, signal in record.by_name.items()}
     columns = {"t": np.asarray(record.time, dtype=float)} | columns
     if record.stamps is not None:
         # Samples that mark a pause: no signal has a value there, and they are off the even grid.

@@ -98,7 +98,7 @@ def to_frame(source: Any) -> Any:
     import pandas
 
     if isinstance(source, Record):
-        columns = {name: source.signal(name).with_nan for name in source.arrays}
+        columns = {name: signal.with_nan for name, signal in source.by_name.items()}
         return pandas.DataFrame(columns, index=pandas.Index(np.asarray(source.time), name="t"))
     numbers, shape, entries = _columns(source)
     names = list(entries)
