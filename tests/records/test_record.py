@@ -172,6 +172,7 @@ def test_the_noise_of_a_sum_is_that_of_its_sources_and_unknown_if_one_is():
     variance = (2 * 0.3) ** 2 + 0.4**2 - 2 * 0.5 * (2 * 0.3) * 0.4
     made = (2 * x - y).noise
     assert made is not None
+    assert float(noise.std("y")) == pytest.approx(0.4)
     assert float(made.std) == pytest.approx(np.sqrt(variance))
     assert float(made.convolved(np.array([1.0, -1.0, 0.0])).std) == pytest.approx(
         np.sqrt(2 * variance)
