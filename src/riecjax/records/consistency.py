@@ -180,7 +180,7 @@ def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Regression
     rates = np.where(unknown, 0.0, rates)
     area = np.concatenate([[0.0], np.cumsum(0.5 * step * (rates[1:] + rates[:-1]))])
     found = []
-    lag, noise = SHORTEST, float(noise_level(np.where(unknown, 0.0, values), ~unknown))
+    lag, noise = SHORTEST, float(noise_level(np.where(unknown, np.nan, values)))
     while lag <= values.size // LONGEST_SHARE:
         whole = unknown_before[lag + 1 :] == unknown_before[: values.size - lag]
         if whole.sum() >= FEWEST_LAGS:

@@ -274,7 +274,7 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
         samples, present = record.by_name[name].values, record.by_name[name].present
         others = [values for other, values in record.arrays.items() if other != name]
         with np.errstate(all="ignore"):
-            level = noise_level(samples, present)
+            level = noise_level(record.by_name[name].with_nan)
             found[name] = noise_of_level(name, level, samples, present, others)
     return known.with_noise(Noise.of(found))
 

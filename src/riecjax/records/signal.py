@@ -54,12 +54,11 @@ class Signal:
         return cls(_held(samples, present), present, unit, noise)
 
     @property
-    def with_nan(self) -> Float[np.ndarray, "*batch n"]:
-        """The samples, NaN where they are missing."""
-        values = np.array(self.values, float)
-        if self.present is not None:
-            values[~np.asarray(self.present)] = np.nan
-        return values
+    def with_nan(self) -> Any:
+        """The samples, shape `(n,)`, NaN where they are missing; of NumPy unless traced."""
+        xp = namespace(self.values, self.present)
+        values = xp.array(self.values, float)
+        return values if self.present is None else xp.where(self.present, values, np.nan)
 
     def through_taps(self, taps: Float[np.ndarray, " taps"]) -> SignalNoise | None:
         """What is known of its noise behind a filter of an odd number of taps, the middle one for
