@@ -47,11 +47,11 @@ class Signal:
     ) -> "Signal":
         """A signal of samples that are NaN where they are missing."""
         xp = namespace(samples)
-        samples = xp.asarray(samples)
-        present = ~xp.isnan(samples)
+        values = xp.asarray(samples)
+        present = ~xp.isnan(values)
         if xp is np and present.all():
-            return cls(samples, None, unit, noise)
-        return cls(_held(samples, present), present, unit, noise)
+            return cls(values, None, unit, noise)
+        return cls(_held(values, present), present, unit, noise)
 
     @property
     def with_nan(self) -> Any:
