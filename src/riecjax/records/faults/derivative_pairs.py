@@ -27,6 +27,7 @@ omega t) dt besides: what v is held against is x' + u, none of which is differen
 Time is in samples; v and u are in units of x per sample.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
@@ -517,7 +518,9 @@ def with_sum(record: Record, relation: Relation) -> tuple[Record, str, str]:
     if relation.is_plain:
         return record, relation.signal, relation.terms[0]
     label = summed(relation.of)
-    total = sum(c * record.signal(name) for name, c in relation.of)
+    first, *rest = (c * record.signal(name) for name, c in relation.of)
+    # No column holds it, whose unit could be another one.
+    total = dataclasses.replace(sum(rest, first), unit="")
     return record.with_signals({label: total}), relation.signal, label
 
 
