@@ -40,14 +40,9 @@ def test_prepare_filters_then_differentiates_then_thins_out():
 
 
 def test_every_step_of_a_preparation_is_taken_in_order():
+    cut = {"start": 1.0, "stop": 3.0}
     asked = Prepare(
-        start=1.0,
-        stop=3.0,
-        offsets=("q",),
-        drifts=("p",),
-        upsample=2,
-        derivatives={"v": "q"},
-        every=4,
+        offsets=("q",), drifts=("p",), upsample=2, derivatives={"v": "q"}, every=4, **cut
     )
     prepared, words = prepare(record(q=5 + np.sin(9 * TIME), p=TIME), {}, asked)
     assert [word.split()[0] for word in words] == ["cut", "q:", "p:", "band-limited", "v:", "every"]
