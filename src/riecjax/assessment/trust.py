@@ -13,10 +13,10 @@ from jaxtyping import Array
 from riecjax.assessment.asked import Asked
 from riecjax.assessment.assessment import ValidationRun
 from riecjax.equations.procedure import Procedure
-from riecjax.errors import DataError, IdentifiabilityError, RiecjaxError
+from riecjax.errors import DataError, IdentifiabilityError, ModelError, RiecjaxError
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
-from riecjax.estimation.parameters import values_of_record
+from riecjax.estimation.parameters import values_in_recording
 from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records import leave_out, shift
@@ -134,9 +134,14 @@ def system_of(
     model: Model, values: Mapping[str, Array], number: int | None, recording: Recording
 ) -> AbstractSystem:
     """The model with these values, along a recording with or without parameters of its own."""
-    own = dict(values) if number is None else values_of_record(values, number)
     names = model.build_procedure().parameters
-    return model.identified_system({name: own[name] for name in names}, recording.record)
+    own = values_in_recording(names, values, number)
+    if unknown := [name for name in names if name not in own]:
+        raise ModelError(
+            f"{', '.join(unknown)} has a value in each recording that was estimated from, and none "
+            f"is known in this one: validate on a part of those (--hold-out)."
+        )
+    return model.identified_system(own, recording.record)
 
 
 IN_TIME = ("late_signal", "low_passed")

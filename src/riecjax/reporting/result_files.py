@@ -17,8 +17,15 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
+from riecjax.equations.hidden_elements import (
+    HiddenParameters,
+    ModeParameters,
+    SpringParameters,
+    stiffness_name,
+)
 from riecjax.errors import DataError, ModelError, printable
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
+from riecjax.estimation.parameters import Parameter, ParameterTable
 from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
@@ -40,7 +47,10 @@ NAME = "estimate"
 FORMAT = "riecjax.Estimate"
 SCHEMA = 2
 """Of what the file of an estimate holds; another one is refused."""
-KINDS = (Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding)
+KINDS = (
+    *(Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding),
+    *(ParameterTable, Parameter, ModeParameters, SpringParameters),
+)
 """What an estimate is made of, beside arrays, names, a criterion and a Summary."""
 RESULTS = "results.json"
 
@@ -243,13 +253,27 @@ def _pack(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:
     return None if isinstance(value, Summary) else value
 
 
+def _with_table(fields: dict[str, Any]) -> dict[str, Any]:
+    """The fields of an estimate in a file of before there were tables: of names, units and known
+    values, and of hidden elements by what they are called."""
+    units, known = dict(fields.pop("units")), fields.pop("known")
+    names = (*fields.pop("parameters"), *known)
+    numbers = range(len(names))
+    elements: list[HiddenParameters] = [*map(ModeParameters.of, numbers)]
+    elements += [SpringParameters("", stiffness_name(number)) for number in numbers]
+    element_of = {name: element for element in elements for name in element.hidden}
+    rows = (Parameter(n, n, units.get(n, ""), None, element_of.get(n)) for n in names)
+    return {**fields, "table": ParameterTable(tuple(rows), known)}
+
+
 def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     """What [`_pack`][] made plain."""
     if not isinstance(value, dict):
         return value
     if "kind" in value:
         kind = {kind.__name__: kind for kind in KINDS}[value["kind"]]
-        return kind(**{name: _unpack(of, arrays) for name, of in value["fields"].items()})
+        fields = {name: _unpack(of, arrays) for name, of in value["fields"].items()}
+        return kind(**(_with_table(fields) if "units" in fields else fields))
     ((of, held),) = value.items()
     match of:
         case "criterion":
