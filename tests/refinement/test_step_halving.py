@@ -81,7 +81,7 @@ def test_a_slow_motion_takes_one_step(hardening):
     """The same spring, deflected a thousandth: sqrt(k1 / m) is 10 rad/s."""
     small = {name: 1e-3 * values for name, values in hardening.items()}
     by, records = OutputError(), [record_of(small, "u", "y", "dy")]
-    method = by.misfit(by.specify(duffing(), records, HARD, {}, (), None)).method
+    method = by.misfit(by.specify(duffing(), records, HARD)).method
     assert method == FixedStep(1)
 
 

@@ -169,7 +169,6 @@ def _search(
         asked.records,
         within(estimate, settings.bounds),
         by,
-        per_record=asked.settings["per_record"],
         key=asked.key,
         intervals=asked.intervals,
         bounds=settings.bounds or None,
@@ -191,8 +190,7 @@ def _by_itself(
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
         by = _objective(asked, estimate, horizon)
-        own = tuple(asked.settings["per_record"])
-        specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
+        specified = by.specify(asked.model, asked.records, estimate)
         if (work := by.misfit(specified).work) > MOST_WORK:
             return Refinement(
                 declined=f"a search would take {work:.2g} steps x states x tangents, more than "
@@ -287,10 +285,8 @@ def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) 
     fitted = seen(asked)
     lengths = [one for one in horizons(asked, estimate, fitted, horizon) if one is not None]
     shooting = Tiles(seconds=min(lengths)) if lengths else WholeRecord()
-    specified = OutputError().specify(
-        asked.model, asked.records, estimate, {}, tuple(asked.settings["per_record"]), None
-    )
-    system = specified.model[0].build(specified.of_first)
+    specified = OutputError().specify(asked.model, asked.records, estimate)
+    system = specified.model[0].build(specified.table.values_of(specified.values, 0))
     channels = _channels(system, asked.records)
     return OutputError(shooting, channels=channels, sigma=_noise(asked.records, channels))
 
@@ -452,8 +448,7 @@ def course_shows(asked: Asked, refined: Refined, misfit: AbstractMisfit, by: Out
     What they move the simulation by, in units of what is left, is as chi-square: from a few on it
     is more than chance does to the parameters.
     """
-    own = tuple(asked.settings["per_record"])
-    other = by.misfit(by.specify(asked.model, asked.records, refined, {}, own, None))
+    other = by.misfit(by.specify(asked.model, asked.records, refined))
     if not isinstance(misfit, OutputMisfit):
         return False
     at = jnp.asarray(refined.theta), jnp.asarray(refined.initial_states)

@@ -135,13 +135,13 @@ def system_of(
 ) -> AbstractSystem:
     """The model with these values, along a recording with or without parameters of its own."""
     names = model.build_procedure().parameters
-    own = values_in_recording(names, values, number)
+    own = values if number is None else values_in_recording(names, values, number)
     if unknown := [name for name in names if name not in own]:
         raise ModelError(
             f"{', '.join(unknown)} has a value in each recording that was estimated from, and none "
             f"is known in this one: validate on a part of those (--hold-out)."
         )
-    return model.identified_system(own, recording.record)
+    return model.identified_system({name: own[name] for name in names}, recording.record)
 
 
 IN_TIME = ("late_signal", "low_passed")

@@ -248,7 +248,7 @@ def verdict(assessment: "Assessment") -> Verdict:
         level, reason = _judged(name, doubt, size, grouped, widened.get(name, ""))
         share = doubt.size / size
         judged[name] = ParameterVerdict(
-            name, value, answer.unit(name), level, reason, doubt.around(value), share
+            name, value, answer.table[name].unit, level, reason, doubt.around(value), share
         )
     return Verdict(_sentence(judged), judged, grouped)
 

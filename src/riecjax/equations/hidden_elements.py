@@ -135,12 +135,6 @@ class SpringParameters(NamedTuple):
     def hidden(self) -> tuple[str, ...]:
         """Those that are no coefficient of the equations."""
         return (self.stiffness,)
-    words, option = "the spring in series", "--add-spring"
-
-    @property
-    def hidden(self) -> tuple[str, ...]:
-        """Those that are no coefficient of the equations."""
-        return (self.stiffness,)
 
     @property
     def judged(self) -> tuple[str, ...]:
@@ -282,12 +276,6 @@ class ModeParameters(NamedTuple):
 
     order = 2
     """Of the polynomial D, which has as many coordinates in a search."""
-    words, option = "the hidden mode", "--add-mode"
-
-    @property
-    def hidden(self) -> tuple[str, ...]:
-        """Those that are no coefficient of the equations."""
-        return tuple(self)
     words, option = "the hidden mode", "--add-mode"
 
     @property

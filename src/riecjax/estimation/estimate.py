@@ -75,10 +75,6 @@ class AbstractEstimate(Saved, eqx.Module):
         """Pairs of name and unit, of known parameters too."""
         return self.table.units
 
-    def unit(self, name: str) -> str:
-        """Unit of a parameter."""
-        return self.table[name].unit
-
     def __getitem__(self, name: str) -> Float[Array, "*batch"]:
         if not isinstance(name, str) or name not in self.known:
             return self._of(self.theta, name)
@@ -214,7 +210,7 @@ class AbstractEstimate(Saved, eqx.Module):
         """Masses and dampers whose whole interval lies below zero (not under jit)."""
         ends = self.interval_by_name()
         for name, (low, high) in ends.items():
-            unit = self.unit(name)
+            unit = self.table[name].unit
             what = NEVER_NEGATIVE.get(
                 "".join(c for c in unit if c not in " ·*^()").replace("²", "2")
             )

@@ -8,7 +8,7 @@ all recordings, with zeros for what the recording does not hold, and then add up
 Names are for readers: they are written here, and what a parameter is stands in its row.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -61,7 +61,7 @@ class ParameterTable(eqx.Module):
         cls,
         local: Sequence[str],
         units: Mapping[str, str],
-        per_record: Iterable[str],
+        per_record: Collection[str],
         record_count: int,
         elements: Mapping[str, HiddenParameters | None],
     ) -> "ParameterTable":
@@ -70,24 +70,23 @@ class ParameterTable(eqx.Module):
         **Raises:** `ModelError` for a name in `per_record` that the model does not have, and for a
         parameter that is already called as a recording's own one would be.
         """
-        own = frozenset(per_record)
-        if unknown := sorted(own - {*local}):
-            listed = ", ".join(local)
-            raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
         rows: list[Parameter] = []
         for name in local:
-            numbers = range(record_count) if name in own else [None]
-            for number in numbers:
-                shown = name if number is None else name_in_recording(name, number)
-                if number is not None and shown in local:
+            row = Parameter(name, name, units.get(name, ""), None, elements.get(name))
+            if name not in per_record:
+                rows.append(row)
+                continue
+            for i in range(record_count):
+                if (shown := name_in_recording(name, i)) in local:
                     raise ModelError(
                         f"the model has a parameter called '{shown}', and with per_record="
-                        f"['{name}'] that is what {name} is called in recording {number + 1}. "
-                        f"Rename one of the two, or leave {name} out of per_record."
+                        f"['{name}'] that is what {name} is called in recording {i + 1}. Rename "
+                        f"one of the two, or leave {name} out of per_record."
                     )
-                unit, element = units.get(name, ""), elements.get(name)
-                rows.append(Parameter(shown, name, unit, number, element))
-        return cls(tuple(rows))
+                rows.append(row._replace(name=shown, recording=i))
+        table = cls(tuple(rows))
+        table.require(sorted(per_record))
+        return table
 
     def __getitem__(self, name: str) -> Parameter:
         return {row.name: row for row in self.rows}[name]
@@ -163,24 +162,19 @@ class ParameterTable(eqx.Module):
 
 
 def values_in_recording(
-    names: Iterable[str], values: Mapping[str, Value], index: int | None
+    names: Iterable[str], values: Mapping[str, Value], index: int
 ) -> dict[str, Value]:
     """Of values by name over all recordings, those of a model's `names` as one recording knows
-    them, as far as there are any; of `None` those that all share."""
-    found = {}
-    for name in names:
-        shared = name in values or index is None
-        shown = name if shared else name_in_recording(name, index)
-        if shown in values:
-            found[name] = values[shown]
-    return found
+    them, as far as there are any."""
+    shown = {name: name if name in values else name_in_recording(name, index) for name in names}
+    return {name: values[other] for name, other in shown.items() if other in values}
 
 
 def plan_parameters(
     procedure: Procedure,
     record_count: int,
     known: Mapping[str, float | Array] | None,
-    per_record: Sequence[str],
+    per_record: Collection[str],
 ) -> ParameterTable:
     """The table of what is to be estimated, with known values and names checked; see
     [`identify`][] for the arguments.

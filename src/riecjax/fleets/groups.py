@@ -189,7 +189,7 @@ def _answers(
                 *place,
                 parameter=name,
                 value=float(estimate[name]),
-                unit=estimate.unit(name),
+                unit=estimate.table[name].unit,
                 std_error=float(error),
                 low95=float(ends[name][0]),
                 high95=float(ends[name][1]),

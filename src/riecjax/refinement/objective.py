@@ -10,7 +10,8 @@ unknowns, however long the record.
 Models for every value of their parameters: what refinement varies.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -358,11 +359,6 @@ class Specification(NamedTuple):
         # In NumPy where nothing is traced: JAX would compile each small step.
         return jnp.asarray(np.stack(free)) if is_concrete(free) else jnp.stack(free)
 
-    @property
-    def of_first(self) -> dict[str, Leaf]:
-        """Values as the first record knows them."""
-        return self.table.values_of(self.values, 0)
-
 
 class AbstractObjective(eqx.Module):
     """A sum of squares over windows: of equation errors, or of output errors."""
@@ -401,14 +397,15 @@ class AbstractObjective(eqx.Module):
         model: Any,
         records: list[Record],
         start: AbstractEstimate | Mapping[str, float | Array],
-        known: Mapping[str, float | Array],
-        per_record: tuple[str, ...],
-        key: Key[Array, ""] | None,
+        known: Mapping[str, float | Array] = MappingProxyType({}),
+        per_record: Collection[str] = (),
+        key: Key[Array, ""] | None = None,
     ) -> Specification:
         """Every parameter's value, and which are free; see [`refine`][].
 
         What is known goes before what an estimate carries along, that before the start, and that
-        before the model's own values.
+        before the model's own values. Of an estimate, what each record has its own of is that of
+        the estimate unless `per_record` says otherwise.
         """
         parametric = self.parametric(model, records[0])
         if self.needs_key and key is None:
@@ -426,7 +423,7 @@ class AbstractObjective(eqx.Module):
             own = {name_of: row for row in start.table.rows for name_of in (row.name, row.local)}
             units = units if names else {**units, **{name: row.unit for name, row in own.items()}}
             elements = {name: row.element for name, row in own.items()}
-            carried = start.known
+            carried, per_record = start.known, per_record or start.table.per_record
             start = {name: start.single()[name] for name in start.parameters}
         numbered = {name_in_recording(n, i): n for n in per_record for i in range(len(records))}
         given = {**start, **carried, **known}

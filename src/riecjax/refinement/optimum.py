@@ -417,13 +417,13 @@ class Constraints(eqx.Module):
         mean and a positive standard deviation.
         """
         names = table.free
-        for what, given in (("bounds are", bounds), ("a prior is", priors)):
+
+        def of_free(what: str, given: Mapping[str, Any]) -> dict[str, Any]:
             if unknown := [name for name in given if not {*names} & {*table.everywhere([name])}]:
                 raise ModelError(f"{what} given for '{unknown[0]}'; free are: {', '.join(names)}.")
-        bounds, priors = (
-            {name: value for name, value in table.values(given).items() if name in names}
-            for given in (bounds, priors)
-        )
+            return {name: value for name, value in table.values(given).items() if name in names}
+
+        bounds, priors = of_free("bounds are", bounds), of_free("a prior is", priors)
         for name, given in bounds.items():
             if not is_pair(given, or_none=True):
                 raise ModelError(

@@ -783,7 +783,7 @@ class OutputError(AbstractObjective):
     def misfit(self, specified: Specification) -> OutputMisfit:
         """Over the windows of all records."""
         (model,) = specified.model
-        system: AbstractSystem = model.build(specified.of_first)
+        system: AbstractSystem = model.build(specified.table.values_of(specified.values, 0))
         channels = _channels(system, specified.records, self.channels)
         for record in specified.records:
             for name in system.input_names:

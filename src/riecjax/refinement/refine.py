@@ -325,8 +325,9 @@ def refine(
     - `bounds`: (lower, upper) by name, `None` where there is none.
     - `priors`: normal distributions (mean, standard deviation) by name, weighed against the scatter
       that the fit leaves.
-    - `per_record`: names of parameters that take a value of their own in each record. What is
-      given for `offset` holds in every record, but for those given by their own name, `offset[2]`.
+    - `per_record`: names of parameters that take a value of their own in each record, by default
+      those of an estimate that it starts from. What is given for `offset` holds in every record,
+      but for those given by their own name, `offset[2]`.
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.

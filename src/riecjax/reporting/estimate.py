@@ -126,7 +126,8 @@ def parameter_table(document: Mapping[str, Any], interval: str = "{} .. {}") -> 
 
 def known_entries(estimate: AbstractEstimate) -> dict[str, Any]:
     """Value and unit of each parameter that was not estimated; lists of a batch."""
-    return {n: {"value": finite(estimate[n]), "unit": estimate.unit(n)} for n in estimate.known}
+    units = dict(estimate.units)
+    return {n: {"value": finite(estimate[n]), "unit": units[n]} for n in estimate.known}
 
 
 def intervals_entry(estimate: Estimate | Refined) -> Document:
@@ -144,7 +145,7 @@ def parameter_entries(estimate: AbstractEstimate) -> dict[str, Any]:
     for name, (low, high) in estimate.interval_by_name().items():
         entries[name] = {
             "value": finite(estimate[name]),
-            "unit": estimate.unit(name),
+            "unit": estimate.table[name].unit,
             "std_error": finite(estimate.standard_error(name)),
             "interval95": [finite(low), finite(high)],
         }

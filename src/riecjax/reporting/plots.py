@@ -137,7 +137,7 @@ def _batch(batch: AbstractEstimate) -> Chart:
     for i, name in enumerate(batch.parameters):
         values = np.ravel(np.asarray(batch[name], float))
         mean = float(np.nanmean(values))
-        labels.append(f"{name} = {mean:.4g} {batch.unit(name)}".rstrip())
+        labels.append(f"{name} = {mean:.4g} {batch.table[name].unit}".rstrip())
         marks.append(Dots(_percent(values, mean), np.full(values.size, i), opacity=0.4, size=LARGE))
     axis = Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
     caption = "Members of a batch, relative to their mean."

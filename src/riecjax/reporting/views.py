@@ -261,7 +261,7 @@ def _batch(estimate: AbstractEstimate) -> tuple[str, Table]:
             error = f"{np.mean(estimate.standard_error(name)[valid]):.3g}"
         scatter = np.std(values - values[0], ddof=min(1, values.size - 1))
         numbers = [f"{np.mean(values):.6g}", f"{scatter:.3g}", error, span(values, ".6g")]
-        rows.append([name, *numbers, estimate.unit(name)])
+        rows.append([name, *numbers, estimate.table[name].unit])
     header = ("parameter", "mean", "std over batch", "mean std error", "min .. max", "unit")
     size = " x ".join(map(str, estimate.batch_shape))
     return f"batch of {size} estimates{left_out}", Table(header, rows)
