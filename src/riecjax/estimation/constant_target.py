@@ -103,11 +103,10 @@ def _averaged(
     procedure: Procedure, table: ParameterTable, summary: Summary
 ) -> Iterator[list["_Averaged"]]:
     """The equations of each stage."""
-    settled = set(table.known)
     for number, stage in enumerate(procedure.stages):
+        _, unknown = table.stages[number]
         sums = zip(*(recording.stages[number] for recording in summary.recordings))
-        yield [_Averaged(e, table, summary, of, settled) for e, of in zip(stage, sums)]
-        settled |= {name for e in stage for name in table.everywhere(e.parameters)}
+        yield [_Averaged(e, table, summary, of, unknown) for e, of in zip(stage, sums)]
 
 
 def _wrong_zero(seen: "_Averaged") -> Iterator[Finding]:
@@ -228,10 +227,10 @@ class _Averaged:
         table: ParameterTable,
         summary: Summary,
         recordings: Sequence[EquationSums],
-        settled: set[str],
+        unknown: tuple[str, ...],
     ):
         self.equation, self.table = equation, table
-        self.names = set(table.everywhere(equation.parameters)) - settled
+        self.names = {*table.everywhere(equation.parameters)}.intersection(unknown)
         length = float(summary.criterion.typical_length)
         self.independent = sum(
             float(one.samples) * (min(float(one.time_step) / length, 1.0) if length else 1.0)

@@ -16,7 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.equations.hidden_elements import HiddenParameters, ModeParameters, SpringParameters
+from riecjax.equations.hidden_elements import (
+    HiddenParameters,
+    ModeParameters,
+    SeriesSpring,
+    SpringParameters,
+)
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError, require
 from riecjax.leaves import is_concrete, is_number
@@ -170,6 +175,15 @@ def values_in_recording(
     return {name: values[other] for name, other in shown.items() if other in values}
 
 
+def elements_by_name(
+    modes: Sequence[object], springs: Sequence[SeriesSpring]
+) -> dict[str, HiddenParameters]:
+    """What hidden elements' parameters are called, and of which element each is."""
+    elements: list[HiddenParameters] = [ModeParameters.of(i) for i, _ in enumerate(modes)]
+    elements += [SpringParameters.of(i, spring) for i, spring in enumerate(springs)]
+    return {name: element for element in elements for name in element.hidden}
+
+
 def plan_parameters(
     procedure: Procedure,
     record_count: int,
@@ -182,9 +196,7 @@ def plan_parameters(
     **Raises:** `ModelError` as [`identify`][].
     """
     require_settings(None, known, per_record)
-    hidden: list[HiddenParameters] = [ModeParameters.of(i) for i in range(len(procedure.modes))]
-    hidden += [SpringParameters.of(i, spring) for i, spring in enumerate(procedure.springs)]
-    elements = {name: names for names in hidden for name in names.hidden}
+    elements = elements_by_name(procedure.modes, procedure.springs)
     coefficients = {name for equation in procedure.equations for name in equation.parameters}
     if taken := sorted(coefficients & {*elements}):
         raise ModelError(

@@ -17,15 +17,10 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
-from riecjax.equations.hidden_elements import (
-    HiddenParameters,
-    ModeParameters,
-    SpringParameters,
-    stiffness_name,
-)
+from riecjax.equations.hidden_elements import ModeParameters, SeriesSpring, SpringParameters
 from riecjax.errors import DataError, ModelError, printable
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
-from riecjax.estimation.parameters import Parameter, ParameterTable
+from riecjax.estimation.parameters import Parameter, ParameterTable, elements_by_name
 from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
@@ -258,12 +253,9 @@ def _with_table(fields: dict[str, Any]) -> dict[str, Any]:
     values, and of hidden elements by what they are called."""
     units, known = dict(fields.pop("units")), fields.pop("known")
     names = (*fields.pop("parameters"), *known)
-    numbers = range(len(names))
-    elements: list[HiddenParameters] = [*map(ModeParameters.of, numbers)]
-    elements += [SpringParameters("", stiffness_name(number)) for number in numbers]
-    element_of = {name: element for element in elements for name in element.hidden}
-    rows = (Parameter(n, n, units.get(n, ""), None, element_of.get(n)) for n in names)
-    return {**fields, "table": ParameterTable(tuple(rows), known)}
+    elements = elements_by_name(names, [SeriesSpring("")] * len(names))
+    table = ParameterTable.of(names, units, (), 1, elements).holding(known)
+    return {**fields, "table": table}
 
 
 def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
