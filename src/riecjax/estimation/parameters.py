@@ -24,7 +24,7 @@ from riecjax.equations.hidden_elements import (
 )
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError, require
-from riecjax.leaves import is_concrete, is_number
+from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.summaries.task import require_key
 
 Value = TypeVar("Value")
@@ -182,6 +182,19 @@ def elements_by_name(
     elements: list[HiddenParameters] = [ModeParameters.of(i) for i, _ in enumerate(modes)]
     elements += [SpringParameters.of(i, spring) for i, spring in enumerate(springs)]
     return {name: element for element in elements for name in element.hidden}
+
+
+TABLE_KINDS = ParameterTable, Parameter, ModeParameters, SpringParameters
+"""What a table is made of, beside names and numbers."""
+
+
+def table_of_names(
+    free: Sequence[str], units: Iterable[tuple[str, str]], known: Mapping[str, Leaf]
+) -> ParameterTable:
+    """The table of names alone, and of hidden elements by what these are called: of files."""
+    names = (*free, *known)
+    elements = elements_by_name(names, [SeriesSpring("")] * len(names))
+    return ParameterTable.of(names, dict(units), (), 1, elements).holding(known)
 
 
 def plan_parameters(

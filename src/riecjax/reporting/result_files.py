@@ -17,15 +17,13 @@ import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
-from riecjax.equations.hidden_elements import ModeParameters, SeriesSpring, SpringParameters
 from riecjax.errors import DataError, ModelError, printable
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
-from riecjax.estimation.parameters import Parameter, ParameterTable, elements_by_name
+from riecjax.estimation.parameters import TABLE_KINDS, table_of_names
 from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
-from riecjax.refinement.optimum import RefinementStatus
-from riecjax.refinement.refine import Refined
+from riecjax.refinement.refine import Refined, RefinementStatus
 from riecjax.reporting.document import Document, is_intact, unread_schema
 from riecjax.reporting.tables import View
 from riecjax.reporting.verdict import reasons_in_words
@@ -42,10 +40,8 @@ NAME = "estimate"
 FORMAT = "riecjax.Estimate"
 SCHEMA = 2
 """Of what the file of an estimate holds; another one is refused."""
-KINDS = (
-    *(Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding),
-    *(ParameterTable, Parameter, ModeParameters, SpringParameters),
-)
+OF_FITS = Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding
+KINDS = (*OF_FITS, *TABLE_KINDS)
 """What an estimate is made of, beside arrays, names, a criterion and a Summary."""
 RESULTS = "results.json"
 
@@ -248,16 +244,6 @@ def _pack(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:
     return None if isinstance(value, Summary) else value
 
 
-def _with_table(fields: dict[str, Any]) -> dict[str, Any]:
-    """The fields of an estimate in a file of before there were tables: of names, units and known
-    values, and of hidden elements by what they are called."""
-    units, known = dict(fields.pop("units")), fields.pop("known")
-    names = (*fields.pop("parameters"), *known)
-    elements = elements_by_name(names, [SeriesSpring("")] * len(names))
-    table = ParameterTable.of(names, units, (), 1, elements).holding(known)
-    return {**fields, "table": table}
-
-
 def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     """What [`_pack`][] made plain."""
     if not isinstance(value, dict):
@@ -265,7 +251,10 @@ def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if "kind" in value:
         kind = {kind.__name__: kind for kind in KINDS}[value["kind"]]
         fields = {name: _unpack(of, arrays) for name, of in value["fields"].items()}
-        return kind(**(_with_table(fields) if "units" in fields else fields))
+        if "units" in fields:  # written before there were tables
+            beside = (fields.pop(name) for name in ("parameters", "units", "known"))
+            fields["table"] = table_of_names(*beside)
+        return kind(**fields)
     ((of, held),) = value.items()
     match of:
         case "criterion":
