@@ -13,7 +13,7 @@ from jaxtyping import Array
 from riecjax.assessment.asked import Asked
 from riecjax.assessment.assessment import ValidationRun
 from riecjax.equations.procedure import Procedure
-from riecjax.errors import DataError, IdentifiabilityError, ModelError, RiecjaxError
+from riecjax.errors import DataError, IdentifiabilityError, RiecjaxError
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.parameters import values_in_recording
@@ -135,11 +135,6 @@ def system_of(
     """The model with these values, along a recording with or without parameters of its own."""
     names = model.build_procedure().parameters
     own = values if number is None else values_in_recording(names, values, number)
-    if unknown := [name for name in names if name not in own]:
-        raise ModelError(
-            f"{', '.join(unknown)} has a value in each recording that was estimated from, and none "
-            f"is known in this one: validate on a part of those (--hold-out)."
-        )
     return model.identified_system({name: own[name] for name in names}, recording.record)
 
 

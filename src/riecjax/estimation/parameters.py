@@ -137,9 +137,13 @@ class ParameterTable(eqx.Module):
         some, free = {*names}, self.free
         return {r.name for r in self.rows if r.name in free and some & {r.name, r.local}}
 
+    def of_recording(self, index: int) -> list[Parameter]:
+        """Those of one recording, its own and those that all share."""
+        return [row for row in self.rows if row.recording in (None, index)]
+
     def of_record(self, names: Iterable[str], index: int) -> tuple[str, ...]:
         """Names over all recordings of what recording number `index` calls so."""
-        called = {r.local: r.name for r in self.rows if r.recording in (None, index)}
+        called = {row.local: row.name for row in self.of_recording(index)}
         return tuple(called[name] for name in names)
 
     def everywhere(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -163,7 +167,7 @@ class ParameterTable(eqx.Module):
 
     def values_of(self, values: Mapping[str, Value], index: int) -> dict[str, Value]:
         """Of values by name over all recordings, those of one as it calls them."""
-        return {r.local: values[r.name] for r in self.rows if r.recording in (None, index)}
+        return {row.local: values[row.name] for row in self.of_recording(index)}
 
 
 def values_in_recording(

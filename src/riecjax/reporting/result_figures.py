@@ -243,26 +243,20 @@ def _surveyed_rows(
     estimate = result.estimate
     assert estimate.summary is not None
     summary = linearised(result.procedure, estimate.summary, estimate.known)
-    given = {name: float(value) for name, value in estimate.known.items()}
-    found = {name: float(estimate[name]) for name in estimate.parameters}
-    names = result.procedure.parameters
     for i, recording in enumerate(summary.recordings):
-        called = dict(zip(names, estimate.table.of_record(names, i)))
-        known, estimated = (
-            {name: values[shown] for name, shown in called.items() if shown in values}
-            for values in (given, found)
-        )
+        values = estimate.table.values_of(estimate.values, i)
+        known = {row.local for row in estimate.table.of_recording(i) if row.name in estimate.known}
         for place, equation in ((k, e) for k, stage in enumerate(recording.stages) for e in stage):
             assert equation.survey is not None
             target, *columns = np.asarray(equation.survey.rows).T
             held = dict(zip(equation.parameters, columns))
-            target = target - sum(known[n] * held.pop(n) for n in (*held,) if n in known)
+            target = target - sum(values[n] * held.pop(n) for n in (*held,) if n in known)
             # Where no term is known beforehand, an earlier stage found the coefficient that sets
             # the scale.
             if held and not target.any():
                 first = next(iter(held))
-                target = -estimated[first] * held.pop(first)
-            explained = sum((estimated[n] * x for n, x in held.items()), np.zeros(target.size))
+                target = -values[first] * held.pop(first)
+            explained = sum((values[n] * x for n, x in held.items()), np.zeros(target.size))
             yield place, target, explained, np.asarray(equation.survey.start)
 
 
