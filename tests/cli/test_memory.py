@@ -93,6 +93,10 @@ def test_on_a_terminal_a_line_says_what_is_done_and_counts_the_seconds(monkeypat
     line.refining(0.25)
     clock[0] = 113.6
     console.print(line)
-    first, second = text.getvalue().splitlines()
+    for clock[0], done in ((120.0, 0), (124.0, 3)):
+        line.count("summing", done, 10, 4_000_000 * bool(done))
+    console.print(line)
+    first, second, third = text.getvalue().splitlines()
     assert first == "reading, and compiling what was not compiled before: 12 s"
     assert second == "refining: step 1, sum of squares 0.25: 14 s"
+    assert third == "summing: 3 of 10, 1,000 thousand samples/s: 24 s"

@@ -21,7 +21,7 @@ from riecjax.equations import Procedure, with_rests
 from riecjax.errors import DataError, ModelError, reason_of
 from riecjax.estimation import plan_parameters
 from riecjax.fleets.settings import Fleets
-from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, rows_at_hand, stretches
+from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, stretches
 from riecjax.runtime import collect_seldom, start_jax
 from riecjax.summaries import Outline, default_criterion, stretch_starts
 from riecjax.validation import LONGER, sweep_edges
@@ -80,10 +80,18 @@ class Order:
         """What recordings are grouped by beside their paths."""
         return () if self.settings.keys[0] in WHOLE_PATHS else self.settings.keys
 
-    def columns_in(self, source: Source) -> tuple[str, ...]:
-        """What of it only the columns of a source say."""
-        keys = dict(source.keys)
-        return tuple(name for name in self.columns if name not in keys)
+    def runs_of(self, piece: Piece) -> list[Piece]:
+        """The recordings of a Parquet source that is long, or whose columns say what its path does
+        not; all else is read as it is.
+
+        **Raises:** `DataError` where a column is in none of its files; `OSError`.
+        """
+        source, keys = piece.source, dict(piece.source.keys)
+        columns = [name for name in self.columns if name not in keys]
+        is_read_by_rows = source.is_long or (source.is_parquet and bool(columns))
+        if piece.stop or not is_read_by_rows:
+            return [piece]
+        return recordings_of(source, columns, self.storage)
 
     @property
     def longest(self) -> float:
@@ -182,16 +190,11 @@ class Order:
         """The first recording that can be read, or as much of it as is enough."""
         errors: list[Exception] = []
         for source in sources[:TRIED]:
-            columns = self.columns_in(source)
             # What is wrong with one recording is told by its row.
             try:
-                if source.is_long or (source.is_parquet and columns):
-                    piece = recordings_of(source, columns, self.storage)[0]
-                    high = min(piece.high, piece.low + LOOKED_AT)
-                    opening = rows_at_hand(piece, piece.low, high, self.storage)
-                else:
-                    opening = at_hand(source, self.storage)
-                with opening as file:
+                run = self.runs_of(Piece(source))[0]
+                rows = run.low, min(run.high, run.low + LOOKED_AT)
+                with at_hand(run, rows, self.storage) as file:
                     return self.recordings_in(file)[0]
             except Exception as error:
                 errors.append(error)
@@ -208,7 +211,7 @@ class Order:
             if source.is_long:
                 # Whoever sums it says why not.
                 with contextlib.suppress(Exception):
-                    recordings = recordings_of(source, self.columns_in(source), self.storage)
+                    recordings = self.runs_of(recordings[0])
             for recording in recordings:
                 if recording.stop:
                     yield from stretches(recording, self.starts, self.window)

@@ -160,26 +160,6 @@ def _keys(url: str) -> Iterator[tuple[str, str]]:
             yield unquote(key), unquote(value)
 
 
-@contextlib.contextmanager
-def at_hand(source: Source, storage: Mapping[str, Any]) -> Iterator[Path]:
-    """A source's one file as a file of this machine, brought here if it lies in a store.
-
-    **Raises:** `DataError` where it cannot be.
-    """
-    import fsspec
-
-    (url,) = source.urls
-    if "://" not in url:
-        yield Path(url)
-        return
-    with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
-        here = Path(folder) / posixpath.basename(url)
-        with _in_words(f"'{url}' cannot be read"):
-            fs, path = fsspec.core.url_to_fs(url, **storage)
-            fs.get_file(path, str(here))
-        yield here
-
-
 # Rows of a Parquet source can be read in parts. A stretch holds the starts of its own windows and,
 # beside them, the samples that these reach and that a derivative or a spike is judged by. So every
 # window counts once, also one that lies across the boundary of two files of a data set.
@@ -283,13 +263,28 @@ def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:
 
 
 @contextlib.contextmanager
-def rows_at_hand(piece: Piece, low: int, high: int, storage: Mapping[str, Any]) -> Iterator[Path]:
-    """Rows of a recording as a Parquet file of this machine, of its source's name.
+def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> Iterator[Path]:
+    """A source's one file as a file of this machine, brought here if it lies in a store; of a
+    recording in a Parquet source, some rows, as a file of its source's name.
 
-    **Raises:** `OSError` where it cannot be read or written.
+    **Raises:** `DataError` where it cannot be read; `OSError` where it cannot be written.
     """
+    import fsspec
     from pyarrow import concat_tables, parquet
 
+    if not piece.stop:
+        (url,) = piece.source.urls
+        if "://" not in url:
+            yield Path(url)
+            return
+        with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
+            here = Path(folder) / posixpath.basename(url)
+            with _in_words(f"'{url}' cannot be read"):
+                fs, path = fsspec.core.url_to_fs(url, **storage)
+                fs.get_file(path, str(here))
+            yield here
+        return
+    low, high = rows
     tables: list[Any] = []
     for url, begin, stop in piece.files:
         if begin >= high or stop <= low:

@@ -1,14 +1,14 @@
 """One task of a fleet: read some recordings, and sum up what they say to the model."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from riecjax import Recording, summarise
 from riecjax.errors import DataError, reason_of
 from riecjax.estimation import recording_findings
 from riecjax.fleets.order import Order, unpacked
-from riecjax.fleets.sources import Piece, at_hand, recordings_of, rows_at_hand
+from riecjax.fleets.sources import Piece, at_hand
 from riecjax.runtime import release_memory
 
 DONE = "ok"
@@ -59,31 +59,31 @@ def sum_up(order: bytes, pieces: Sequence[Piece]) -> list[Row]:
 
 def rows_of(order: Order, piece: Piece) -> list[Row]:
     """The rows of a piece; of what cannot be read or summed one that says why."""
-    source, columns = piece.source, order.columns_in(piece.source)
-    rows = []
-
     # What is wrong with one recording is not the end of a run over a hundred thousand others.
-    def add(part: str, make: Callable[..., Row], run: Piece, *recording: Recording) -> None:
-        try:
-            rows.append(make(order, run, *recording))
-        except Exception as error:
-            rows.append(lost(run, reason_of(error), part))
-
     try:
-        if piece.stop:
-            add(piece.part, _row_of_stretch, piece)
-            release_memory()
-        elif source.is_parquet and columns:
-            for run in recordings_of(source, columns, order.storage):
-                add(run.part, _row_of_stretch, run)
-        else:
-            with at_hand(source, order.storage) as file:
-                for recording in order.recordings_in(file):
-                    add(recording.part, _row, piece, recording)
+        rows = [row for run in order.runs_of(piece) for row in _rows_of_run(order, run)]
     except Exception as error:
         rows = [lost(piece, reason_of(error))]
+    if piece.stop:
+        release_memory()
     rows = rows or [lost(piece, "it holds no rows.")]
     return [row._replace(piece=piece.identity) for row in rows]
+
+
+def _rows_of_run(order: Order, run: Piece) -> Iterator[Row]:
+    """A row for each recording of a file, or the row of some rows of one."""
+    try:
+        with at_hand(run, run.reach(order.window), order.storage) as file:
+            recordings = order.recordings_in(file)
+    except Exception as error:
+        yield lost(run, reason_of(error), run.part)
+        return
+    for recording in recordings:
+        part = run.part if run.stop else recording.part
+        try:
+            yield _row(order, run, recording, part)
+        except Exception as error:
+            yield lost(run, reason_of(error), part)
 
 
 def lost(piece: Piece, why: str, part: str = "") -> Row:
@@ -91,33 +91,25 @@ def lost(piece: Piece, why: str, part: str = "") -> Row:
     return Row(piece.identity, piece.source.name, part, piece.labels, 0.0, "", 0, 0.0, why)
 
 
-def _row_of_stretch(order: Order, piece: Piece) -> Row:
-    """The row of some rows of a source."""
-    low, high = piece.reach(order.window)
-    with rows_at_hand(piece, low, high, order.storage) as file:
-        (recording,) = order.recordings_in(file)
-    if recording.record.sample_count != high - low:
-        raise DataError(
-            f"{piece.source.name}: of {high - low} rows {recording.record.sample_count} samples "
-            f"were made, so that it cannot be summed in stretches: store it in parts as recordings "
-            f"of their own, or without what changes the number of samples (pauses, --resample)."
-        )
-    step = float(recording.record.time_step)
-    if piece.stop < piece.high and order.longest > order.window * step:
-        raise DataError(
-            f"{piece.source.name}: it is sampled faster than the first recording, whose stretches "
-            f"reach less far. Sum recordings of other rates in a run of their own."
-        )
-    is_whole = (piece.first, piece.stop) == (piece.low, piece.high)
-    starts = None if is_whole else (piece.first - low, piece.stop - low)
-    row = _row(order, piece, recording, starts)
-    return row._replace(part=piece.part, start=(piece.first - piece.low) * step)
-
-
-def _row(
-    order: Order, piece: Piece, recording: Recording, starts: tuple[int, int] | None = None
-) -> Row:
-    """The row of a recording, of which only windows with these starts may count."""
+def _row(order: Order, run: Piece, recording: Recording, part: str) -> Row:
+    """The row of a recording, or of a stretch of one, in which only its own windows count."""
+    step, starts = float(recording.record.time_step), None
+    if run.stop:
+        low, high = run.reach(order.window)
+        if recording.record.sample_count != high - low:
+            raise DataError(
+                f"{run.source.name}: of {high - low} rows {recording.record.sample_count} samples "
+                f"were made, so that it cannot be summed in stretches: store it in parts as "
+                f"recordings of their own, or without what changes the number of samples (pauses, "
+                f"--resample)."
+            )
+        if run.stop < run.high and order.longest > order.window * step:
+            raise DataError(
+                f"{run.source.name}: it is sampled faster than the first recording, whose "
+                f"stretches reach less far. Sum recordings of other rates in a run of their own."
+            )
+        if (run.first, run.stop) != (run.low, run.high):
+            starts = run.first - low, run.stop - low
     summary = summarise(
         order.procedure,
         recording,
@@ -130,11 +122,11 @@ def _row(
     samples = int(sums.samples)
     findings = recording_findings(order.procedure, recording, order.criterion)
     return Row(
-        piece.identity,
-        piece.source.name,
-        recording.part,
-        piece.labels,
-        0.0,
+        run.identity,
+        run.source.name,
+        part,
+        run.labels,
+        (run.first - run.low) * step,
         digest,
         samples,
         samples * float(sums.time_step),

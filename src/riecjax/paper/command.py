@@ -5,7 +5,7 @@ import os
 import shutil
 from dataclasses import dataclass
 
-from riecjax.cli import Given, settings_command
+from riecjax.cli import Given, Progress, settings_command
 from riecjax.runtime import start_jax
 from riecjax.settings import Contradiction, Output, Seed, Settings, flag, setting, whole
 
@@ -47,8 +47,6 @@ def command(given: Given) -> None:
     out = given.out
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
     import jax
-    from rich.console import Console
-    from rich.progress import Progress, TaskID
 
     from riecjax.models.quarter_car import reconstructed
     from riecjax.paper.charts import study_charts
@@ -62,17 +60,10 @@ def command(given: Given) -> None:
         require_folder(out)
     shapes, parts = reconstructed(), None if out is None else out / PARTS
     scale = QUICK if given.quick else FULL if given.full else given.roads or DEFAULT_ROADS
-    bars: dict[str, TaskID] = {}
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-
-        def report(what: str, done: int, total: int) -> None:
-            """A bar for each thing that is computed."""
-            if what not in bars:
-                bars[what] = bar.add_task(what, total=total)
-            bar.update(bars[what], completed=done, total=total)
-
-        study = run_study(scale, jax.random.key(given.seed), shapes, folder=parts, progress=report)
-        report("statements", 0, 1)
+    key = jax.random.key(given.seed)
+    with Progress() as progress:
+        study = run_study(scale, key, shapes, folder=parts, progress=progress.count)
+        progress.count("statements", 0, 1)
         claims = evaluate_claims(study)
     others = {}
     if study.further is not None:
