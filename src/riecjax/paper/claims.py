@@ -14,19 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax import Boxcar
+from riecjax.paper import reproduction
 from riecjax.paper.published import CRITERIA, INPUTS, VARIANTS
-from riecjax.paper.reproduction import (
-    FORCES,
-    OF_TABLE_2,
-    PAIRS,
-    PARAMETERS,
-    RAMPS,
-    RATE,
-    TRUE_MASSES,
-    Demonstration,
-    RoadResult,
-    WindowErrorMoments,
-)
+from riecjax.paper.reproduction import Demonstration, RoadResult, WindowErrorMoments
 from riecjax.paper.study import PaperStudy
 from riecjax.paper.tables import table_1
 from riecjax.paper.variations import BANDWIDTHS, STIFFER, Hysteresis, VariedStudy
@@ -144,7 +134,7 @@ def bounded_impulse(demonstrations: Demonstration) -> Iterator[Evidence]:
     """
     whole = np.asarray(demonstrations.error_integral)
     share = np.max(np.abs(whole), axis=1) / np.asarray(demonstrations.bound)
-    places = np.unique(np.geomspace(FROM * RATE, whole.shape[1] - 1, 60).astype(int))
+    places = np.unique(np.geomspace(FROM * reproduction.RATE, whole.shape[1] - 1, 60).astype(int))
     error, noise = whole[:, places], np.asarray(demonstrations.noise_integral)[:, places]
 
     def growth(integrals: np.ndarray) -> float:
@@ -214,7 +204,7 @@ def bias(
     roads: RoadResult, name: str, criterion: str, low: float | None, high: float | None
 ) -> Evidence:
     """Of a parameter of the variant B_id, relative."""
-    true = {"K_t": 180e3, **TRUE_MASSES}[name]
+    true = {"K_t": 180e3, **reproduction.TRUE_MASSES}[name]
     values = roads.identified("B_id", name)[:, CRITERIA.index(criterion)]
     what = f"bias of {name} by {criterion}"
     return over_roads(what, lambda v: np.mean(v) / true - 1, values, at_least=low, at_most=high)
@@ -237,7 +227,7 @@ def masses(roads: RoadResult) -> Iterator[Evidence]:
 @statement(7, "roads")
 def consistency(roads: RoadResult) -> Iterator[Evidence]:
     """RIEC finds nearly the same K_s and F_i in all four variants, DOLS does not."""
-    for name in ("K_s", *FORCES):
+    for name in ("K_s", *reproduction.FORCES):
         values = np.stack([roads.identified(variant, name) for variant in VARIANTS])
         riec, dols = (np.ptp(values, axis=0) / np.abs(values.mean(axis=0))).T
         what = f"spread of {name} over the variants, RIEC over DOLS"
@@ -262,14 +252,14 @@ def window_lengths(lengths: Float[np.ndarray, "roads pairs parameters"]) -> Iter
 
     Change against the estimate with Table 2's lengths, mean over roads, of all eight parameters.
     """
-    alpha, beta = PAIRS.T
+    alpha, beta = reproduction.PAIRS.T
     wide = (alpha >= SHORT) & (beta >= 2 * alpha) & (beta <= LONGEST)
     short = (beta <= SHORT) & (alpha < SHORT)
     narrow = (alpha >= SHORT) & (beta < NARROW * alpha) & (beta <= 0.3)
 
     def largest(values: np.ndarray, chosen: np.ndarray) -> float:
         mean = values.mean(axis=0)
-        return np.max(np.abs(mean[chosen] / mean[OF_TABLE_2] - 1))
+        return np.max(np.abs(mean[chosen] / mean[reproduction.OF_TABLE_2] - 1))
 
     what = "largest change of a parameter, beta at least 2 alpha, from 0.05 to 1.5 s"
     yield over_roads(what, lambda v: largest(v, wide), lengths, at_most=INSENSITIVE)
@@ -381,7 +371,9 @@ def agreement(study: VariedStudy) -> Iterator[Evidence]:
     pair, every = ("pathological", "included-mode"), tuple(study.cases)
 
     def models(method: str, cases: tuple[str, ...], bands: np.ndarray | slice) -> list[np.ndarray]:
-        return [study.identified(case, method, *PARAMETERS)[:, bands] for case in cases]
+        return [
+            study.identified(case, method, *reproduction.PARAMETERS)[:, bands] for case in cases
+        ]
 
     what = "distance of the two RIEC models from 15 Hz on, mean over parameters"
     yield over_roads(what, distance, *models("RIEC", pair, above), at_most=0.03)
@@ -421,7 +413,9 @@ def damper_forces(study: VariedStudy, damper: Hysteresis) -> Iterator[Evidence]:
     The last number is a trial of the explanation: the same study with less compliance.
     """
     start, middle = (int(np.argmin(np.abs(study.bandwidths - f))) for f in (FLAT, WHEEL_HOP))
-    riec, dols = (study.identified("pathological", method, *FORCES) for method in CRITERIA)
+    riec, dols = (
+        study.identified("pathological", method, *reproduction.FORCES) for method in CRITERIA
+    )
     what = "change of DOLS' forces from 10 to 30 Hz, mean of the four"
     yield over_roads(what, lambda v: np.mean(change(v, start)), dols, at_most=-0.05)
     what = "change of the DOLS force that falls least, from 15 to 30 Hz"
@@ -439,7 +433,9 @@ def damper_forces(study: VariedStudy, damper: Hysteresis) -> Iterator[Evidence]:
         return stiffer / compliant
 
     what = f"DOLS' drift from 15 to 30 Hz with a damper {STIFFER:g} times as stiff, over its drift"
-    forces = np.asarray(damper.by_dols)[..., [PARAMETERS.index(name) for name in FORCES]]
+    forces = np.asarray(damper.by_dols)[
+        ..., [reproduction.PARAMETERS.index(name) for name in reproduction.FORCES]
+    ]
     yield over_roads(what, drift, forces, at_most=0.7)
 
 
@@ -485,7 +481,7 @@ def wheel_velocity(
         errors = np.asarray(roads.errors)[..., i, :]
         what = f"p_3 over the largest of the others, {where}"
         yield over_roads(what, margin, errors, at_least=1.0)
-    for length, errors in zip(RAMPS, [] if ramps is None else ramps):
+    for length, errors in zip(reproduction.RAMPS, [] if ramps is None else ramps):
         what = f"the same on a pot-hole with ramps of {length:g} m, for comparison"
         yield over_roads(what, margin, errors)
 

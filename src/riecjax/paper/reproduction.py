@@ -11,18 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from riecjax import (
-    DOLS,
-    RIEC,
-    AllWindows,
-    Boxcar,
-    FixedStep,
-    RandomWindows,
-    Record,
-    find_model,
-    simulate,
-    staged,
-)
+import riecjax as rx
 from riecjax.estimation import solve
 from riecjax.models.quarter_car import (
     Pothole,
@@ -111,23 +100,23 @@ def pothole_velocity(hole: Pothole) -> Float[Array, " n"]:
 
 
 def identification_record(
-    source: QuarterCarSource, key: Key[Array, ""], *, method: FixedStep | None = None
+    source: QuarterCarSource, key: Key[Array, ""], *, method: rx.FixedStep | None = None
 ) -> Simulation:
     """The source model on the white-noise road of Table 2."""
-    return simulate(source, Record({"v_r": training_noise(key)}, STEP), method=method)
+    return rx.simulate(source, rx.Record({"v_r": training_noise(key)}, STEP), method=method)
 
 
-def paper_criteria() -> dict[str, RIEC | DOLS]:
+def paper_criteria() -> dict[str, rx.RIEC | rx.DOLS]:
     """RIEC with the windows of Table 2, and DOLS."""
-    windows = RandomWindows(TABLE_2.alpha, TABLE_2.beta, TABLE_2.windows, between_samples=True)
-    return {"RIEC": RIEC(windows), "DOLS": DOLS()}
+    windows = rx.RandomWindows(TABLE_2.alpha, TABLE_2.beta, TABLE_2.windows, between_samples=True)
+    return {"RIEC": rx.RIEC(windows), "DOLS": rx.DOLS()}
 
 
 def identify_variants(
-    record: Record, criterion: RIEC | DOLS, key: Key[Array, ""]
+    record: rx.Record, criterion: rx.RIEC | rx.DOLS, key: Key[Array, ""]
 ) -> Float[Array, "variants parameters"]:
     """All four variants from one set of normal equations: only what is known differs."""
-    procedure = staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
+    procedure = rx.staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
     tyre, masses, wheel, body = stage_normal_equations(procedure, record, criterion, key)
     last, known = {"W": wheel, "B": body}, {"true": TRUE_MASSES, "id": {}}
     variants = (variant.split("_") for variant in VARIANTS)
@@ -135,7 +124,7 @@ def identify_variants(
 
 
 def by_body(
-    record: Record, criterion: RIEC | DOLS, key: Key[Array, ""] | None = None
+    record: rx.Record, criterion: rx.RIEC | rx.DOLS, key: Key[Array, ""] | None = None
 ) -> Float[Array, " parameters"]:
     """The variant B_id by one criterion."""
     stages = stage_normal_equations(quarter_car_by_body(), record, criterion, key)
@@ -159,7 +148,7 @@ def run_road(
     source: QuarterCarSource,
     shapes: Reconstruction,
     *,
-    method: FixedStep | None = None,
+    method: rx.FixedStep | None = None,
 ) -> RoadResult:
     """Simulate, identify and validate on one random road; vmap over keys for many."""
     keys = road_keys(key)
@@ -178,16 +167,16 @@ def validation_errors(
     models: Float[Array, "*models parameters"],
     source: QuarterCarSource,
     inputs: dict[str, Array],
-    method: FixedStep | None = None,
+    method: rx.FixedStep | None = None,
 ) -> tuple[Float[Array, "*models inputs 4"], Bool[Array, "*models"]]:
     """p_i of x1 to x4 in percent on each input, and whether all simulations of a model held."""
     errors, successful = [], []
     for velocity in inputs.values():
-        road = Record({"v_r": velocity}, STEP)
-        truth = simulate(source, road, method=method)
+        road = rx.Record({"v_r": velocity}, STEP)
+        truth = rx.simulate(source, road, method=method)
 
-        def error(model: Array, road: Record = road, truth: Simulation = truth) -> tuple:
-            run = simulate(QuarterCar.from_parameters(_named(model)), road, method=method)
+        def error(model: Array, road: rx.Record = road, truth: Simulation = truth) -> tuple:
+            run = rx.simulate(QuarterCar.from_parameters(_named(model)), road, method=method)
             by_state = [percentage_error(run.record[s], truth.record[s]) for s in VALIDATED_STATES]
             return jnp.stack(by_state), run.successful & truth.successful
 
@@ -220,13 +209,13 @@ def validation_trajectories(
 ) -> dict[str, Trajectories]:
     """Of the variant B_id on the `road` that belongs to `key`, and on the `pothole`."""
 
-    def motion(system: QuarterCarSource | QuarterCar, road: Record) -> Float[Array, "n 4"]:
-        record = simulate(system, road).record
+    def motion(system: QuarterCarSource | QuarterCar, road: rx.Record) -> Float[Array, "n 4"]:
+        record = rx.simulate(system, road).record
         return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
 
     trajectories = {}
     for where, velocity in validation_inputs(road_keys(key).validation, shapes).items():
-        road = Record({"v_r": velocity}, STEP)
+        road = rx.Record({"v_r": velocity}, STEP)
         predict = jax.vmap(
             jax.vmap(
                 lambda model, road=road: motion(QuarterCar.from_parameters(_named(model)), road)
@@ -279,8 +268,8 @@ def estimates_over_lengths(
     longest = round(max(LENGTHS) * TABLE_2.rate) + 1
 
     def estimate(pair: Float[Array, " 2"]) -> Float[Array, " parameters"]:
-        windows = AllWindows(pair[0], pair[1], longest_samples=longest)
-        return by_body(record, RIEC(windows, Boxcar(2)))
+        windows = rx.AllWindows(pair[0], pair[1], longest_samples=longest)
+        return by_body(record, rx.RIEC(windows, rx.Boxcar(2)))
 
     return jax.lax.map(estimate, pairs)
 
@@ -310,9 +299,9 @@ def demonstrate(key: Key[Array, ""]) -> Demonstration:
     """Drive the two masses by a white Gaussian force, and integrate; vmap over keys for many."""
     force_key, noise_key = jax.random.split(key)
     count = round(DURATION * RATE)
-    masses = find_model("two-mass").build_system(TWO_MASS)
+    masses = rx.find_model("two-mass").build_system(TWO_MASS)
     force = jax.random.normal(force_key, (count,))
-    run = simulate(masses, Record({"F": force}, 1 / RATE), method=FixedStep(1)).record
+    run = rx.simulate(masses, rx.Record({"F": force}, 1 / RATE), method=rx.FixedStep(1)).record
     error = run["error"]
     # A force of 1 N r.m.s. is as good as any: the model is linear.
     size = jnp.sqrt(jnp.mean(error**2))

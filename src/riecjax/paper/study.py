@@ -11,19 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.models.quarter_car import Reconstruction, quarter_car_source
-from riecjax.paper.reproduction import (
-    PAIRS,
-    Demonstration,
-    RoadResult,
-    Trajectories,
-    WindowErrorMoments,
-    demonstrate,
-    errors_over_ramps,
-    estimates_over_lengths,
-    run_road,
-    validation_trajectories,
-    window_error_moments,
-)
+from riecjax.paper import reproduction
 from riecjax.paper.variations import Hysteresis, VariedStudy, hysteresis, run_variations
 from riecjax.studies import over_keys
 
@@ -71,10 +59,10 @@ class Further(NamedTuple):
 
     scale: Scale
     variations: VariedStudy
-    demonstrations: Demonstration
-    window_errors: WindowErrorMoments
+    demonstrations: reproduction.Demonstration
+    window_errors: reproduction.WindowErrorMoments
     lengths: Float[Array, "roads pairs parameters"]
-    trajectories: dict[str, Trajectories]
+    trajectories: dict[str, reproduction.Trajectories]
     damper: Hysteresis
     ramps: Float[Array, "ramps roads criteria variants 4"]
 
@@ -82,7 +70,7 @@ class Further(NamedTuple):
 class PaperStudy(NamedTuple):
     """What was computed: `roads`, all of Tables 3 to 5, and what is `further` in a whole study."""
 
-    roads: RoadResult
+    roads: reproduction.RoadResult
     further: Further | None = None
 
     @property
@@ -116,23 +104,27 @@ def run_study(
         )
 
     if isinstance(scale, int):
-        return PaperStudy(over("roads", run_road, scale, source, shapes))
+        return PaperStudy(over("roads", reproduction.run_road, scale, source, shapes))
     what = "bandwidths and engine mounts"
     progress(what, 0, 1)
     report = functools.partial(progress, what)
     plan = (scale.bandwidths, scale.studied, scale.draws)
     variations = run_variations(key, shapes, *plan, folder=folder, progress=report)
-    roads = over("roads", run_road, scale.roads, source, shapes)
+    roads = over("roads", reproduction.run_road, scale.roads, source, shapes)
     few = jax.tree.map(lambda leaf: leaf[: scale.studied], roads)
-    demonstrations = over("demonstrations of Section 2", demonstrate, scale.demonstrations)
+    demonstrations = over(
+        "demonstrations of Section 2", reproduction.demonstrate, scale.demonstrations
+    )
     progress("errors of windows", 0, 1)
-    errors = window_error_moments(key, few, source)
+    errors = reproduction.window_error_moments(key, few, source)
     damper = over("hysteresis of the damper", hysteresis, scale.studied, source)
-    pairs = jnp.asarray(PAIRS)
-    lengths = over("window lengths", estimates_over_lengths, scale.studied, source, pairs)
+    pairs = jnp.asarray(reproduction.PAIRS)
+    lengths = over(
+        "window lengths", reproduction.estimates_over_lengths, scale.studied, source, pairs
+    )
     progress("trajectories", 0, 1)
-    trajectories = validation_trajectories(few, key, source, shapes)
-    ramps = errors_over_ramps(few, source, shapes)
+    trajectories = reproduction.validation_trajectories(few, key, source, shapes)
+    ramps = reproduction.errors_over_ramps(few, source, shapes)
     computed = (roads, demonstrations, errors, lengths, trajectories, damper, ramps)
     # NumPy's arrays: JAX would compile a slice for each number that a figure reads.
     roads, *others = jax.tree.map(np.asarray, computed)

@@ -24,19 +24,8 @@ from jaxtyping import Array, Bool, Float, Key
 
 from riecjax import DOLS, FixedStep, Record, simulate
 from riecjax.models.quarter_car import QuarterCarSource, Reconstruction, quarter_car_source
+from riecjax.paper import reproduction
 from riecjax.paper.published import INPUTS, TABLE_6, MountVariant
-from riecjax.paper.reproduction import (
-    FORCES,
-    PARAMETERS,
-    STEP,
-    VALIDATED_STATES,
-    by_body,
-    paper_criteria,
-    road_keys,
-    training_noise,
-    validation_errors,
-    validation_inputs,
-)
 from riecjax.simulation import low_passed
 from riecjax.studies import over_keys
 from riecjax.whole_files import Store, stamp
@@ -73,22 +62,24 @@ def vary_road(
     draw gives the models of Tables 3 to 5.
     """
     source = quarter_car_source(shapes, mount_rate=mount.stiffness, mount_damping=mount.damping)
-    keys, criteria = road_keys(key), paper_criteria()
-    noise = training_noise(keys.training)
+    keys, criteria = reproduction.road_keys(key), reproduction.paper_criteria()
+    noise = reproduction.training_noise(keys.training)
     # Windows are drawn by the road's own key first.
     rest = jax.random.split(jax.random.fold_in(keys.windows, 1), draws - 1)
     drawn = jnp.stack([keys.windows, *(rest[i] for i in range(draws - 1))])
 
     def identified(bandwidth: Array) -> tuple[Array, Array]:
-        driven = Record({"v_r": low_passed(noise, STEP, bandwidth)}, STEP)
+        driven = Record({"v_r": low_passed(noise, reproduction.STEP, bandwidth)}, reproduction.STEP)
         training = simulate(source, driven, method=method)
-        by_riec = jax.vmap(lambda key: by_body(training.record, criteria["RIEC"], key))(drawn)
-        by_dols = by_body(training.record, criteria["DOLS"])
+        by_riec = jax.vmap(
+            lambda key: reproduction.by_body(training.record, criteria["RIEC"], key)
+        )(drawn)
+        by_dols = reproduction.by_body(training.record, criteria["DOLS"])
         return jnp.concatenate([by_dols[None], by_riec]), training.successful
 
     parameters, trained = jax.vmap(identified)(bandwidths)
-    inputs = validation_inputs(keys.validation, shapes)
-    errors, predicted = validation_errors(parameters, source, inputs, method)
+    inputs = reproduction.validation_inputs(keys.validation, shapes)
+    errors, predicted = reproduction.validation_errors(parameters, source, inputs, method)
     return RoadVariations(parameters, errors, trained[:, None] & predicted)
 
 
@@ -106,7 +97,7 @@ class VariedStudy(NamedTuple):
     ) -> Float[np.ndarray, "roads bandwidths names"]:
         """Parameters in SI units, mean over the draws of windows."""
         values = np.asarray(self.cases[case].parameters)[:, :, MODELS[method]].mean(axis=2)
-        return values[..., [PARAMETERS.index(name) for name in names]]
+        return values[..., [reproduction.PARAMETERS.index(name) for name in names]]
 
     def summed_error(
         self, case: str, method: str, where: str
@@ -176,7 +167,9 @@ def run_variations(
     return VariedStudy(np.array(bandwidths), cases)
 
 
-UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | dict.fromkeys(FORCES, "N")
+UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | dict.fromkeys(
+    reproduction.FORCES, "N"
+)
 
 
 def variations_table(study: VariedStudy) -> pa.Table:
@@ -190,11 +183,11 @@ def variations_table(study: VariedStudy) -> pa.Table:
         # DOLS has no draws; RIEC's are numbered.
         methods = [("DOLS", 0), *(("RIEC", draw) for draw in range(models - 1))]
         road, band, model = (axis.ravel() for axis in np.indices((roads, bandwidths, models)))
-        parameters = varied.parameters.reshape(-1, len(PARAMETERS))
+        parameters = varied.parameters.reshape(-1, len(reproduction.PARAMETERS))
         simulated = varied.successful.ravel()
         errors = varied.errors.reshape(simulated.size, -1)
         errors = np.where(simulated[:, None] & np.isfinite(errors), errors, np.inf)
-        states = range(1, 1 + len(VALIDATED_STATES))
+        states = range(1, 1 + len(reproduction.VALIDATED_STATES))
         names = [f"{where} p_{i} [%]" for where in INPUTS for i in states]
         columns = {
             "case": [case] * road.size,
@@ -202,7 +195,9 @@ def variations_table(study: VariedStudy) -> pa.Table:
             "bandwidth [Hz]": study.bandwidths[band],
             "method": [methods[m][0] for m in model],
             "draw": np.array([methods[m][1] for m in model], np.int32),
-            **{f"{n} [{UNITS[n]}]": parameters[:, i] for i, n in enumerate(PARAMETERS)},
+            **{
+                f"{n} [{UNITS[n]}]": parameters[:, i] for i, n in enumerate(reproduction.PARAMETERS)
+            },
             **{name: errors[:, i] for i, name in enumerate(names)},
             "simulated": simulated,
         }
@@ -246,17 +241,17 @@ def hysteresis(key: Key[Array, ""], source: QuarterCarSource) -> Hysteresis:
 
     On one random road; vmap over keys for many.
     """
-    noise = training_noise(road_keys(key).training)
+    noise = reproduction.training_noise(reproduction.road_keys(key).training)
 
     def at(compliance: Array, bandwidth: Array) -> Hysteresis:
         model = eqx.tree_at(lambda s: s.damper_compliance, source, compliance)
-        driven = Record({"v_r": low_passed(noise, STEP, bandwidth)}, STEP)
+        driven = Record({"v_r": low_passed(noise, reproduction.STEP, bandwidth)}, reproduction.STEP)
         record = simulate(model, driven, method=METHOD).record
         relative = record["x3"] - record["x4"]
         force = source.damper(record["x7"])
         off = force - source.damper(relative)
         width = jnp.sqrt(jnp.mean(off**2) / jnp.mean(force**2))
-        return Hysteresis(relative, force, width, by_body(record, DOLS()))
+        return Hysteresis(relative, force, width, reproduction.by_body(record, DOLS()))
 
     compliances = jnp.asarray(source.damper_compliance) * jnp.array([1.0, STIFFER])
     over_bandwidths = jax.vmap(at, in_axes=(None, 0))
