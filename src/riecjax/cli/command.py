@@ -208,20 +208,20 @@ class Given:
         typed = {k: v for k, v in self.typed.items() if k not in ("as_json", "out")}
         for name, further in self.command.typed(words).items():
             option = self.command.options[name]
-            both = option.beside(self.values[name], further)
-            if isinstance(both, dict) and isinstance(further, dict):
-                before = typed.get(name)
-                both = {
-                    **(before if isinstance(before, dict) else {}),
-                    **{k: both[k] for k in further},
-                }
-            typed[name] = both
+            said = option.beside(self.values[name], further)
+            typed[name] = _with_names(typed.get(name), said)
             typed = {k: v for k, v in typed.items() if k not in option.excludes}
         said = [(self.command.options[name], value) for name, value in typed.items()]
         files = [word for option, value in said if not option.flag for word in option.words(value)]
         words = [word for option, value in said if option.flag for word in option.words(value)]
         is_hidden = any(file.startswith("-") for file in files)
         return [str(self.command.name), *([*words, "--", *files] if is_hidden else files + words)]
+
+
+def _with_names(before: Any, value: Any) -> Any:
+    """What is said of some names beside what was said of others; of all else, what is said last."""
+    is_named = isinstance(before, dict) and isinstance(value, dict)
+    return {**before, **value} if is_named else value
 
 
 class SettingsCommand(click.Command):
@@ -254,13 +254,7 @@ class SettingsCommand(click.Command):
                 held, recorded = read_job(job)
                 of_job = dict(self._of_job(ctx, held, job))
             values |= self._not_replaced(of_job, typed)
-        for name, value in typed.items():
-            before = values[name]
-            values[name] = (
-                {**before, **value}
-                if isinstance(before, dict) and isinstance(value, dict)
-                else value
-            )
+        values |= {name: _with_names(values[name], value) for name, value in typed.items()}
         for param in sorted(self.params, key=lambda param: isinstance(param, click.Option)):
             name = str(param.name)
             if self.options[name].required and values[name] in (None, ()):
