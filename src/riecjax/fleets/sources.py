@@ -20,8 +20,8 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from riecjax.errors import DataError, RiecjaxError
-from riecjax.records.reading import endings
+from riecjax.errors import DataError, RiecjaxError, reason_of
+from riecjax.records.reading import endings, foreign_reader
 
 DATA_SET = ".parquet"
 """Ending of a folder whose files are one recording."""
@@ -142,8 +142,7 @@ def _in_words(what: str) -> Iterator[None]:
     except (RiecjaxError, MemoryError):
         raise
     except Exception as error:
-        why = " ".join(str(error).split()) or type(error).__name__
-        raise DataError(f"{what}: {why[:300].rstrip('.')}.") from None
+        raise DataError(f"{what}: {reason_of(error).rstrip('.')}.") from None
 
 
 def _recording_of(url: str) -> str:
@@ -310,11 +309,9 @@ def _parquet(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
     **Raises:** `DataError` where it cannot be.
     """
     import fsspec
-    from pyarrow import ArrowException, parquet
+    from pyarrow import parquet
 
     with _in_words(f"'{url}' cannot be read"), fsspec.open(url, "rb", **storage) as stream:
-        try:
+        with foreign_reader("Parquet"):
             file = parquet.ParquetFile(stream, page_checksum_verification=True)
-        except ArrowException as error:
-            raise DataError(f"not a readable Parquet file: {str(error).splitlines()[0]}") from None
         yield file

@@ -19,10 +19,7 @@ from riecjax.models.quarter_car import (
 from riecjax.paper import reproduction
 from riecjax.paper.claims import BETWEEN, FIXED, SHOWN, TWO
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
-from riecjax.paper.reproduction import Demonstration, RoadResult, Trajectories
-from riecjax.paper.study import PaperStudy
 from riecjax.paper.tables import number_tables
-from riecjax.paper.variations import BANDWIDTHS, Hysteresis, VariedStudy
 from riecjax.reporting import charts
 from riecjax.reporting.charts import Axis, Chart, Dashes, Dots, HeatMap, Level, Line, Panel, single
 from riecjax.simulation import pothole
@@ -34,7 +31,7 @@ BAND = "Lines are medians over the roads, bands hold 95 % of them."
 VELOCITY, FORCE = "suspension velocity / (m/s)", "damper force / kN"
 
 
-def study_charts(study: PaperStudy, shapes: Reconstruction) -> dict[str, Chart]:
+def study_charts(study: reproduction.PaperStudy, shapes: Reconstruction) -> dict[str, Chart]:
     """The figures that the study has the numbers for, and the map of window lengths."""
     roads, further, source = study.roads, study.further, quarter_car_source(shapes)
     figures = {
@@ -69,7 +66,7 @@ MOST_DOTS = 4000
 """Samples of a scatter that are drawn."""
 
 
-def figure_2(demonstrations: Demonstration) -> Chart:
+def figure_2(demonstrations: reproduction.Demonstration) -> Chart:
     """White noise and the mechanical error, and their running integrals."""
     time = np.arange(round(reproduction.DURATION * reproduction.RATE)) / reproduction.RATE
     # The size of the force is arbitrary: everything in units of the error's r.m.s.
@@ -144,7 +141,7 @@ def figure_5(source: QuarterCarSource) -> Chart:
     )
 
 
-def figure_6(roads: RoadResult) -> Chart:
+def figure_6(roads: reproduction.RoadResult) -> Chart:
     """The piecewise linear damper model, and the functions that it is a sum of."""
     velocity = np.linspace(-1.1, 1.1, 441)
     functions = sampled(RoofFunctions(BREAK_POINTS), velocity)
@@ -179,7 +176,7 @@ def damper_map(forces: np.ndarray, label: str, style: Style, width: float = char
     return Line(BREAK_POINTS, mean, label, *style, width=width, markers=True, error=bars)
 
 
-def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
+def figure_7(roads: reproduction.RoadResult, source: QuarterCarSource) -> Chart:
     """Identified damper maps, four variants by each method, over the source's curve."""
     velocity = np.linspace(-1.1, 1.1, 221)
     curve = Line(
@@ -222,7 +219,7 @@ def figure_8(shapes: Reconstruction) -> Chart:
     )
 
 
-def tables_at_a_glance(roads: RoadResult) -> Chart:
+def tables_at_a_glance(roads: reproduction.RoadResult) -> Chart:
     """Every number of Tables 3 to 5 relative to its published value."""
     prefixes = {"3": "", "4": "K_s ", "5": "p "}
     cells = {
@@ -281,7 +278,7 @@ QUANTITIES = (
 
 
 def validation_figure(
-    motion: Trajectories, stretch: tuple[float, float], figure: str, where: str
+    motion: reproduction.Trajectories, stretch: tuple[float, float], figure: str, where: str
 ) -> Chart:
     """What identified models predict of the source's motion on one of the inputs.
 
@@ -318,7 +315,7 @@ BY_CASE = [(case, method) for case in CASES for method in CRITERIA]
 
 
 def by_case(
-    study: VariedStudy,
+    study: reproduction.VariedStudy,
     values: Mapping[tuple[str, str], np.ndarray],
     y: Axis,
     *,
@@ -340,7 +337,7 @@ def by_case(
     return panels
 
 
-def figure_11(study: VariedStudy) -> Chart:
+def figure_11(study: reproduction.VariedStudy) -> Chart:
     """Masses and stiffness in the three cases of Table 6, by both methods."""
     rows = []
     for name, label, scale, true in (
@@ -359,7 +356,7 @@ def figure_11(study: VariedStudy) -> Chart:
     )
 
 
-def figure_12(study: VariedStudy) -> Chart:
+def figure_12(study: reproduction.VariedStudy) -> Chart:
     """Damper forces in the pathological case."""
     row = []
     for method in reversed(CRITERIA):
@@ -379,7 +376,7 @@ def figure_12(study: VariedStudy) -> Chart:
     )
 
 
-def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
+def figure_13(damper: reproduction.Hysteresis, study: reproduction.VariedStudy) -> Chart:
     """At the lowest and at the highest of the bandwidths."""
     row = []
     for place in (0, -1):
@@ -389,7 +386,7 @@ def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
         source = Dots(
             velocity, force / 1e3, "source, one road", charts.GREY, size=charts.SMALL, opacity=0.5
         )
-        band = int(np.argmin(np.abs(study.bandwidths - BANDWIDTHS[place])))
+        band = int(np.argmin(np.abs(study.bandwidths - reproduction.BANDWIDTHS[place])))
         forces = {
             m: study.identified("pathological", m, *reproduction.FORCES)[:, band] for m in CRITERIA
         }
@@ -398,7 +395,9 @@ def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
             for method in reversed(CRITERIA)
         ]
         x, y = Axis(VELOCITY, low=-1.2, high=1.2), Axis(FORCE, low=-1.6, high=1.6)
-        row.append(Panel([source, *maps], x, y, title=f"input to {BANDWIDTHS[place]:g} Hz"))
+        row.append(
+            Panel([source, *maps], x, y, title=f"input to {reproduction.BANDWIDTHS[place]:g} Hz")
+        )
     return Chart(
         [row],
         "Figure 13. Identified damper maps (B_id, pathological case; bars hold 95 % of the roads) "
@@ -408,7 +407,7 @@ def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
     )
 
 
-def figure_14(study: VariedStudy) -> Chart:
+def figure_14(study: reproduction.VariedStudy) -> Chart:
     """Validation error in the three cases, on both inputs."""
     rows = []
     for where, name, most in (("road", "road", 130.0), ("pothole", "pot-hole", 350.0)):

@@ -16,10 +16,7 @@ from jaxtyping import Array, Float
 from riecjax import Boxcar
 from riecjax.paper import reproduction
 from riecjax.paper.published import CRITERIA, INPUTS, VARIANTS
-from riecjax.paper.reproduction import Demonstration, RoadResult, WindowErrorMoments
-from riecjax.paper.study import PaperStudy
 from riecjax.paper.tables import table_1
-from riecjax.paper.variations import BANDWIDTHS, STIFFER, Hysteresis, VariedStudy
 
 RESAMPLES = 500
 SEED = 1999
@@ -99,7 +96,7 @@ def statement(id: int, *parts: str) -> Callable[[Numbers], Numbers]:
     return enter
 
 
-def evaluate_claims(study: PaperStudy) -> list[Claim]:
+def evaluate_claims(study: reproduction.PaperStudy) -> list[Claim]:
     """All statements that the study has the parts for, in the order of their numbers."""
     computed = {"roads": study.roads, "ramps": None}
     if study.further is not None:
@@ -126,7 +123,7 @@ FIXED, TWO, BETWEEN = 0.1, (0.1, 0.33), (0.1, 1.0)
 
 
 @statement(1, "demonstrations")
-def bounded_impulse(demonstrations: Demonstration) -> Iterator[Evidence]:
+def bounded_impulse(demonstrations: reproduction.Demonstration) -> Iterator[Evidence]:
     """The integrated mechanical error is bounded, that of white noise of equal r.m.s. is not.
 
     Growth is the slope of log r.m.s. over realisations against log time; a random walk has one
@@ -150,7 +147,7 @@ def bounded_impulse(demonstrations: Demonstration) -> Iterator[Evidence]:
 
 
 @statement(2, "demonstrations")
-def drop_outs(_: Demonstration) -> Iterator[Evidence]:
+def drop_outs(_: reproduction.Demonstration) -> Iterator[Evidence]:
     """A fixed T has drop-outs; the average over T ~ U(alpha, beta) has none."""
     frequency = np.linspace(0.5, 50, 4951)
     fixed = Boxcar().gain(frequency, np.array([FIXED]))[:, 0]
@@ -164,7 +161,7 @@ def drop_outs(_: Demonstration) -> Iterator[Evidence]:
 
 
 @statement(3, "window_errors")
-def window_errors(moments: WindowErrorMoments) -> Iterator[Evidence]:
+def window_errors(moments: reproduction.WindowErrorMoments) -> Iterator[Evidence]:
     """Errors of random windows have equal variance and a small, equal cross-correlation (eq. 18).
 
     Of the body's equation in the quarter car. The symmetry is one over roads: on a single record
@@ -186,7 +183,7 @@ def window_errors(moments: WindowErrorMoments) -> Iterator[Evidence]:
 
 
 @statement(4, "roads")
-def eigenstructure(_: RoadResult) -> Iterator[Evidence]:
+def eigenstructure(_: reproduction.RoadResult) -> Iterator[Evidence]:
     """The linearised source model has the eigenstructure of Table 1."""
     share = np.mean([published == reproduced for published, reproduced in table_1()])
     yield Evidence("share of rows that agree in every printed digit", float(share), at_least=1.0)
@@ -201,7 +198,7 @@ ABOUT_A_FIFTH = (-0.3, -0.1)
 
 
 def bias(
-    roads: RoadResult, name: str, criterion: str, low: float | None, high: float | None
+    roads: reproduction.RoadResult, name: str, criterion: str, low: float | None, high: float | None
 ) -> Evidence:
     """Of a parameter of the variant B_id, relative."""
     true = {"K_t": 180e3, **reproduction.TRUE_MASSES}[name]
@@ -211,13 +208,13 @@ def bias(
 
 
 @statement(5, "roads")
-def tyre_stiffness(roads: RoadResult) -> Iterator[Evidence]:
+def tyre_stiffness(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """Both methods find the tyre stiffness with a very slight bias."""
     yield from (bias(roads, "K_t", criterion, -SLIGHT, SLIGHT) for criterion in CRITERIA)
 
 
 @statement(6, "roads")
-def masses(roads: RoadResult) -> Iterator[Evidence]:
+def masses(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """RIEC finds the sprung mass and DOLS does not; both are about 20 % low on the unsprung."""
     yield bias(roads, "M_s", "RIEC", -SLIGHT, SLIGHT)
     yield bias(roads, "M_s", "DOLS", None, -WRONG_MASS)
@@ -225,7 +222,7 @@ def masses(roads: RoadResult) -> Iterator[Evidence]:
 
 
 @statement(7, "roads")
-def consistency(roads: RoadResult) -> Iterator[Evidence]:
+def consistency(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """RIEC finds nearly the same K_s and F_i in all four variants, DOLS does not."""
     for name in ("K_s", *reproduction.FORCES):
         values = np.stack([roads.identified(variant, name) for variant in VARIANTS])
@@ -273,7 +270,7 @@ def window_lengths(lengths: Float[np.ndarray, "roads pairs parameters"]) -> Iter
 
 
 @statement(9, "roads")
-def validation(roads: RoadResult) -> Iterator[Evidence]:
+def validation(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """RIEC validates better than DOLS in every variant, about a third better in most on the road,
     but for B_true on the pot-hole.
     """
@@ -293,7 +290,7 @@ def validation(roads: RoadResult) -> Iterator[Evidence]:
 
 
 @statement(10, "roads")
-def true_masses(roads: RoadResult) -> Iterator[Evidence]:
+def true_masses(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """True masses validate worse than identified ones on the road, better on the pot-hole."""
     limits = {"road": "at_least", "pothole": "at_most"}
     for where, (i, criterion), side in itertools.product(INPUTS, enumerate(CRITERIA), "WB"):
@@ -327,7 +324,7 @@ def spread_ratio(values: np.ndarray, others: np.ndarray) -> float:
 
 
 @statement(11, "variations")
-def bandwidth(study: VariedStudy) -> Iterator[Evidence]:
+def bandwidth(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """Over input bandwidth RIEC's parameters vary less; DOLS is most biased for the included mode.
 
     Spread is the range over 0.5 to 30 Hz of the mean over roads; the geometric mean of the three
@@ -360,7 +357,7 @@ def distance(*cases: np.ndarray) -> float:
 
 
 @statement(12, "variations")
-def agreement(study: VariedStudy) -> Iterator[Evidence]:
+def agreement(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """Above about 15 Hz the pathological and included-mode RIEC models agree, and all three agree
     at the highest bandwidths.
 
@@ -386,7 +383,7 @@ def agreement(study: VariedStudy) -> Iterator[Evidence]:
 
 
 @statement(13, "variations")
-def higher_mode(study: VariedStudy) -> Iterator[Evidence]:
+def higher_mode(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """The higher mode disturbs both methods least."""
 
     def ratio(higher: np.ndarray, *others: np.ndarray) -> float:
@@ -406,7 +403,9 @@ def change(values: np.ndarray, since: int) -> np.ndarray:
 
 
 @statement(14, "variations", "damper")
-def damper_forces(study: VariedStudy, damper: Hysteresis) -> Iterator[Evidence]:
+def damper_forces(
+    study: reproduction.VariedStudy, damper: reproduction.Hysteresis
+) -> Iterator[Evidence]:
     """DOLS damper forces drift down with bandwidth, RIEC's are flat above about 10 Hz; the
     hysteresis of the compliant damper explains it.
 
@@ -422,7 +421,7 @@ def damper_forces(study: VariedStudy, damper: Hysteresis) -> Iterator[Evidence]:
     yield over_roads(what, lambda v: np.max(change(v, middle)), dols, at_most=0.0)
     what = "largest change of a RIEC force from 10 to 30 Hz"
     yield over_roads(what, lambda v: np.max(np.abs(change(v, start))), riec, at_most=0.07)
-    width, (low, high) = np.asarray(damper.width), (BANDWIDTHS.index(WHEEL_HOP), -1)
+    width, (low, high) = np.asarray(damper.width), (reproduction.BANDWIDTHS.index(WHEEL_HOP), -1)
     what = "hysteresis at 30 Hz over that at 6 Hz (r.m.s. off the curve, share of the force)"
     yield over_roads(what, ratio_of_means, width[:, 0, high], width[:, 0, 0], at_least=1.5)
 
@@ -432,15 +431,15 @@ def damper_forces(study: VariedStudy, damper: Hysteresis) -> Iterator[Evidence]:
         compliant, stiffer = np.mean(means[:, high] / means[:, low] - 1, axis=-1)
         return stiffer / compliant
 
-    what = f"DOLS' drift from 15 to 30 Hz with a damper {STIFFER:g} times as stiff, over its drift"
-    forces = np.asarray(damper.by_dols)[
-        ..., [reproduction.PARAMETERS.index(name) for name in reproduction.FORCES]
-    ]
+    times = f"{reproduction.STIFFER:g} times"
+    what = f"DOLS' drift from 15 to 30 Hz with a damper {times} as stiff, over its drift"
+    places = [reproduction.PARAMETERS.index(name) for name in reproduction.FORCES]
+    forces = np.asarray(damper.by_dols)[..., places]
     yield over_roads(what, drift, forces, at_most=0.7)
 
 
 @statement(15, "variations")
-def bandwidth_validation(study: VariedStudy) -> Iterator[Evidence]:
+def bandwidth_validation(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """RIEC's validation error falls as bandwidth rises, and is least at the highest; DOLS' is not.
 
     Least means within 3 % of the least at any bandwidth: RIEC's curves are flat from about 12 Hz
@@ -464,7 +463,7 @@ def bandwidth_validation(study: VariedStudy) -> Iterator[Evidence]:
 
 @statement(16, "roads", "ramps")
 def wheel_velocity(
-    roads: RoadResult, ramps: Float[Array, "ramps roads criteria variants 4"] | None
+    roads: reproduction.RoadResult, ramps: Float[Array, "ramps roads criteria variants 4"] | None
 ) -> Iterator[Evidence]:
     """The wheel velocity's error p_3 predominates in the validations.
 
@@ -487,7 +486,7 @@ def wheel_velocity(
 
 
 @statement(17, "variations")
-def higher_mode_validation(study: VariedStudy) -> Iterator[Evidence]:
+def higher_mode_validation(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """For the higher mode DOLS' validation worsens at high bandwidth although its parameters hardly
     change.
 

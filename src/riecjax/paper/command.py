@@ -52,8 +52,7 @@ def command(given: Given) -> None:
     from riecjax.paper.charts import study_charts
     from riecjax.paper.claims import evaluate_claims
     from riecjax.paper.report import print_reproduction, reproduction_document, reproduction_page
-    from riecjax.paper.study import FULL, QUICK, run_study
-    from riecjax.paper.variations import write_variations
+    from riecjax.paper.reproduction import FULL, QUICK, run_study, write_variations
     from riecjax.reporting import emit, require_folder
 
     if out is not None:
