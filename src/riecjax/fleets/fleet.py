@@ -14,11 +14,10 @@ from riecjax.extensions import require_packages
 from riecjax.fleets import kept
 from riecjax.fleets.engine import Engine, Lost, engine
 from riecjax.fleets.groups import Entry, estimated, grouped, named
-from riecjax.fleets.order import Order
+from riecjax.fleets.order import DONE, Order, Row, lost, sum_up
 from riecjax.fleets.report import Fleet
 from riecjax.fleets.settings import Fleets, Progress
 from riecjax.fleets.sources import Piece, Source, find_sources
-from riecjax.fleets.sums import DONE, Row, lost, sum_up
 from riecjax.models import as_model
 from riecjax.settings import taking
 

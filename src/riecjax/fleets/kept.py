@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
 from riecjax.fleets.engine import batches
-from riecjax.fleets.order import Order
-from riecjax.fleets.sums import DONE, Row
+from riecjax.fleets.order import DONE, Order, Row
 from riecjax.whole_files import no_folder, write_file
 
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"

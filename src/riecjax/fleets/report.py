@@ -14,8 +14,8 @@ from riecjax import Model
 from riecjax.criteria import AbstractCriterion
 from riecjax.extensions import require_packages
 from riecjax.fleets.groups import Entry
+from riecjax.fleets.order import DONE, Row
 from riecjax.fleets.spread import ALARMS, RATE, Change, Spread, changes, spreads
-from riecjax.fleets.sums import DONE, Row
 from riecjax.reporting import (
     SCHEMA,
     Document,
