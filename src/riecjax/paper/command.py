@@ -3,11 +3,12 @@
 import functools
 import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from riecjax.cli import Given, Progress, settings_command
 from riecjax.runtime import start_jax
-from riecjax.settings import Contradiction, Output, Seed, Settings, flag, setting, whole
+from riecjax.settings import Output, Seed, Settings, flag, setting, whole
 
 DEFAULT_ROADS = 32
 PARTS = "variations.parts"
@@ -25,13 +26,10 @@ class Study(Settings):
     quick: bool = flag("--quick")
     """The whole study on few roads, in about a minute."""
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+    def contradictions(self) -> Iterator[str]:
+        """What sets the number of roads twice."""
         if self.roads and (self.full or self.quick):
-            raise Contradiction(
-                "{roads} excludes {full} and {quick}, which set the number of roads.",
-                self.options(),
-            )
+            yield "{roads} excludes {full} and {quick}, which set the number of roads."
 
 
 @settings_command(

@@ -15,7 +15,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from numbers import Integral, Real
 from pathlib import Path
 from typing import (
@@ -165,13 +165,13 @@ class Option:
 
         **Raises:** `ValueError` for what is not of its kind.
         """
-        is_list, is_single = isinstance(value, list), self.shape == "once" and self.count == 1
-        listed = value if is_list and not is_single else [value]
+        is_single = self.shape == "once" and self.count == 1
+        listed = value if isinstance(value, list) and not is_single else [value]
         has_names = "=" in self.form if isinstance(value, dict) else bool(self.flag)
         refused = ""
         if self.shape == "flag" and not isinstance(value, bool):
             refused = "true or false"
-        elif self.count > 1 and not (is_list and len(value) == self.count):
+        elif self.count > 1 and not (isinstance(value, list) and len(value) == self.count):
             refused = f"a list of {self.count}"
         elif not has_names and not all(isinstance(each, str) for each in listed):
             refused = "a list of names in quotes"
@@ -179,7 +179,7 @@ class Option:
             raise ValueError(f"'{self.key}' must be {refused}; got {value!r}.")
         if self.shape == "flag":
             return value
-        if is_list and self.kind is NAMES:
+        if isinstance(value, list) and self.kind is NAMES:
             # Names between commas may as well be a list.
             return tuple(map(self._text, value))
         if isinstance(value, dict):
@@ -284,10 +284,12 @@ class Settings:
         for name, option in self.options().items():
             value = getattr(self, name)
             object.__setattr__(self, name, _checked(name, option, value, self.owner(name).error))
-        self.require_sense()
+        for template in self.contradictions():
+            raise Contradiction(template, self.options())
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][] for settings that do not go together."""
+    def contradictions(self) -> Iterator[str]:
+        """What does not go together, as templates of [`Contradiction`][]: first what bases say."""
+        yield from ()
 
     @classmethod
     def options(cls) -> dict[str, Option]:
