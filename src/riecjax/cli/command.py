@@ -294,7 +294,14 @@ class SettingsCommand(click.Command):
             with click.core.augment_usage_errors(ctx):
                 held, recorded = read_job(job)
                 of_job = dict(self._of_job(ctx, held, job))
-            values |= self._not_replaced(of_job, typed)
+            # Without what typed settings stand for: of a band, both its ends.
+            said = {**of_job, **typed}
+            for name, value in of_job.items():
+                others = set(self.options[name].excludes)
+                together = others.union(*(self.options[o].excludes for o in others)) - {name}
+                is_complete = all(said.get(other) is not None for other in together)
+                if name in typed or not (others & typed.keys() and is_complete):
+                    values[name] = value
         values |= {name: _with_names(values[name], value) for name, value in typed.items()}
         for param in sorted(self.params, key=lambda param: isinstance(param, click.Option)):
             name = str(param.name)
@@ -341,17 +348,6 @@ class SettingsCommand(click.Command):
         if unused:
             unread = f"{self.name} does not use {', '.join(unused)}"
             click.echo(f"warning: --job {file}: {unread}.", err=True)
-
-    def _not_replaced(
-        self, of_job: Mapping[str, Any], typed: Mapping[str, Any]
-    ) -> Iterator[tuple[str, Any]]:
-        """What a job says without what typed settings stand for: of its band, both its ends."""
-        for name, value in of_job.items():
-            others = set(self.options[name].excludes)
-            together = others.union(*(self.options[other].excludes for other in others)) - {name}
-            is_complete = all(typed.get(other, of_job.get(other)) is not None for other in together)
-            if name in typed or not (others & typed.keys() and is_complete):
-                yield name, value
 
     def invoke(self, ctx: click.Context) -> Any:
         if ctx.params["given"].values.get("as_json"):

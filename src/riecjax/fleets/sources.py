@@ -98,7 +98,10 @@ def find_sources(
         state = hashlib.sha256(repr(states).encode()).hexdigest()[:32]
         name = url.removeprefix(root) or posixpath.basename(url)
         size = sum(int(info.get("size") or 0) for info in infos)
-        return Source(name, tuple(urls), tuple(_keys(url)), state, size)
+        folder = url if url.lower().endswith(DATA_SET) else posixpath.dirname(url)
+        pairs = (part.partition("=") for part in folder.split("/"))
+        keys = tuple((unquote(key), unquote(value)) for key, _, value in pairs if key and value)
+        return Source(name, tuple(urls), keys, state, size)
 
     return sorted(source(url, urls) for url, urls in sets.items())
 
@@ -150,13 +153,6 @@ def _recording_of(url: str) -> str:
     folder = posixpath.dirname(url)
     inside = any(part.lower().endswith(DATA_SET) for part in folder.split("/"))
     return folder if inside else url
-
-
-def _keys(url: str) -> Iterator[tuple[str, str]]:
-    for part in (url if url.lower().endswith(DATA_SET) else posixpath.dirname(url)).split("/"):
-        key, _, value = part.partition("=")
-        if key and value:
-            yield unquote(key), unquote(value)
 
 
 # Rows of a Parquet source can be read in parts. A stretch holds the starts of its own windows and,
