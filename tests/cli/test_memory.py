@@ -76,7 +76,7 @@ def test_what_xla_cannot_allocate_is_one_line(capsys, drive, monkeypatch):
     assert "--windows" in error["message"] or "fewer windows" in error["message"]
 
 
-def test_on_a_terminal_a_line_says_what_is_done_and_counts_the_seconds(monkeypatch):
+def test_on_a_terminal_a_line_says_what_is_done_and_elsewhere_each_tenth(monkeypatch, capsys):
     import io
     from types import SimpleNamespace
 
@@ -100,3 +100,8 @@ def test_on_a_terminal_a_line_says_what_is_done_and_counts_the_seconds(monkeypat
     assert first == "reading, and compiling what was not compiled before: 12 s"
     assert second == "refining: step 1, sum of squares 0.25: 14 s"
     assert third == "summing: 3 of 10, 1,000 thousand samples/s: 24 s"
+    plain = progress.Progress(lines=True)
+    for done in (0, 1, 2, 20):
+        plain.count("summing", done, 20)
+    told = [f"riecjax: summing: {done} of 20" for done in (0, 2, 20)]
+    assert capsys.readouterr().err.splitlines() == told

@@ -14,7 +14,6 @@ from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.fleets import order
 from riecjax.fleets.fleet import fleet
-from riecjax.fleets.order import rows_of
 from riecjax.fleets.report import Fleet
 from riecjax.models.catalogue import find_model
 from riecjax.records.writing import write_record
@@ -71,7 +70,7 @@ def test_recordings_of_an_object_store_are_summed(folder, client, tmp_path, monk
     assert "broken.parquet" in failed.name
     # What the store says of a file tells whether it has changed since.
     client.upload_file(str(folder / "vehicle=1/0.parquet"), "garage", "vehicle=0/0.parquet")
-    read = []
+    read, rows_of = [], order.rows_of
     monkeypatch.setattr(
         order, "rows_of", lambda o, p: [read.append(p.source.name), *rows_of(o, p)][1:]
     )
