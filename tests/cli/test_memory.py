@@ -99,8 +99,9 @@ def test_on_a_terminal_a_line_says_what_is_done_and_elsewhere_each_tenth(monkeyp
     first, second, third = text.getvalue().splitlines()
     assert first == "reading, and compiling what was not compiled before: 12 s"
     assert second == "refining: step 1, sum of squares 0.25: 14 s"
-    assert third == "summing: 3 of 10, 1,000 thousand samples/s: 24 s"
+    assert third == "summing: 3 of 10, 1,000 thousand samples/s, 9 s left: 24 s"
     plain = progress.Progress(lines=True)
-    for done in (0, 1, 2, 20):
+    for clock[0], done in ((130.0, 0), (131.0, 1), (132.0, 2), (150.0, 20)):
         plain.count("summing", done, 20)
-    assert capsys.readouterr().err == "".join(f"riecjax: summing: {n} of 20\n" for n in (0, 2, 20))
+    lines = ("0 of 20", "2 of 20, 18 s left", "20 of 20")
+    assert capsys.readouterr().err == "".join(f"riecjax: summing: {line}\n" for line in lines)

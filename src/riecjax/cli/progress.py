@@ -50,14 +50,17 @@ class Progress:
         self._live.stop()
 
     def count(self, what: str, done: int, total: int, samples: int = 0) -> None:
-        """Show how much is done of what is being done, and how many samples a second that was."""
+        """Show how much is done of what is being done, how many samples a second that was, and how
+        long the rest takes at that pace."""
         now = time.monotonic()
         if what != self._counted:
             self._counted, self._counted_since, self._tenth = what, now, -1
+        passed = max(now - self._counted_since, SHORTEST)
         self._doing = f"{what}: {done} of {total}"
         if samples:
-            rate = samples / max(now - self._counted_since, SHORTEST)
-            self._doing += f", {rate / 1e3:,.0f} thousand samples/s"
+            self._doing += f", {samples / passed / 1e3:,.0f} thousand samples/s"
+        if 0 < done < total:
+            self._doing += f", {passed * (total - done) / done:.0f} s left"
         tenth = 10 * done // total if total else -1
         if self._lines and not self._console.is_terminal and tenth > self._tenth:
             self._tenth = tenth
