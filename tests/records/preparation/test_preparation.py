@@ -40,9 +40,14 @@ def test_prepare_filters_then_differentiates_then_thins_out():
 
 
 def test_every_step_of_a_preparation_is_taken_in_order():
-    cut = {"start": 1.0, "stop": 3.0}
     asked = Prepare(
-        offsets=("q",), drifts=("p",), upsample=2, derivatives={"v": "q"}, every=4, **cut
+        start=1.0,
+        stop=3.0,
+        offsets=("q",),
+        drifts=("p",),
+        upsample=2,
+        derivatives={"v": "q"},
+        every=4,
     )
     prepared, words = prepare(record(q=5 + np.sin(9 * TIME), p=TIME), {}, asked)
     assert [word.split()[0] for word in words] == ["cut", "q:", "p:", "band-limited", "v:", "every"]
@@ -96,10 +101,15 @@ def test_pauses_stay_where_they_are():
     np.testing.assert_allclose(validation.time, 62 + np.arange(30) / 10)
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0, -0.1, 2.0, np.nan, 0.01, 0.99])
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.1, 2.0, np.nan])
 def test_impossible_share(share):
-    few = share in (0.01, 0.99)
-    with pytest.raises(DataError, match="without two samples" if few else "between 0 and 1"):
+    with pytest.raises(DataError, match="between 0 and 1"):
+        split(numbered(), share)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.99])
+def test_a_share_of_too_few_samples(share):
+    with pytest.raises(DataError, match="without two samples"):
         split(numbered(), share)
 
 
