@@ -12,8 +12,10 @@ import scipy.io
 from conftest import measured_data
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import RandomWindows
+from riecjax.equations.bases import friction, roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, Terms, constant, friction, roof
+from riecjax.equations.expressions import constant
+from riecjax.equations.term import Term, Terms
 from riecjax.estimation.identify import identify
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record

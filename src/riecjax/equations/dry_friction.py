@@ -19,6 +19,7 @@ Signals at whose zero a function jumps, as dry friction does at a velocity's.
 """
 
 import functools
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -29,8 +30,9 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, Sampled, combined, evaluate
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Expression, Sampled, Term, Terms, both_present
+from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
 from riecjax.records.record import Record, Signals
@@ -45,8 +47,6 @@ class InMotion(AbstractTerm):
     term: AbstractTerm
     velocity: str = eqx.field(static=True)
     width: Leaf
-    of: Expression = eqx.field(static=True)
-    derivative: int = eqx.field(static=True)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -72,20 +72,18 @@ class InMotion(AbstractTerm):
 
     def samples(self, record: Record, order: int) -> Sampled:
         """Samples of the weighted term; see the base class."""
-        velocity = record[self.velocity]
-        ratio = jnp.clip(velocity / self.width, -FAR, FAR)
-        weight = ratio**2 / (1 + ratio**2)
+        velocity = evaluate(self.velocity, record)
+        ratio = velocity.map(lambda v: jnp.clip(v / self.width, -FAR, FAR))
+        weight = ratio.map(lambda r: r**2 / (1 + r**2))
         if order or not self.term.derivative:
             below = self.term.derivative if order else 0
-            values, present = self.term.samples(record, below)
-            return Sampled(
-                values * weight[None], both_present(present, record.present((self.velocity,)))
-            )
-        assert isinstance(self.term, Term)
-        integral = velocity - self.width * jnp.arctan(ratio)
-        of = integral if self.derivative else velocity * weight
-        values = jnp.asarray(self.term.number) * of
-        return Sampled(values[None], record.present((self.velocity,)))
+            samples = self.term.samples(record, below)
+            return combined(lambda values, weight: values * weight[None], samples, weight)
+        if self.derivative:
+            of = combined(lambda v, r: v - self.width * jnp.arctan(r), velocity, ratio)
+        else:
+            of = combined(operator.mul, velocity, weight)
+        return of.map(lambda values: (jnp.asarray(self.term.factor) * values)[None])
 
     def __neg__(self) -> "InMotion":
         return eqx.tree_at(lambda own: own.term, self, -self.term)
@@ -129,7 +127,7 @@ def rests_of(procedure: Procedure, record: Record) -> dict[str, Rest]:
 
 
 def _jumping_at_rest(equation: Equation, record: Record, among: dict[str, Rest]) -> tuple[str, ...]:
-    functions = [(t.of, t.basis if isinstance(t, Terms) else None) for t in equation.terms]
+    functions = [(t.of, None if t.is_linear else t.functions) for t in equation.terms]
     return reversing_states(functions, tuple(sorted(among)), tuple(sorted(record.arrays)))
 
 
@@ -140,8 +138,8 @@ def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] |
     for term in equation.terms:
         left = term.derivative
         if left:
-            left -= taken.get(term.of, -2) if isinstance(term.of, str) else -2
-            if not isinstance(term, Term) or left > 1:
+            left -= -2 if term.signal is None else taken.get(term.signal, -2)
+            if left > 1:
                 return None
         own = {"of": term.of, "derivative": left}
         found.append(InMotion(term=term, velocity=velocity, width=np.asarray(rest.width), **own))

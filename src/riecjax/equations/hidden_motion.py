@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, Sampled, evaluate
 from riecjax.equations.hidden_elements import (
     ModeParameters,
     Shape,
@@ -22,7 +23,7 @@ from riecjax.equations.hidden_elements import (
     inertia_sign,
 )
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Term, evaluate
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 
@@ -56,10 +57,11 @@ class _Added(NamedTuple):
     signals: dict[str, Array]
     missing: dict[str, Array]
 
-    def add(self, name: str, samples: Array, present: Array | None, shape: Shape) -> None:
-        """What follows some samples by this shape."""
+    def add(self, name: str, of: Expression, shape: Shape) -> None:
+        """What follows an expression by this shape."""
         if name not in self.signals:
-            self.signals[name], there = filtered(samples, present, self.record.time_step, shape)
+            step = self.record.time_step
+            self.signals[name], there = filtered(evaluate(of, self.record), step, shape)
             self.missing[name] = ~there
 
 
@@ -90,17 +92,15 @@ def _without_hidden(
         )
         for body in moving:
             if body in added.record.arrays:
-                present = added.record.present((body,))
-                shape = names.shape(values)
-                added.add(f"{body} of {names.mass}", added.record[body], present, shape)
+                added.add(f"{body} of {names.mass}", body, names.shape(values))
     return equation.of_terms(*terms)
 
 
 def _lagging(
     term: AbstractTerm, names: SpringParameters, added: _Added, values: Mapping[str, Array]
-) -> Term:
+) -> AbstractTerm:
     """An element's term, of what its spring leaves of the motion across both."""
-    if not isinstance(term, Term):
+    if not term.is_linear:
         raise ModelError(
             f"what the map of '{names.coefficient}' does behind its spring is not known from the "
             f"motion across both alone: simulate the model, rx.validation.validate_held_out."
@@ -109,33 +109,22 @@ def _lagging(
     made = [of, *(f"{name} behind {names.stiffness}" for name in term.measured)]
     for name, read in zip(made, (term.of, *term.measured)):
         if callable(read) or read in added.record.arrays:
-            samples, present = evaluate(read, added.record)
-            added.add(name, samples, present, names.shape(values))
-    return Term(
-        names.coefficient,
-        of,
-        derivative=term.derivative,
-        measured=tuple(made[1:]),
-        unit=term.unit,
-        known=term.known,
-        sign=term.number,
-    )
+            added.add(name, read, names.shape(values))
+    return term.with_fields(of=of, measured=tuple(made[1:]))
 
 
 def filtered(
-    samples: Float[Array, " n"],
-    present: Bool[Array, " n"] | None,
-    step: Float[Array, ""],
-    shape: Shape,
+    sampled: Sampled, step: Float[Array, ""], shape: Shape
 ) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
     """N / D of some samples, and where that is known.
 
     By the discrete Fourier transform, exact for motion below half the sampling rate. The record is
     continued at both ends by its mirror image through the end point, which has the same slope.
     """
+    samples = sampled.values
     count = samples.shape[-1]
     place = jnp.arange(count)
-    there = jnp.ones(count, bool) if present is None else present
+    there = jnp.ones(count, bool) if sampled.present is None else sampled.present
     # The last sample that was there stands for those that are not.
     before = jax.lax.cummax(jnp.where(there, place, 0))
     x = samples[before]

@@ -59,27 +59,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, difference, label_of, signals_read
 from riecjax.equations.hidden_elements import (
     HiddenMode,
     ModeParameters,
     SeriesSpring,
-    element_sign,
     inertia_sign,
     stiffness_name,
 )
 from riecjax.equations.procedure import Procedure, as_procedure
-from riecjax.equations.term import (
-    AbstractTerm,
-    Expression,
-    RoofFunctions,
-    Term,
-    Terms,
-    difference,
-    label_of,
-    signals_read,
-)
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_few
@@ -113,7 +105,7 @@ class ModeStates(NamedTuple):
         inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
         if inertia.derivative != 1:
             terms = [t for e in equations for t in e.terms if t.of == inertia.of]
-            named = (t for t in terms if isinstance(t, Term) and t.derivative and t.measured)
+            named = (t for t in terms if t.derivative and t.measured)
             body = next((t.measured[0] for t in named), f"d{inertia.of}")
         return cls(f"{name}_deflection", f"{name}_velocity", body, parameters, units)
 
@@ -218,11 +210,11 @@ def with_springs(
             for equation in equations
             if (e := spring.element(equation)) is not None
         )
-        basis, law = (first.basis, first.prefix) if isinstance(first, Terms) else (None, spring.of)
+        basis = first.basis
         if basis is not None and not isinstance(basis, RoofFunctions):
             raise ModelError(
-                f"a spring in series with {law} needs the inverse of its law, which is known of "
-                f"one coefficient and of roof functions (rx.roof) only."
+                f"a spring in series with {first.name} needs the inverse of its law, which is "
+                f"known of one coefficient and of roof functions (rx.roof) only."
             )
         name = "series_force" if number == 0 else f"series_{number + 1}_force"
         points = None if basis is None else basis.break_points
@@ -232,7 +224,7 @@ def with_springs(
         terms = []
         for term in equation.terms:
             name = next((f.state for f, s in zip(found, springs) if s.of in term.parameters), None)
-            terms.append(term if name is None else Term(element_sign(term), name))
+            terms.append(term if name is None else Term(term.factor, name))
         replaced.append(equation.of_terms(*terms))
     return tuple(replaced), tuple(found)
 
@@ -292,8 +284,8 @@ def read_structure(
     leading = {motion.names[-1] for motion in motions}
 
     def is_dynamic(term: AbstractTerm) -> bool:
-        if isinstance(term.of, str):
-            return derivative_name(term.of, term, motions) in leading
+        if term.signal is not None:
+            return derivative_name(term.signal, term, motions) in leading
         return bool(term.derivative or leading & set(signals_read(term.of)))
 
     # A static equation determines its first plain signal with a number for coefficient.
@@ -302,9 +294,8 @@ def read_structure(
     for equation in equations:
         if any(map(is_dynamic, equation.terms)):
             continue
-        known = (t.of for t in equation.terms if not (t.parameters or t.derivative))
-        plain = (of for of in known if isinstance(of, str))
-        free = next((of for of in plain if of not in moving), None)
+        known = (t.signal for t in equation.terms if not (t.parameters or t.derivative))
+        free = next((of for of in known if of is not None and of not in moving), None)
         if free is None:
             raise ModelError(
                 f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no "
@@ -333,12 +324,12 @@ def read_structure(
     terms = [(equation.name, term) for equation in equations for term in equation.terms]
     read: list[Expression] = []
     for name, term in (*terms, *((label, one.element) for one in elements)):
-        if not isinstance(term, Term | Terms):
-            raise ModelError(
-                f"{name} cannot be simulated: {type(term).__name__} is a term of an unknown kind."
-            )
-        of = term.of
-        read.append(derivative_name(of, term, motions) if isinstance(of, str) else of)
+        try:
+            jax.eval_shape(term.functions, jax.ShapeDtypeStruct((1,), jnp.result_type(float)))
+        except ModelError as error:
+            raise ModelError(f"{name} cannot be simulated: {error}") from None
+        of = term.signal
+        read.append(term.of if of is None else derivative_name(of, term, motions))
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
     # Whether the time derivatives of expressions follow from the states and the unknowns.
@@ -347,7 +338,7 @@ def read_structure(
     positions = {motion.signal for motion in structure.motions if len(motion.names) == 3}
     for equation in equations:
         for term in equation.terms:
-            if not term.derivative or isinstance(term.of, str):
+            if not term.derivative or term.signal is not None:
                 continue
             allowed = set(structure.states) if term.derivative == 1 else positions
             if beyond := [name for name in signals_read(term.of) if name not in allowed]:
@@ -358,7 +349,7 @@ def read_structure(
                     f"Term('NAME', '{beyond[0]}', derivative=2, measured=('d{beyond[0]}', "
                     f"'dd{beyond[0]}')) instead (derivative=1 of a velocity)."
                 )
-    functions = [(t.of, t.basis if isinstance(t, Terms) else None) for _, t in terms]
+    functions = [(t.of, None if t.is_linear else t.functions) for _, t in terms]
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
     return structure._replace(reversing=reversing_states(functions, structure.states, signals))
 
@@ -374,9 +365,9 @@ def _motions(
         term
         for equation in equations
         for term in equation.terms
-        if isinstance(term.of, str) and term.of not in inputs and term.of not in rates
+        if term.signal is not None and term.signal not in inputs and term.signal not in rates
     ]
-    of_signals = [term for term in terms if isinstance(term, Term) and term.derivative > 0]
+    of_signals = [term for term in terms if term.derivative > 0]
     names: dict[str, str] = {}
     for term in of_signals:
         for lower, higher in zip((str(term.of), *term.measured), term.measured):
@@ -412,7 +403,7 @@ def _motions(
             "Write what moves as a derivative, such as Term('m', 'x', derivative=2)."
         )
         for term in (term for equation in equations for term in equation.terms):
-            if term.derivative and not isinstance(term.of, str):
+            if term.derivative and term.signal is None:
                 why = (
                     f"it holds a derivative of the expression {label_of(term.of)} (of "
                     f"{', '.join(signals_read(term.of))}) and no derivative of a signal, so that "
@@ -431,13 +422,12 @@ def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]
     for motion in motions:
         if signal in motion.names:
             return motion.names[motion.names.index(signal) + term.derivative]
-    measured = term.measured if isinstance(term, Term) else ()
-    if term.derivative > len(measured):
+    if term.derivative > len(term.measured):
         raise ModelError(
             f"a derivative of {signal} is needed and cannot be formed: name the signal that holds "
             f"it (measured=...)."
         )
-    return measured[term.derivative - 1]
+    return term.measured[term.derivative - 1]
 
 
 class EquationSystem(AbstractSystem):
@@ -564,27 +554,33 @@ class EquationSystem(AbstractSystem):
         return jnp.stack(sums)
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
+        columns = self._expression(term, signals, term.functions)[:, 0]
         values = [self.values[name] for name in term.parameters]
-        if isinstance(term, Terms):
-            functions = term.basis(self._expression(term, signals))[:, 0]
-            return jnp.asarray(term.sign) * jnp.stack(values) @ functions
-        assert isinstance(term, Term)
-        factor = jnp.asarray(term.number) * (values[0] if values else 1.0)
-        return factor * self._expression(term, signals)[0]
+        factor = jnp.asarray(term.factor)
+        if len(values) > 1:
+            return factor * jnp.stack(values) @ columns
+        return factor * (values[0] if values else 1.0) * columns[0]
 
-    def _expression(self, term: AbstractTerm, signals: dict[str, Array]) -> Float[Array, " 1"]:
-        """The term's expression, differentiated in time as often as the term says.
+    def _expression(
+        self,
+        term: AbstractTerm,
+        signals: dict[str, Array],
+        function: Callable[[Array], Array] = lambda x: x,
+    ) -> Array:
+        """A function of the term's expression, differentiated in time as the term says.
 
         Of an expression f of states x the chain rule gives d/dt f = f'(x) x', a forward derivative
         along the flow, and of that once more the second: no formula is differentiated by hand.
         """
-        if isinstance(term.of, str):
-            return signals[derivative_name(term.of, term, self.structure.motions)]
+        if term.signal is not None:
+            return function(signals[derivative_name(term.signal, term, self.structure.motions)])
         of = term.of
 
         def level(states: dict[str, Array]) -> Array:
             # A constant may be one number for all samples.
-            return jnp.atleast_1d(jnp.asarray(of(Signals({**signals, **states}))))
+            known = Signals({**signals, **states})
+            samples = known[of] if isinstance(of, str) else of(known)
+            return function(jnp.atleast_1d(jnp.asarray(samples)))
 
         def rate(function: Callable[[dict[str, Array]], Array]):
             def along_motion(states: dict[str, Array]) -> Array:
@@ -695,7 +691,7 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
         if float(system.values[mode.parameters.mass]) == 0:
             raise ModelError(f"{label} cannot be simulated: {mode.parameters.mass} is zero.")
     for one in system.elements:
-        if isinstance(one.element, Term) and float(system.values[one.element.parameters[0]]) == 0:
+        if one.element.is_linear and float(system.values[one.element.parameters[0]]) == 0:
             which = one.element.parameters[0]
             raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
     state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
@@ -808,7 +804,7 @@ def attachments(procedure: Procedure, inner: AbstractSystem) -> tuple[Attachment
     for number, mode in enumerate(procedure.modes):
         states = ModeStates.of(number, mode, equations)
         inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
-        mass = abs(float(inertia.number)) if inertia.name is None else inertia.name
+        mass = abs(float(inertia.factor)) if inertia.name is None else inertia.name
         if states.body not in inner.state_names:
             return None
         found.append(Attachment(states, mass))

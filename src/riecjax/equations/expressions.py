@@ -1,0 +1,249 @@
+"""Expressions of signals: what a term or a mask is of, common ones, and their samples.
+
+Two of the common ones that say the same compare equal, so that building an equation anew compiles
+nothing anew, as a fresh `lambda` would.
+"""
+
+import functools
+import json
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from riecjax.errors import ModelError, users_code
+from riecjax.records.record import Record, Signals
+
+Expression = str | Callable[[Signals], Array]
+"""A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
+
+A function returns one number for each sample, which depends on that sample alone (long records are
+worked through in chunks), or one for all if it reads no signal.
+Write functions once, at module level: a new function object each time compiles anew.
+"""
+
+
+class Sampled(eqx.Module):
+    """Samples of one or several columns, and where they are present (`None`: everywhere)."""
+
+    values: Float[Array, "*columns n"]
+    present: Bool[Array, " n"] | None
+
+    def map(self, function: Callable[[Array], Array]) -> "Sampled":
+        """A function of the values, present where these are."""
+        return Sampled(function(self.values), self.present)
+
+    def within(self, mask: "Sampled") -> "Sampled":
+        """The same, present only where a mask is present too and holds."""
+        held = Sampled(mask.values, mask.values.astype(bool))
+        return combined(lambda values, *_: values, self, mask, held)
+
+
+def combined(function: Callable[..., Array], *samples: Sampled) -> Sampled:
+    """A function of the values of several, present where all of these are."""
+    masks = [each.present for each in samples if each.present is not None]
+    present = functools.reduce(operator.and_, masks) if masks else None
+    return Sampled(function(*(each.values for each in samples)), present)
+
+
+def evaluate(expression: Expression, record: Record) -> Sampled:
+    """Samples of an expression on a record, present where every signal that it reads is.
+
+    **Raises:** `DataError` for a missing signal, `ModelError` if a function of the user's own
+    fails or does not return one number for each sample.
+    """
+    signals = record.signals
+    if isinstance(expression, str):
+        return Sampled(signals[expression], record.present((expression,)))
+    name = label_of(expression)
+    with users_code(f"the expression {name}"):
+        samples = jnp.asarray(expression(signals))
+    # One number of the signals, such as their sum, is a slip; one of no signal is a constant.
+    if samples.shape == () and not signals.read:
+        samples = jnp.broadcast_to(samples, (record.sample_count,))
+    if samples.shape != (record.sample_count,):
+        raise ModelError(
+            f"the expression {name} must return one number for each of the {record.sample_count} "
+            f"samples; it returned shape {samples.shape}."
+        )
+    return Sampled(samples, record.present(signals.read))
+
+
+def read_expression(expression: Expression, signals: Signals) -> None:
+    """Note in `signals.read` what an expression reads, without computing anything."""
+    if isinstance(expression, str):
+        _ = signals[expression]
+        return
+    with users_code(f"the expression {label_of(expression)}"):
+        jax.eval_shape(lambda: expression(signals))
+
+
+class _AnySignals(Signals):
+    """Signals of any name, which note in what order they are read."""
+
+    def __init__(self):
+        # An expression may ask for some signal, no matter which, to learn the number of samples.
+        super().__init__({"": jnp.zeros(1)})
+        self.order: list[str] = []
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.data:
+            self.order.append(name)
+        return jnp.full(1, 0.5)
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str)
+
+
+def signals_read(expression: Expression) -> tuple[str, ...]:
+    """Signals that an expression reads, in order.
+
+    **Raises:** `ModelError` for a function that fails, or returns other than a number a sample.
+    """
+    if isinstance(expression, str):
+        return (expression,)
+    signals = _AnySignals()
+    with users_code(f"the expression {label_of(expression)}"):
+        shape = jax.eval_shape(lambda: jnp.asarray(expression(signals))).shape
+    if shape != (1,) and (shape != () or signals.order):
+        raise ModelError(
+            f"the expression {label_of(expression)} must return one number for each sample; for "
+            f"one sample it returned shape {shape}."
+        )
+    return tuple(dict.fromkeys(signals.order))
+
+
+def label_of(expression: Expression) -> str:
+    """What an expression is called in messages."""
+    return expression if isinstance(expression, str) else getattr(expression, "__name__", "given")
+
+
+def constant(signals: Signals) -> Array:
+    """1 at every sample: `Term("offset", constant, unit="N")` is a constant force."""
+    return jnp.ones(())
+
+
+@dataclass(frozen=True)
+class _Product:
+    factors: tuple[Expression, ...]
+
+    @property
+    def __name__(self) -> str:
+        return " ".join(of if isinstance(of, str) else of.__name__ for of in self.factors)
+
+    @property
+    def source(self) -> str | None:
+        """As it is written, if its factors can be."""
+        written = [source_of(of) for of in self.factors]
+        return None if None in written else f"product({', '.join(map(str, written))})"
+
+    def __call__(self, signals: Signals) -> Array:
+        values = (signals[of] if isinstance(of, str) else of(signals) for of in self.factors)
+        return functools.reduce(operator.mul, values)
+
+
+@dataclass(frozen=True)
+class _Difference:
+    first: str
+    second: str
+
+    @property
+    def __name__(self) -> str:
+        return f"{self.first} - {self.second}"
+
+    @property
+    def source(self) -> str:
+        """As it is written."""
+        return f"difference({json.dumps(self.first)}, {json.dumps(self.second)})"
+
+    def __call__(self, signals: Signals) -> Array:
+        return signals[self.first] - signals[self.second]
+
+
+@dataclass(frozen=True)
+class _FasterThan:
+    name: str
+    threshold: float
+
+    @property
+    def __name__(self) -> str:
+        return f"|{self.name}| > {self.threshold:g}"
+
+    def __call__(self, signals: Signals) -> Array:
+        return jnp.abs(signals[self.name]) > self.threshold
+
+
+@dataclass(frozen=True)
+class _Power:
+    name: str
+    power: int
+    odd: bool
+
+    @property
+    def __name__(self) -> str:
+        size = f"|{self.name}|"
+        power = "" if self.power == 1 else f"^{self.power}"
+        if self.power == 0:
+            return f"sign({self.name})" if self.odd else "1"
+        if self.odd == bool(self.power % 2):  # a plain power has that sign
+            return f"{self.name}{power}"
+        if self.odd:
+            rest = "" if self.power == 2 else f"^{self.power - 1}"
+            return f"{self.name} {size}{rest}"
+        return f"{size}{power}"
+
+    @property
+    def source(self) -> str:
+        """As it is written."""
+        return f"{'odd' if self.odd else 'even'}({json.dumps(self.name)}, {self.power})"
+
+    def __call__(self, signals: Signals) -> Array:
+        x = signals[self.name]
+        if self.odd == bool(self.power % 2):
+            return x**self.power
+        size = jnp.abs(x) ** self.power
+        return jnp.sign(x) * size if self.odd else size
+
+
+def odd(name: str, power: int) -> _Power:
+    """sign(x) |x|^power of a signal x: dry friction of a velocity (0), drag (2), a cubic (3)."""
+    return _Power(name, power, odd=True)
+
+
+def even(name: str, power: int) -> _Power:
+    """|x|^power of a signal x, the same in both directions."""
+    return _Power(name, power, odd=False)
+
+
+def source_of(of: Expression) -> str | None:
+    """An expression as it is written after `import riecjax as rx`; `None` for a function of the
+    user's own."""
+    if isinstance(of, str):
+        return json.dumps(of, ensure_ascii=False)
+    if of is constant:
+        return "rx.constant"
+    source = getattr(of, "source", None)
+    return None if source is None else f"rx.{source}"
+
+
+def product(*factors: Expression) -> _Product:
+    """The product of signals and expressions, such as `product("current", "flux")`."""
+    return _Product(factors)
+
+
+def difference(first: str, second: str) -> _Difference:
+    """One signal minus another, such as the velocity across a damper."""
+    return _Difference(first, second)
+
+
+def faster_than(name: str, threshold: float) -> _FasterThan:
+    """A mask: True where the signal's magnitude is above a threshold, in the signal's unit.
+
+    Near standstill the sign of a measured velocity is noise, and so is Coulomb friction
+    computed from it.
+    """
+    return _FasterThan(name, threshold)
