@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import ModelError, users_code
+from riecjax.leaves import is_number
 from riecjax.records.record import Record, Signals
 
 Expression = str | Callable[[Signals], Array]
@@ -128,95 +129,71 @@ def constant(signals: Signals) -> Array:
 
 
 @dataclass(frozen=True)
-class _Product:
-    factors: tuple[Expression, ...]
+class _Formula:
+    """A function of signals that is equal to another one of this kind and these arguments.
+
+    **Fields:** `kind`, as users call it; `arguments` of the `function` after the signals; `words`.
+    """
+
+    kind: str
+    arguments: tuple[Expression | float, ...]
+    function: Callable[..., Array]
+    words: str
 
     @property
     def __name__(self) -> str:
-        return " ".join(of if isinstance(of, str) else of.__name__ for of in self.factors)
+        return self.words
 
     @property
     def source(self) -> str | None:
-        """As it is written, if its factors can be."""
-        written = [source_of(of) for of in self.factors]
-        return None if None in written else f"product({', '.join(map(str, written))})"
+        """As it is written, if its arguments can be."""
+        texts = [repr(of) if is_number(of) else source_of(of) for of in self.arguments]
+        return None if None in texts else f"{self.kind}({', '.join(map(str, texts))})"
 
     def __call__(self, signals: Signals) -> Array:
-        values = (signals[of] if isinstance(of, str) else of(signals) for of in self.factors)
-        return functools.reduce(operator.mul, values)
+        return self.function(signals, *self.arguments)
 
 
-@dataclass(frozen=True)
-class _Difference:
-    first: str
-    second: str
-
-    @property
-    def __name__(self) -> str:
-        return f"{self.first} - {self.second}"
-
-    @property
-    def source(self) -> str:
-        """As it is written."""
-        return f"difference({json.dumps(self.first)}, {json.dumps(self.second)})"
-
-    def __call__(self, signals: Signals) -> Array:
-        return signals[self.first] - signals[self.second]
+def _times(signals: Signals, *factors: Expression) -> Array:
+    values = (signals[of] if isinstance(of, str) else of(signals) for of in factors)
+    return functools.reduce(operator.mul, values)
 
 
-@dataclass(frozen=True)
-class _FasterThan:
-    name: str
-    threshold: float
-
-    @property
-    def __name__(self) -> str:
-        return f"|{self.name}| > {self.threshold:g}"
-
-    def __call__(self, signals: Signals) -> Array:
-        return jnp.abs(signals[self.name]) > self.threshold
+def _minus(signals: Signals, first: str, second: str) -> Array:
+    return signals[first] - signals[second]
 
 
-@dataclass(frozen=True)
-class _Power:
-    name: str
-    power: int
-    odd: bool
-
-    @property
-    def __name__(self) -> str:
-        size = f"|{self.name}|"
-        power = "" if self.power == 1 else f"^{self.power}"
-        if self.power == 0:
-            return f"sign({self.name})" if self.odd else "1"
-        if self.odd == bool(self.power % 2):  # a plain power has that sign
-            return f"{self.name}{power}"
-        if self.odd:
-            rest = "" if self.power == 2 else f"^{self.power - 1}"
-            return f"{self.name} {size}{rest}"
-        return f"{size}{power}"
-
-    @property
-    def source(self) -> str:
-        """As it is written."""
-        return f"{'odd' if self.odd else 'even'}({json.dumps(self.name)}, {self.power})"
-
-    def __call__(self, signals: Signals) -> Array:
-        x = signals[self.name]
-        if self.odd == bool(self.power % 2):
-            return x**self.power
-        size = jnp.abs(x) ** self.power
-        return jnp.sign(x) * size if self.odd else size
+def _beyond(signals: Signals, name: str, threshold: float) -> Array:
+    return jnp.abs(signals[name]) > threshold
 
 
-def odd(name: str, power: int) -> _Power:
+def _odd(signals: Signals, name: str, power: int) -> Array:
+    x = signals[name]
+    return x**power if power % 2 else jnp.sign(x) * jnp.abs(x) ** power
+
+
+def _even(signals: Signals, name: str, power: int) -> Array:
+    x = signals[name]
+    return jnp.abs(x) ** power if power % 2 else x**power
+
+
+def _raised(base: str, power: int) -> str:
+    return base if power == 1 else f"{base}^{power}"
+
+
+def odd(name: str, power: int) -> _Formula:
     """sign(x) |x|^power of a signal x: dry friction of a velocity (0), drag (2), a cubic (3)."""
-    return _Power(name, power, odd=True)
+    if power % 2:
+        words = _raised(name, power)
+    else:
+        words = f"{name} {_raised(f'|{name}|', power - 1)}" if power else f"sign({name})"
+    return _Formula("odd", (name, power), _odd, words)
 
 
-def even(name: str, power: int) -> _Power:
+def even(name: str, power: int) -> _Formula:
     """|x|^power of a signal x, the same in both directions."""
-    return _Power(name, power, odd=False)
+    words = _raised(f"|{name}|" if power % 2 else name, power) if power else "1"
+    return _Formula("even", (name, power), _even, words)
 
 
 def source_of(of: Expression) -> str | None:
@@ -230,20 +207,21 @@ def source_of(of: Expression) -> str | None:
     return None if source is None else f"rx.{source}"
 
 
-def product(*factors: Expression) -> _Product:
+def product(*factors: Expression) -> _Formula:
     """The product of signals and expressions, such as `product("current", "flux")`."""
-    return _Product(factors)
+    return _Formula("product", factors, _times, " ".join(map(label_of, factors)))
 
 
-def difference(first: str, second: str) -> _Difference:
+def difference(first: str, second: str) -> _Formula:
     """One signal minus another, such as the velocity across a damper."""
-    return _Difference(first, second)
+    return _Formula("difference", (first, second), _minus, f"{first} - {second}")
 
 
-def faster_than(name: str, threshold: float) -> _FasterThan:
+def faster_than(name: str, threshold: float) -> _Formula:
     """A mask: True where the signal's magnitude is above a threshold, in the signal's unit.
 
     Near standstill the sign of a measured velocity is noise, and so is Coulomb friction
     computed from it.
     """
-    return _FasterThan(name, threshold)
+    words = f"|{name}| > {threshold:g}"
+    return _Formula("equations.faster_than", (name, threshold), _beyond, words)
