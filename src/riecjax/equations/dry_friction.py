@@ -20,7 +20,7 @@ Signals at whose zero a function jumps, as dry friction does at a velocity's.
 
 import functools
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -127,8 +127,7 @@ def rests_of(procedure: Procedure, record: Record) -> dict[str, Rest]:
 
 
 def _jumping_at_rest(equation: Equation, record: Record, among: dict[str, Rest]) -> tuple[str, ...]:
-    functions = [(t.of, None if t.is_linear else t.functions) for t in equation.terms]
-    return reversing_states(functions, tuple(sorted(among)), tuple(sorted(record.arrays)))
+    return reversing_states(equation.terms, sorted(among), sorted(record.arrays))
 
 
 def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] | None:
@@ -149,34 +148,28 @@ def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] |
 ASIDE, JUMP = 1e-9, 1e-4
 """A velocity to either side of zero, and the share of itself that a function jumps by there."""
 
-Basis = Callable[[Array], Array]
-
 
 def reversing_states(
-    functions: Sequence[tuple[Expression, Basis | None]],
-    states: Sequence[str],
-    signals: Sequence[str],
+    terms: Iterable[AbstractTerm], states: Sequence[str], signals: Sequence[str]
 ) -> tuple[str, ...]:
-    """States at whose zero a function jumps, as dry friction does of a velocity.
+    """States at whose zero a term jumps, as dry friction does of a velocity.
 
-    **Arguments:** expressions, and what bases make of them, of `signals`, the states among these.
+    **Arguments:** terms of `signals`, the states among these.
     """
     found: set[str] = set()
-    for of, basis in functions:
-        if basis is not None:
-            found |= _jumping(of, basis, tuple(states), tuple(signals))
-        elif not isinstance(of, str):
-            found |= _jumping_alone(of, tuple(states), tuple(signals))
+    for term in terms:
+        if not term.is_linear:
+            found |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
+        elif term.signal is None:
+            found |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
     return tuple(state for state in states if state in found)
 
 
-@functools.lru_cache
-def _jumping_alone(of: Expression, states: tuple[str, ...], signals: tuple[str, ...]) -> set[str]:
-    return _jumping(of, None, states, signals)
-
-
 def _jumping(
-    of: Expression, basis: Basis | None, states: tuple[str, ...], signals: tuple[str, ...]
+    of: Expression,
+    functions: Callable[[Array], Array] | None,
+    states: tuple[str, ...],
+    signals: tuple[str, ...],
 ) -> set[str]:
     """The states at whose zero one function jumps (none of a function that is not concrete)."""
     # Four samples for each state: next to its zero and well away, on both sides.
@@ -189,7 +182,7 @@ def _jumping(
         with jax.ensure_compile_time_eval():
             probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
             samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
-            values = np.asarray(samples if basis is None else basis(samples))
+            values = np.asarray(samples if functions is None else functions(samples))
     except Exception:  # whatever is wrong with a user's function is said where it is used
         return set()
     if not values.shape or values.shape[-1] != len(states) * places.size:
@@ -197,3 +190,6 @@ def _jumping(
     above, below, far, other = np.moveaxis(values.reshape(-1, len(states), places.size), -1, 0)
     jumps = np.abs(above - below) > JUMP * np.maximum(np.abs(far), np.abs(other))
     return {state for state, jump in zip(states, np.atleast_1d(jumps.any(axis=0))) if jump}
+
+
+_jumping_alone = functools.lru_cache(_jumping)

@@ -37,7 +37,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Sampled, combined, evaluate, read_expression
@@ -102,15 +102,6 @@ class Columns(eqx.Module):
     def __sub__(self, other: "Columns") -> "Columns":
         """Column by column, such as those of a disturbed record less those of a clean one."""
         return Columns(self.values - other.values, self.present, self.time_step, self.parameters)
-
-    def stretch(self, first: Int[Array, ""] | int, count: int) -> "Columns":
-        """`count` samples from `first` on, which may be traced."""
-
-        def cut(values: Array) -> Array:
-            return jax.lax.dynamic_slice_in_dim(values, first, count, axis=-1)
-
-        present = None if self.present is None else cut(self.present)
-        return Columns(cut(self.values), present, self.time_step, self.parameters)
 
 
 def sampled_columns(equation: Equation, record: Record, smoothness: int) -> Columns:

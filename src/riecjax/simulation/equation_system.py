@@ -132,12 +132,9 @@ def with_forces(
     states = tuple(ModeStates.of(number, mode, equations) for number, mode in enumerate(modes))
     carrying = []
     for equation in equations:
-        terms = list(equation.terms)
-        for mode, own in zip(modes, states):
-            if (inertia := mode.inertia(equation)) is not None:
-                terms += own.force(inertia_sign(inertia))
-        is_carrying = len(terms) > len(equation.terms)
-        carrying.append(equation.of_terms(*terms) if is_carrying else equation)
+        inertias = [(hidden, mode.inertia(equation)) for mode, hidden in zip(modes, states)]
+        forces = (hidden.force(inertia_sign(inertia)) for hidden, inertia in inertias if inertia)
+        carrying.append(equation.of_terms(*equation.terms, *itertools.chain(*forces)))
     return tuple(carrying), states
 
 
@@ -155,15 +152,19 @@ class SpringElement(eqx.Module):
     """A force element with a spring in series.
 
     **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
-    `stiffness`, the name of the spring's parameter; `points`, break points of the element's law,
-    `None` of a linear one.
+    `stiffness`, the name of the spring's parameter.
     """
 
     element: AbstractTerm
     state: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
     stiffness: str = eqx.field(static=True)
-    points: Float[Array, " points"] | None = None
+
+    @property
+    def points(self) -> Float[Array, " points"] | None:
+        """Break points of the element's law, `None` of a linear one."""
+        basis = self.element.basis
+        return basis.break_points if isinstance(basis, RoofFunctions) else None
 
     def rate(
         self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
@@ -203,30 +204,21 @@ def with_springs(
 
     **Raises:** `ModelError` for an element whose law has no inverse that is known.
     """
-    found = []
+    elements = []
     for number, spring in enumerate(springs):
-        first, force = next(
-            (e, equation.unit)
-            for equation in equations
-            if (e := spring.element(equation)) is not None
-        )
-        basis = first.basis
-        if basis is not None and not isinstance(basis, RoofFunctions):
+        first, force = next((t, e.unit) for e in equations if (t := spring.element(e)) is not None)
+        if not (first.is_linear or isinstance(first.basis, RoofFunctions)):
             raise ModelError(
                 f"a spring in series with {first.name} needs the inverse of its law, which is "
                 f"known of one coefficient and of roof functions (rx.roof) only."
             )
         name = "series_force" if number == 0 else f"series_{number + 1}_force"
-        points = None if basis is None else basis.break_points
-        found.append(SpringElement(first, name, force, stiffness_name(number), points))
-    replaced = []
-    for equation in equations:
-        terms = []
-        for term in equation.terms:
-            name = next((f.state for f, s in zip(found, springs) if s.of in term.parameters), None)
-            terms.append(term if name is None else Term(term.factor, name))
-        replaced.append(equation.of_terms(*terms))
-    return tuple(replaced), tuple(found)
+        elements.append(SpringElement(first, name, force, stiffness_name(number)))
+        equations = tuple(
+            e.of_terms(*(Term(t.factor, name) if spring.of in t.parameters else t for t in e.terms))
+            for e in equations
+        )
+    return equations, tuple(elements)
 
 
 class Motion(NamedTuple):
@@ -284,9 +276,8 @@ def read_structure(
     leading = {motion.names[-1] for motion in motions}
 
     def is_dynamic(term: AbstractTerm) -> bool:
-        if term.signal is not None:
-            return derivative_name(term.signal, term, motions) in leading
-        return bool(term.derivative or leading & set(signals_read(term.of)))
+        is_moving = term.signal is None and term.derivative > 0
+        return is_moving or bool(leading & {*signals_read(expression_read(term, motions))})
 
     # A static equation determines its first plain signal with a number for coefficient.
     moving = {name for motion in motions for name in motion.names} | set(rates)
@@ -320,38 +311,36 @@ def read_structure(
             f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
             f"unknown(s) ({', '.join(unknowns)}). {remedy}"
         )
-    settled = {*structure.states, *unknowns}
-    terms = [(equation.name, term) for equation in equations for term in equation.terms]
+    terms = [term for equation in equations for term in equation.terms]
     read: list[Expression] = []
-    for name, term in (*terms, *((label, one.element) for one in elements)):
-        try:
-            jax.eval_shape(term.functions, jax.ShapeDtypeStruct((1,), jnp.result_type(float)))
-        except ModelError as error:
-            raise ModelError(f"{name} cannot be simulated: {error}") from None
-        of = term.signal
-        read.append(term.of if of is None else derivative_name(of, term, motions))
+    for term in (*terms, *(spring.element for spring in elements)):
+        if not term.is_linear and term.basis is None:
+            try:
+                jax.eval_shape(term.functions, jnp.zeros(1))
+            except ModelError as error:
+                raise ModelError(f"{label} cannot be simulated: {error}") from None
+        read.append(expression_read(term, motions))
+    settled = {*structure.states, *unknowns}
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
     # Whether the time derivatives of expressions follow from the states and the unknowns.
     # d/dt f(x) = f'(x) x' reads the first derivatives of what f reads, which states have. The
     # second reads theirs in turn, which only a signal has whose own second derivative leads.
     positions = {motion.signal for motion in structure.motions if len(motion.names) == 3}
-    for equation in equations:
-        for term in equation.terms:
-            if not term.derivative or term.signal is not None:
-                continue
-            allowed = set(structure.states) if term.derivative == 1 else positions
-            if beyond := [name for name in signals_read(term.of) if name not in allowed]:
-                raise ModelError(
-                    f"{label} cannot be simulated: derivative {term.derivative} of the expression "
-                    f"{label_of(term.of)} needs derivatives of {', '.join(beyond)}, which no "
-                    f"equation leads to. Where a term reads a recorded derivative, write "
-                    f"Term('NAME', '{beyond[0]}', derivative=2, measured=('d{beyond[0]}', "
-                    f"'dd{beyond[0]}')) instead (derivative=1 of a velocity)."
-                )
-    functions = [(t.of, None if t.is_linear else t.functions) for _, t in terms]
+    for term in terms:
+        if not term.derivative or term.signal is not None:
+            continue
+        allowed = set(structure.states) if term.derivative == 1 else positions
+        if beyond := [name for name in signals_read(term.of) if name not in allowed]:
+            raise ModelError(
+                f"{label} cannot be simulated: derivative {term.derivative} of the expression "
+                f"{label_of(term.of)} needs derivatives of {', '.join(beyond)}, which no equation "
+                f"leads to. Where a term reads a recorded derivative, write Term('NAME', "
+                f"'{beyond[0]}', derivative=2, measured=('d{beyond[0]}', 'dd{beyond[0]}')) instead "
+                f"(derivative=1 of a velocity)."
+            )
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
-    return structure._replace(reversing=reversing_states(functions, structure.states, signals))
+    return structure._replace(reversing=reversing_states(terms, structure.states, signals))
 
 
 def _motions(
@@ -361,31 +350,29 @@ def _motions(
     rates: Mapping[str, Expression],
 ) -> tuple[Motion, ...]:
     """State signals in order of appearance, with the order of their leading derivative."""
-    terms = [
-        term
-        for equation in equations
-        for term in equation.terms
+    differentiated = [term for equation in equations for term in equation.terms if term.derivative]
+    moving = [
+        (term.signal, term.derivative, term.measured)
+        for term in differentiated
         if term.signal is not None and term.signal not in inputs and term.signal not in rates
     ]
-    of_signals = [term for term in terms if term.derivative > 0]
     names: dict[str, str] = {}
-    for term in of_signals:
-        for lower, higher in zip((str(term.of), *term.measured), term.measured):
+    for name, _, measured in moving:
+        for lower, higher in zip((name, *measured), measured):
             names.setdefault(lower, higher)
-    for term in of_signals:
-        name = str(term.of)
-        for _ in range(term.derivative):
+    for name, derivative, _ in moving:
+        for _ in range(derivative):
             name = names.setdefault(name, f"d{name}")
     below = {higher: lower for lower, higher in names.items()}
-    positions = {str(term.of) for term in of_signals}
+    positions = {name for name, _, _ in moving}
     order: dict[str, int] = {}
-    for term in of_signals:
+    for name, derivative, _ in moving:
         # A derivative of a velocity is one of the position, where the position is in the equations.
-        ancestors = [str(term.of)]
+        ancestors = [name]
         while ancestors[-1] in below:
             ancestors.append(below[ancestors[-1]])
         steps = max(i for i, name in enumerate(ancestors) if name in positions)
-        signal, rise = ancestors[steps], term.derivative + steps
+        signal, rise = ancestors[steps], derivative + steps
         order[signal] = max(order.get(signal, 0), rise)
     motions = []
     for signal, rise in order.items():
@@ -402,23 +389,22 @@ def _motions(
             "it holds no derivative of a signal, so it is static and says nothing about motion. "
             "Write what moves as a derivative, such as Term('m', 'x', derivative=2)."
         )
-        for term in (term for equation in equations for term in equation.terms):
-            if term.derivative and term.signal is None:
-                why = (
-                    f"it holds a derivative of the expression {label_of(term.of)} (of "
-                    f"{', '.join(signals_read(term.of))}) and no derivative of a signal, so that "
-                    f"no signal is a state. Make the expression a signal first (on the command "
-                    f"line: --derive NAME=FORMULA), and write the term of that name."
-                )
-                break
+        if of := next((term.of for term in differentiated if term.signal is None), None):
+            why = (
+                f"it holds a derivative of the expression {label_of(of)} (of "
+                f"{', '.join(signals_read(of))}) and no derivative of a signal, so that no signal "
+                f"is a state. Make the expression a signal first (on the command line: --derive "
+                f"NAME=FORMULA), and write the term of that name."
+            )
         raise ModelError(f"{label} cannot be simulated: {why}")
     return tuple(motions)
 
 
-def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]) -> str:
-    """Under which name a term's derivative of a signal is to be read."""
-    if not term.derivative:
-        return signal
+def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
+    """A term's expression; of a signal, the name of the derivative that is to be read."""
+    signal = term.signal
+    if signal is None or not term.derivative:
+        return term.of
     for motion in motions:
         if signal in motion.names:
             return motion.names[motion.names.index(signal) + term.derivative]
@@ -572,9 +558,9 @@ class EquationSystem(AbstractSystem):
         Of an expression f of states x the chain rule gives d/dt f = f'(x) x', a forward derivative
         along the flow, and of that once more the second: no formula is differentiated by hand.
         """
-        if term.signal is not None:
-            return function(signals[derivative_name(term.signal, term, self.structure.motions)])
-        of = term.of
+        of = expression_read(term, self.structure.motions)
+        if isinstance(of, str) and term.signal is not None:
+            return function(signals[of])
 
         def level(states: dict[str, Array]) -> Array:
             # A constant may be one number for all samples.

@@ -51,8 +51,7 @@ def with_less_noise(
     def of(equation: Equation) -> Equation:
         if not any(_has_both(term, record) for term in equation.terms):
             return equation
-        terms = [each for term in equation.terms for each in read(term)]
-        return Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
+        return equation.of_terms(*(each for term in equation.terms for each in read(term)))
 
     return Procedure(tuple(tuple(map(of, stage)) for stage in procedure.stages))
 
