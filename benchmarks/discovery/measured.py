@@ -98,7 +98,7 @@ def silverbox_found(data: Path) -> dict[str, Any]:
 def _shaped(procedure: rx.equations.Procedure) -> list[tuple[str, AbstractShape]]:
     """Laws with a width, by name."""
     every = (term for equation in procedure.equations for term in equation.terms)
-    named = [(term.name, term.basis) for term in every if term.basis is not None]
+    named = [(str(term.name), term.basis) for term in every if term.basis is not None]
     return [(name, basis) for name, basis in named if isinstance(basis, AbstractShape)]
 
 

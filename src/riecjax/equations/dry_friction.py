@@ -30,12 +30,13 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, Sampled, combined, evaluate
+from riecjax.equations.expressions import Expression, combined, evaluate
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
 from riecjax.records.record import Record, Signals
+from riecjax.records.signal import Signal
 
 FAR = 1e6
 """Widths beyond which a weight is 1."""
@@ -70,11 +71,11 @@ class InMotion(AbstractTerm):
 
         return both
 
-    def samples(self, record: Record, order: int) -> Sampled:
+    def samples(self, record: Record, order: int) -> Signal:
         """Samples of the weighted term; see the base class."""
         velocity = evaluate(self.velocity, record)
-        ratio = velocity.map(lambda v: jnp.clip(v / self.width, -FAR, FAR))
-        weight = ratio.map(lambda r: r**2 / (1 + r**2))
+        ratio = combined(lambda v: jnp.clip(v / self.width, -FAR, FAR), velocity)
+        weight = combined(lambda r: r**2 / (1 + r**2), ratio)
         if order or not self.term.derivative:
             below = self.term.derivative if order else 0
             samples = self.term.samples(record, below)
@@ -83,7 +84,7 @@ class InMotion(AbstractTerm):
             of = combined(lambda v, r: v - self.width * jnp.arctan(r), velocity, ratio)
         else:
             of = combined(operator.mul, velocity, weight)
-        return of.map(lambda values: (jnp.asarray(self.term.factor) * values)[None])
+        return combined(lambda values: (jnp.asarray(self.term.factor) * values)[None], of)
 
     def __neg__(self) -> "InMotion":
         return eqx.tree_at(lambda own: own.term, self, -self.term)

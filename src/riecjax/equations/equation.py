@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from riecjax.compilation import kept_jit
-from riecjax.equations.expressions import Expression, Sampled, evaluate, label_of, read_expression
+from riecjax.equations.expressions import Expression, combined, evaluate, label_of, read_expression
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signals
+from riecjax.records.signal import Signal
 from riecjax.shows import Shown
 
 PROBE = 64
@@ -111,9 +112,13 @@ class Equation(Shown, eqx.Module):
             for pair in zip((term.of, *term.measured), term.measured)
         )
 
-    def trusted(self, sampled: Sampled, record: Record) -> Sampled:
+    def trusted(self, sampled: Signal, record: Record) -> Signal:
         """Samples of the equation, present only where it is to be trusted."""
-        return sampled if self.where is None else sampled.within(evaluate(self.where, record))
+        if self.where is None:
+            return sampled
+        mask = evaluate(self.where, record)
+        holds = Signal(mask.values, mask.values.astype(bool))
+        return combined(lambda values, *_: values, sampled, mask, holds)
 
     def signals_read(self, record: Record, smoothness: int) -> set[str]:
         """Names of the signals that a criterion reads which takes `smoothness` derivatives off.

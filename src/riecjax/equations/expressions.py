@@ -10,14 +10,13 @@ import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array
 
 from riecjax.errors import ModelError, users_code
-from riecjax.leaves import is_number
 from riecjax.records.record import Record, Signals
+from riecjax.records.signal import Signal, both
 
 Expression = str | Callable[[Signals], Array]
 """A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
@@ -28,38 +27,21 @@ Write functions once, at module level: a new function object each time compiles 
 """
 
 
-class Sampled(eqx.Module):
-    """Samples of one or several columns, and where they are present (`None`: everywhere)."""
-
-    values: Float[Array, "*columns n"]
-    present: Bool[Array, " n"] | None
-
-    def map(self, function: Callable[[Array], Array]) -> "Sampled":
-        """A function of the values, present where these are."""
-        return Sampled(function(self.values), self.present)
-
-    def within(self, mask: "Sampled") -> "Sampled":
-        """The same, present only where a mask is present too and holds."""
-        held = Sampled(mask.values, mask.values.astype(bool))
-        return combined(lambda values, *_: values, self, mask, held)
-
-
-def combined(function: Callable[..., Array], *samples: Sampled) -> Sampled:
+def combined(function: Callable[..., Array], *signals: Signal) -> Signal:
     """A function of the values of several, present where all of these are."""
-    masks = [each.present for each in samples if each.present is not None]
-    present = functools.reduce(operator.and_, masks) if masks else None
-    return Sampled(function(*(each.values for each in samples)), present)
+    masks = (signal.present for signal in signals)
+    return Signal(function(*(s.values for s in signals)), functools.reduce(both, masks, None))
 
 
-def evaluate(expression: Expression, record: Record) -> Sampled:
+def evaluate(expression: Expression, record: Record) -> Signal:
     """Samples of an expression on a record, present where every signal that it reads is.
 
     **Raises:** `DataError` for a missing signal, `ModelError` if a function of the user's own
     fails or does not return one number for each sample.
     """
-    signals = record.signals
     if isinstance(expression, str):
-        return Sampled(signals[expression], record.present((expression,)))
+        return record.signal(expression)
+    signals = record.signals
     name = label_of(expression)
     with users_code(f"the expression {name}"):
         samples = jnp.asarray(expression(signals))
@@ -71,7 +53,7 @@ def evaluate(expression: Expression, record: Record) -> Sampled:
             f"the expression {name} must return one number for each of the {record.sample_count} "
             f"samples; it returned shape {samples.shape}."
         )
-    return Sampled(samples, record.present(signals.read))
+    return Signal(samples, record.present(signals.read))
 
 
 def read_expression(expression: Expression, signals: Signals) -> None:
@@ -147,7 +129,9 @@ class _Formula:
     @property
     def source(self) -> str | None:
         """As it is written, if its arguments can be."""
-        texts = [repr(of) if is_number(of) else source_of(of) for of in self.arguments]
+        texts = [
+            repr(of) if isinstance(of, int | float) else source_of(of) for of in self.arguments
+        ]
         return None if None in texts else f"{self.kind}({', '.join(map(str, texts))})"
 
     def __call__(self, signals: Signals) -> Array:

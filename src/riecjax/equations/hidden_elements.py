@@ -44,11 +44,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Sampled, constant
+from riecjax.equations.expressions import constant
 from riecjax.equations.term import AbstractTerm, Column, Term
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 KNOWN_UNITS = {"N s/m": "N/m", "N": "N/m", "N m s/rad": "N m/rad", "N m": "N m/rad"}
 """Unit of a spring by that of the element's coefficients."""
@@ -488,6 +489,6 @@ class Differentiated(AbstractTerm):
         """Those of the term."""
         return self.term.functions(x)
 
-    def samples(self, record: Record, order: int) -> Sampled:
+    def samples(self, record: Record, order: int) -> Signal:
         """Those of the term."""
         return self.term.samples(record, order)

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, Sampled, evaluate
+from riecjax.equations.expressions import Expression, evaluate
 from riecjax.equations.hidden_elements import (
     ModeParameters,
     Shape,
@@ -26,6 +26,7 @@ from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 FORGOTTEN = 0.01
 """Share to which what is not known of a mass's start must have decayed."""
@@ -42,27 +43,25 @@ def with_hidden_motion(
 
     **Raises:** `ModelError` for a spring in series with a map.
     """
-    added = _Added(record, {}, {})
+    added = _Added(record, {})
     stages = tuple(
         tuple(_without_hidden(equation, procedure, added, values) for equation in stage)
         for stage in procedure.stages
     )
-    return Procedure(stages), record.with_signals(added.signals, missing=added.missing)
+    return Procedure(stages), record.with_signals(added.signals)
 
 
 class _Added(NamedTuple):
-    """Signals that are made of a record's, and where they are not known."""
+    """Signals that are made of a record's."""
 
     record: Record
-    signals: dict[str, Array]
-    missing: dict[str, Array]
+    signals: dict[str, Signal]
 
     def add(self, name: str, of: Expression, shape: Shape) -> None:
         """What follows an expression by this shape."""
         if name not in self.signals:
             step = self.record.time_step
-            self.signals[name], there = filtered(evaluate(of, self.record), step, shape)
-            self.missing[name] = ~there
+            self.signals[name] = filtered(evaluate(of, self.record), step, shape)
 
 
 def _without_hidden(
@@ -113,18 +112,16 @@ def _lagging(
     return term.with_fields(of=of, measured=tuple(made[1:]))
 
 
-def filtered(
-    sampled: Sampled, step: Float[Array, ""], shape: Shape
-) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
+def filtered(signal: Signal, step: Float[Array, ""], shape: Shape) -> Signal:
     """N / D of some samples, and where that is known.
 
     By the discrete Fourier transform, exact for motion below half the sampling rate. The record is
     continued at both ends by its mirror image through the end point, which has the same slope.
     """
-    samples = sampled.values
+    samples = jnp.asarray(signal.values)
     count = samples.shape[-1]
     place = jnp.arange(count)
-    there = jnp.ones(count, bool) if sampled.present is None else sampled.present
+    there = jnp.ones(count, bool) if signal.present is None else signal.present
     # The last sample that was there stands for those that are not.
     before = jax.lax.cummax(jnp.where(there, place, 0))
     x = samples[before]
@@ -135,4 +132,4 @@ def filtered(
     since = (place - jax.lax.cummax(jnp.where(there, -1, place))) * step
     longest = LONGEST_START * count * step
     start = jnp.minimum(-np.log(FORGOTTEN) * shape.decay, longest)
-    return moved.astype(samples.dtype), there & (since > start)
+    return Signal(moved.astype(samples.dtype), there & (since > start))

@@ -31,6 +31,7 @@ r with each source, and what is left at one sample is a sum of three squares,
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -40,11 +41,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Sampled, combined, evaluate, read_expression
+from riecjax.equations.expressions import combined, evaluate, read_expression
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf
 from riecjax.records.noise import Noise
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 
 class _Part(NamedTuple):
@@ -114,7 +116,7 @@ def sampled_columns(equation: Equation, record: Record, smoothness: int) -> Colu
 
 
 def columns_of_terms(
-    equation: Equation, record: Record, smoothness: int, read: Sequence[Sampled]
+    equation: Equation, record: Record, smoothness: int, read: Sequence[Signal]
 ) -> Columns:
     """The columns that samples of each of an equation's terms add up to."""
     names = equation.parameters
@@ -238,7 +240,7 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
         for key, rise in rises.items():
             moves[key].append(_Part(term, order, rise))
         for keys, of in curved.items():
-            sampled = sampled.map(lambda values, shift=of.shift: values - shift)
+            sampled = combined(lambda values, shift=of.shift: values - shift, sampled)
             weights, squares = zip(*of.squares)
             bends.setdefault(keys, []).append(tuple(_Part(term, order, v) for v in squares))
         clean.append(sampled)
@@ -332,5 +334,7 @@ def _curved(
 
 
 def _moved(record: Record, direction: Direction, step: Array) -> Record:
-    moved = {name: record.arrays[name] + step * size for name, size in direction.items()}
-    return record.with_signals(moved, missing=record.missing)
+    signals = {name: record.signal(name) for name in direction}
+    return record.with_signals(
+        {n: replace(s, values=s.values + step * direction[n]) for n, s in signals.items()}
+    )

@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
-from riecjax.equations.expressions import Expression, Sampled, evaluate, source_of
+from riecjax.equations.expressions import Expression, combined, evaluate, source_of
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 
 class Column(NamedTuple):
@@ -149,15 +150,14 @@ class AbstractTerm(eqx.Module):
             )
         return name
 
-    def samples(self, record: Record, order: int) -> Sampled:
+    def samples(self, record: Record, order: int) -> Signal:
         """Samples of every column, differentiated `order` times.
 
         **Raises:** `DataError` where that needs a derivative that the record does not hold.
         """
         factor = jnp.asarray(self.factor)
-        return evaluate(self.expression(record, order), record).map(
-            lambda x: factor * self.functions(x)
-        )
+        expression = evaluate(self.expression(record, order), record)
+        return combined(lambda x: factor * self.functions(x), expression)
 
     def with_fields(self, **changes: object) -> Self:
         """The same term with other values of some fields, which are not checked anew."""

@@ -41,14 +41,14 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Sampled, combined
+from riecjax.equations.expressions import combined
 from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip, told_apart
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import Sharing
 from riecjax.estimation.stages import all_normal_equations
 from riecjax.leaves import Leaf
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,
@@ -64,7 +64,7 @@ from riecjax.refinement.objective import (
 )
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
 
-Levels = dict[int, Sampled]
+Levels = dict[int, Signal]
 """Samples of what is left to be differentiated so many times."""
 
 
@@ -175,9 +175,9 @@ class ParametricBalance(eqx.Module):
                 arrays[f"~:{order}/{parameter}"] = slope
                 terms.append(Term(parameter, f"~:{order}/{parameter}", derivative=order))
         present = combined(lambda *values: values[0], *levels.values()).present
-        missing = {} if present is None else dict.fromkeys(arrays, ~present)
+        signals = {name: Signal(values, present) for name, values in arrays.items()}
         equation = Equation(*terms, name=name, unit=unit, where=where)
-        return equation, record.with_signals(arrays, missing=missing)
+        return equation, record.with_signals(signals)
 
     def label(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
         """Name and unit of the equation, and where it is to be trusted."""
@@ -203,7 +203,7 @@ class ParametricBalance(eqx.Module):
                         f"{balance.name}.{part.__name__} must return one number for each of the "
                         f"{record.sample_count} samples; it returned shape {level.shape}."
                     )
-                levels[order] = Sampled(jnp.broadcast_to(level, (record.sample_count,)), None)
+                levels[order] = Signal(jnp.broadcast_to(level, (record.sample_count,)))
             if not levels:
                 raise ModelError(
                     f"{balance.name}: a balance needs a force, a momentum or a first moment."
@@ -216,7 +216,7 @@ class ParametricBalance(eqx.Module):
                     f"velocity."
                 )
             present = record.present(signals.read)
-            return {order: Sampled(level.values, present) for order, level in levels.items()}
+            return {order: Signal(level.values, present) for order, level in levels.items()}
         for term in self.model.terms:
             # As criteria read it: derivatives that the test function cannot take off are recorded.
             read = max(term.derivative - smoothness, 0)
@@ -225,7 +225,7 @@ class ParametricBalance(eqx.Module):
             def total(columns: Float[Array, "columns n"], weights=coefficients) -> Array:
                 return jnp.stack(weights) @ columns if weights else jnp.sum(columns, axis=0)
 
-            level, order = term.samples(record, read).map(total), term.derivative - read
+            level, order = combined(total, term.samples(record, read)), term.derivative - read
             before = levels.get(order)
             levels[order] = level if before is None else combined(operator.add, before, level)
         return levels
