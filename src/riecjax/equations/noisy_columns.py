@@ -32,7 +32,7 @@ r with each source, and what is left at one sample is a sum of three squares,
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -132,7 +132,7 @@ def columns_of_terms(
             ]
         )
 
-    sampled = equation.trusted(combined(sums, *read), record)
+    sampled: Any = equation.trusted(combined(sums, *read), record)
     return Columns(sampled.values, sampled.present, record.time_step, names)
 
 
@@ -236,7 +236,7 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
     for term in equation.terms:
         above, order = max(term.derivative - smoothness, 0), min(term.derivative, smoothness)
         sampled = term.samples(record, above)
-        rises, curved = _term_noise(term, record, above, sampled.values, directions)
+        rises, curved = _term_noise(term, record, above, jnp.asarray(sampled.values), directions)
         for key, rise in rises.items():
             moves[key].append(_Part(term, order, rise))
         for keys, of in curved.items():
@@ -286,7 +286,7 @@ def _term_noise(
     if term.basis is not None:
         # Functions of one argument, whose noise is that of all directions together.
         def argument(direction: Direction, step: Array) -> Array:
-            return evaluate(term.of, _moved(record, direction, step)).values
+            return jnp.asarray(evaluate(term.of, _moved(record, direction, step)).values)
 
         zero = jnp.zeros(())
         at = argument({}, zero)
@@ -305,7 +305,8 @@ def _term_noise(
         return {k: (factor * d[expression]).reshape(1, 1) for k, d in touching.items()}, {}
     found = {
         (key,): _curved(
-            values, lambda step, d=d: term.samples(_moved(record, d, step), order).values
+            values,
+            lambda step, d=d: jnp.asarray(term.samples(_moved(record, d, step), order).values),
         )
         for key, d in touching.items()
     }

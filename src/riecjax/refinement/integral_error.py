@@ -159,7 +159,7 @@ class ParametricBalance(eqx.Module):
         moving = tuple(name for name in self.parameters if name in free)
         levels = self._levels(record, held, smoothness)
         name, unit, where = self.label(held)
-        arrays: dict[str, Array] = {}
+        arrays: dict[str, Leaf] = {}
         terms: list[AbstractTerm] = []
         for order, level in levels.items():
             arrays[f"~:{order}"] = level.values
