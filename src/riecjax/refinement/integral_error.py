@@ -41,9 +41,8 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import combined
 from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip, told_apart
-from riecjax.equations.term import AbstractTerm, Term
+from riecjax.equations.term import AbstractTerm, Term, combined
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import Sharing
 from riecjax.estimation.stages import all_normal_equations

@@ -13,8 +13,7 @@ from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import evaluate
-from riecjax.equations.term import AbstractTerm
+from riecjax.equations.term import AbstractTerm, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence

@@ -59,16 +59,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, difference, label_of, signals_read
 from riecjax.equations.hidden_elements import (
     HiddenMode,
     ModeParameters,
-    SeriesSpring,
+    SpringElement,
     inertia_sign,
-    stiffness_name,
+    with_springs,
 )
 from riecjax.equations.procedure import Procedure, as_procedure
 from riecjax.equations.term import AbstractTerm, Term
@@ -142,83 +141,6 @@ def carried_states(modes: Iterable[ModeStates]) -> dict[str, str]:
     """States of modes to what they start from: the body's velocity, or nothing."""
     pairs = (((mode.deflection, ""), (mode.velocity, mode.body)) for mode in modes)
     return dict(itertools.chain.from_iterable(pairs))
-
-
-LEAST_SLOPE = 0.01
-"""Of a map, as a share of its mean slope."""
-
-
-class SpringElement(eqx.Module):
-    """A force element with a spring in series.
-
-    **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
-    `stiffness`, the name of the spring's parameter.
-    """
-
-    element: AbstractTerm
-    state: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    stiffness: str = eqx.field(static=True)
-
-    @property
-    def points(self) -> Float[Array, " points"] | None:
-        """Break points of the element's law, `None` of a linear one."""
-        basis = self.element.basis
-        return basis.break_points if isinstance(basis, RoofFunctions) else None
-
-    def rate(
-        self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
-    ) -> Float[Array, " 1"]:
-        """Time derivative of the force."""
-        own = jnp.stack([values[n] for n in self.element.parameters])
-        points = self.points
-        if points is None:
-            inner = force / own[0]
-        else:
-            inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
-        return values[self.stiffness] * (velocity - inner)
-
-    def static(
-        self, velocity: Float[Array, " n"], values: Mapping[str, Array]
-    ) -> Float[Array, " n"]:
-        """The force at a velocity that does not change: the spring takes up none of it."""
-        own = jnp.stack([values[n] for n in self.element.parameters])
-        points = self.points
-        if points is None:
-            return own[0] * velocity
-        return RoofFunctions(points).interpolate(_rising(own, points), velocity)
-
-
-def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
-    """The same map where it rises, and one of least slope where it does not."""
-    mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
-    least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
-    rises = jnp.maximum(jnp.diff(forces), least)
-    return forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
-
-
-def with_springs(
-    equations: tuple[Equation, ...], springs: Sequence[SeriesSpring]
-) -> tuple[tuple[Equation, ...], tuple[SpringElement, ...]]:
-    """Equations that hold elements' forces in the elements' places, and these elements.
-
-    **Raises:** `ModelError` for an element whose law has no inverse that is known.
-    """
-    elements = []
-    for number, spring in enumerate(springs):
-        first, force = next((t, e.unit) for e in equations if (t := spring.element(e)) is not None)
-        if not (first.is_linear or isinstance(first.basis, RoofFunctions)):
-            raise ModelError(
-                f"a spring in series with {first.name} needs the inverse of its law, which is "
-                f"known of one coefficient and of roof functions (rx.roof) only."
-            )
-        name = "series_force" if number == 0 else f"series_{number + 1}_force"
-        elements.append(SpringElement(first, name, force, stiffness_name(number)))
-        equations = tuple(
-            e.of_terms(*(Term(t.factor, name) if spring.of in t.parameters else t for t in e.terms))
-            for e in equations
-        )
-    return equations, tuple(elements)
 
 
 class Motion(NamedTuple):
