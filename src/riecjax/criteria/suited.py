@@ -21,7 +21,6 @@ from riecjax.criteria.test_functions import (
 )
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Term
 from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.preparation import with_local_derivative
@@ -118,7 +117,7 @@ def suited(
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
     # Derivatives that boxcars would read of linear terms, and that no sensor measured.
     lacking = []
-    for term in (t for e in procedure.equations for t in e.terms if isinstance(t, Term)):
+    for term in (t for e in procedure.equations for t in e.terms if t.is_linear):
         name = term.measured[0] if term.measured else "a velocity"
         for record in records if term.derivative == 2 else ():
             made = isinstance(term.of, str) and record.noise.is_made_of(name, term.of)
