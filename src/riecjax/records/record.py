@@ -5,7 +5,7 @@ import functools
 import os
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import equinox as eqx
 import jax
@@ -19,6 +19,9 @@ from riecjax.leaves import is_concrete, namespace
 from riecjax.records.noise import Noise
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
+
+if TYPE_CHECKING:
+    from riecjax.records.linear_op import LinearOp
 
 
 class Signals(UserDict[str, Array]):
@@ -225,6 +228,17 @@ class Record(Drawn, eqx.Module):
             missing={**others, **(missing or {})},
             noise=self.noise.without(*signals).joined(noise or Noise()),
         )
+
+    def through(self, ops: "Mapping[str, LinearOp]") -> "Record":
+        """A record with the signals that operations make, by their name: values, gaps, noise and
+        unit. Not under jit.
+
+        **Raises:** `DataError` for a signal that the record lacks, or of which no stretch is long
+        enough.
+        """
+        from riecjax.records.linear_op import through
+
+        return through(self, ops)
 
     def with_noise(self, noise: Noise) -> "Record":
         """The same samples, of whose noise this is known."""

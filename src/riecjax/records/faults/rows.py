@@ -27,8 +27,8 @@ from jaxtyping import Float
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
+from riecjax.records.linear_op import LinearOp
 from riecjax.records.noise import NORMAL
-from riecjax.records.preparation.filtering import with_gaps
 from riecjax.records.record import HasRecord, Record, samples_with_nan
 
 ROUNDED = 1e-3
@@ -131,7 +131,8 @@ def without_repetitions(record: Record) -> tuple[Record, list[Finding]]:
         f"they showed from {time[first.first]:.6g} s on, to the last digit{more}: the logger wrote "
         f"those rows again. What stood there is lost; they count as missing. Check the logger.",
     )
-    return with_gaps(record, columns, noise=record.noise), [said]
+    ops = {name: LinearOp.of_values("", values) for name, values in columns.items()}
+    return record.through(ops), [said]
 
 
 def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:

@@ -1,5 +1,6 @@
 """Signals brought forward in time, by what is asked or by what recorded derivatives tell."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -19,9 +20,8 @@ from riecjax.records.faults.derivative_pairs import (
     with_sum,
 )
 from riecjax.records.faults.rows import cut_rows
-from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation.filtering import longest_stretch, through, with_gaps
-from riecjax.records.preparation.resampling import SAME_TIME, band_limited, reach_beyond, response
+from riecjax.records.linear_op import SAME_TIME, LinearOp, convolved_with, longest_stretch
+from riecjax.records.preparation.resampling import band_limited, reach_beyond, response
 from riecjax.records.record import Record
 
 POINTS = np.arange(-3, 5)
@@ -53,28 +53,25 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, a time that is no number, or a
     record or stretches too short for it.
     """
-    columns, before, after = {}, 0, 0
-    for name, late in seconds.items():
-        record.signals[name]  # an error that helps, if there is none
-        by = late / float(record.time_step)
-        if not abs(by) < record.sample_count / 2:
-            raise DataError(
-                f"cannot shift '{name}' by {late:g} s, which is {by:.4g} samples of "
-                f"{record.sample_count}. Give seconds, less than half the record."
-            )
-        reach = reach_beyond(1.0)
-        wide = longest_stretch(record, name) >= 2 * MOST_LOST * reach
-        taps, first = _taps(by, reach if wide else 0)
-        columns[name] = through(record, name, taps, first)
-        before, after = max(before, -first), max(after, first + taps.size - 1)
-        record = judged(record, "auto", name)
-        # A shift between samples leaves white noise nearly white, but a little less of it.
-        record = record.with_noise(record.noise.filtered(name, np.array([np.linalg.norm(taps)])))
-    for name, values in columns.items():
-        if np.isnan(values).all():
-            raise DataError(f"no stretch of '{name}' is long enough to be shifted.")
-    result = with_gaps(record, columns, noise=record.noise)
-    return result.part(max(before, 0), record.sample_count - max(after, 0))
+    return record.through({n: advance(record, n, late) for n, late in seconds.items()})
+
+
+def advance(record: Record, name: str, seconds: float) -> LinearOp:
+    """The operation of [`shift`][] on one signal."""
+    record.signals[name]  # an error that helps, if there is none
+    by = seconds / float(record.time_step)
+    if not abs(by) < record.sample_count / 2:
+        raise DataError(
+            f"cannot shift '{name}' by {seconds:g} s, which is {by:.4g} samples of "
+            f"{record.sample_count}. Give seconds, less than half the record."
+        )
+    reach = reach_beyond(1.0)
+    wide = longest_stretch(record, name) >= 2 * MOST_LOST * reach
+    taps, first = _taps(by, reach if wide else 0)
+    # A shift between samples leaves white noise nearly white, but a little less of it.
+    noise = convolved_with(np.array([np.linalg.norm(taps)]))
+    words = f"advanced: {{}} by {seconds:g} s"
+    return LinearOp.of_taps(words, taps, first, noise=noise, aim="to be shifted")
 
 
 def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
@@ -89,29 +86,34 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, a clock that is off by more than
     10 %, or stretches too short for it.
     """
-    reach, columns, lost = reach_beyond(1.0), {}, 0
-    elapsed = np.asarray(record.elapsed) / float(record.time_step)
+    return record.through({name: clock(record, name, rate) for name, rate in ppm.items()})
+
+
+def clock(record: Record, name: str, ppm: float) -> LinearOp:
+    """The operation of [`set_clocks`][] on one signal."""
+    if not abs(ppm) < MOST_PPM:
+        raise DataError(
+            f"the clock of '{name}' is off by {ppm:g} ppm, which is no clock. Give millionths "
+            f"of the time, less than {MOST_PPM:g}."
+        )
+    reach = reach_beyond(1.0)
+    late = PPM * ppm * np.asarray(record.elapsed) / float(record.time_step)
+    lost = reach + math.ceil(np.max(np.abs(late[[0, -1]])))
     # The interpolator's gain of white noise, over all places between two samples.
     phases = response(np.arange(1 - reach, reach + 1) - np.linspace(0, 1, 21)[:, None], 1.0)
     white = np.sqrt(np.mean(np.sum(phases**2, axis=1)))
-    for name, rate in ppm.items():
-        samples = np.asarray(record.signals[name])
-        if not abs(rate) < MOST_PPM:
-            raise DataError(
-                f"the clock of '{name}' is off by {rate:g} ppm, which is no clock. Give millionths "
-                f"of the time, less than {MOST_PPM:g}."
-            )
-        late, columns[name] = PPM * rate * elapsed, np.full(samples.size, np.nan)
-        for part in record.segments([name]):
-            own = np.arange(part.stop - part.start)
-            columns[name][part] = band_limited(samples[part], own + late[part], 1.0)
-        if np.isnan(columns[name]).all():
-            raise DataError(f"no stretch of '{name}' is long enough for another clock.")
-        record = judged(record, "auto", name)
-        record = record.with_noise(record.noise.filtered(name, np.array([white])))
-        lost = max(lost, reach + int(np.ceil(np.max(np.abs(late[[0, -1]])))))
-    result = with_gaps(record, columns, noise=record.noise)
-    return result.part(lost, record.sample_count - lost)
+
+    def set_(samples: np.ndarray, places: np.ndarray, first: int) -> np.ndarray:
+        return band_limited(samples, places - first + late[places], 1.0)
+
+    return LinearOp.of_stretches(
+        f"clocks: {{}} by {ppm:g} ppm",
+        set_,
+        lost=(lost, lost),
+        noise=convolved_with(np.array([white])),
+        aim="for another clock",
+        shortest=2 * reach + 1,
+    )
 
 
 def _taps(by: float, reach: int) -> tuple[Float[np.ndarray, " taps"], int]:

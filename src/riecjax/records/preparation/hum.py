@@ -12,7 +12,7 @@ from riecjax.records.faults.sampled_signal import (
     SampledSignal,
     percent,
 )
-from riecjax.records.preparation.filtering import with_gaps
+from riecjax.records.linear_op import LinearOp
 from riecjax.records.record import Record, samples_with_nan
 
 MAINS = (50.0, 60.0, 50 / 3)
@@ -261,9 +261,15 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
 
     **Raises:** `DataError` for a frequency that is no positive number, or is seen as none.
     """
+    return record.through(lines_off(record, frequency))
+
+
+def lines_off(record: Record, frequency: float | Literal["auto"]) -> dict[str, LinearOp]:
+    """The operations of [`notch`][], by signal."""
     if frequency != "auto" and not (np.isfinite(frequency) and frequency > 0):
         raise DataError(f"the frequency to notch is a positive number of Hz; got {frequency}.")
-    step, columns = float(record.time_step), {}
+    step, ops = float(record.time_step), {}
+    at = "" if frequency == "auto" else f" at {frequency:g} Hz"
     for name in record.arrays:
         values = samples_with_nan(record, name)
         spectrum = spectrum_of(values, step)
@@ -281,8 +287,9 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
             exact = spectrum.line(frequency, 1.0) or Line(frequency, seen, 0.0)
             lines = [exact, *(line for line in lines if line.nominal > frequency)]
         if lines:
-            columns[name] = without_lines(values, step, [line.seen for line in lines])
-    return with_gaps(record, columns, noise=record.noise) if columns else record
+            without = without_lines(values, step, [line.seen for line in lines])
+            ops[name] = LinearOp.of_values(f"lines of the mains{at} taken off", without)
+    return ops
 
 
 def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[float]) -> np.ndarray:

@@ -20,7 +20,7 @@ from riecjax.records.faults.spikes import (
     finding_of,
     too_many,
 )
-from riecjax.records.preparation.filtering import with_gaps
+from riecjax.records.linear_op import LinearOp, require_named
 from riecjax.records.record import Record, samples_with_nan
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -105,8 +105,13 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     columns = {n: samples_with_nan(record, n) for n in {**dict.fromkeys(signals), **record.arrays}}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
     treated = _treated(signals or tuple(columns), columns, times, how)
-    changed = {n: one.values for n, one in treated.items() if one.spikes and not one.acted}
-    return with_gaps(record, changed, noise=record.noise.of(*changed)) if changed else record
+    return record.through(
+        {
+            name: LinearOp.of_values(f"{{}}: outliers, {how}", one.values)
+            for name, one in treated.items()
+            if one.spikes and not one.acted
+        }
+    )
 
 
 def leave_out(record: Record, *signals: str) -> Record:
@@ -118,24 +123,24 @@ def leave_out(record: Record, *signals: str) -> Record:
     **Raises:** `DataError` for no signal, one that the record lacks, or one of which nothing would
     be left.
     """
-    if not signals:
-        raise DataError(f"name the signals to leave out of; there are: {', '.join(record.arrays)}.")
-    every = {n: sampled_signal(record, n) for n in {**dict.fromkeys(signals), **record.arrays}}
-    columns = {}
-    for name in signals:
-        others = [signal for other, signal in every.items() if other != name]
-        signal, values = every[name], every[name].values.copy()
-        stuck = np.isin(np.arange(signal.run_starts.size), stuck_runs(signal, others))
-        values[np.repeat(stuck, signal.run_lengths)] = np.nan
-        # Limits that may be real among them.
-        for side in limits(signal):
-            sign = 1.0 if side.which == "maximum" else -1.0
-            values[sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
-        if np.isnan(values).all():
-            raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
-        if not np.array_equal(values, signal.values, equal_nan=True):
-            columns[name] = values
-    return with_gaps(record, columns, noise=record.noise)
+    require_named(record, signals, "leave out of")
+    return record.through({name: without_limits(record, name) for name in signals})
+
+
+def without_limits(record: Record, name: str) -> LinearOp:
+    """The operation of [`leave_out`][] on one signal."""
+    signal = sampled_signal(record, name)
+    others = [sampled_signal(record, other) for other in record.arrays if other != name]
+    values = signal.values.copy()
+    stuck = np.isin(np.arange(signal.run_starts.size), stuck_runs(signal, others))
+    values[np.repeat(stuck, signal.run_lengths)] = np.nan
+    # Limits that may be real among them.
+    for side in limits(signal):
+        sign = 1.0 if side.which == "maximum" else -1.0
+        values[sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
+    if np.isnan(values).all():
+        raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
+    return LinearOp.of_values("{}: left out where it is stuck or at its limit", values)
 
 
 def treat_all(

@@ -24,10 +24,10 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.memory import in_gigabytes, require_memory
+from riecjax.records.linear_op import SAME_TIME, LinearOp
 from riecjax.records.noise import DIFFERENCE_ORDER, STRETCH, STRETCHES, Noise, shortened, usual_size
-from riecjax.records.noise_judgement import judged, noise_of_level
-from riecjax.records.preparation.filtering import longest_stretch
-from riecjax.records.record import Record, gaps, hold, runs
+from riecjax.records.noise_judgement import noise_of_level
+from riecjax.records.record import Record, hold
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""
@@ -61,8 +61,6 @@ SAME_RATE = 0.01
 """Share by which a channel may be faster than the grid without a low-pass."""
 EVEN = 1e-4
 """Share of a step by which stamps may be off an even grid and still count as even."""
-SAME_TIME = 1e-6
-"""Share of a step within which a grid's time is a sample's time."""
 FEWEST_KNOTS = 4
 
 
@@ -82,7 +80,8 @@ def resample(record: Record, rate: float) -> Record:
     stretches are all too short.
     """
     _check_rate(rate)
-    return _resampled(record, 1.0 / rate, 1.0 / (rate * float(record.time_step)))
+    spacing = 1.0 / (rate * float(record.time_step))
+    return record.through(on_step(record, f"resampled to {rate:g} Hz", 1.0 / rate, spacing))
 
 
 def upsample(record: Record, factor: int) -> Record:
@@ -96,9 +95,44 @@ def upsample(record: Record, factor: int) -> Record:
     **Raises:** `DataError` for a factor below 1, too many samples, or a signal whose
     stretches are all too short.
     """
+    return record.through(finer(record, factor))
+
+
+def finer(record: Record, factor: int) -> dict[str, LinearOp]:
+    """The operations of [`upsample`][], by signal."""
     if not 1 <= factor < np.inf or int(factor) != factor:
         raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")
-    return _resampled(record, float(record.time_step) / factor, 1.0 / factor)
+    words = f"band-limited up-sampling by {factor}"
+    return on_step(record, words, float(record.time_step) / factor, 1.0 / factor)
+
+
+def on_step(record: Record, words: str, step: float, spacing: float) -> dict[str, LinearOp]:
+    """The operations that make samples `step` seconds apart, which are `spacing` of the old ones.
+
+    With h the response of the resampler, w of unit size on the old samples, gives
+    e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
+    rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
+    """
+    if abs(spacing - 1) < SAME_TIME:
+        return {}
+    recorded = len(record.arrays) * record.sample_count
+    _require_room(
+        recorded / spacing,
+        recorded,
+        f"{1 / step:g} Hz",
+        "Choose a lower rate or factor, or a part of the record.",
+    )
+    op = LinearOp.of_stretches(
+        words,
+        lambda samples, places, first: band_limited(samples, places - first, spacing),
+        noise=lambda kernel: resampled_taps(kernel, spacing),
+        aim=f"for 1 sample in {step:g} s",
+        shortest=2 * reach_beyond(spacing) + 1,
+        remedy="Choose a higher rate, leave this signal out, or repair the gaps.",
+        step=step,
+        spacing=spacing,
+    )
+    return dict.fromkeys(record.arrays, op)
 
 
 def on_grid(
@@ -302,25 +336,10 @@ def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
     return _weights(offsets, spacing) / _weights(np.arange(-reach, reach + 1), spacing).sum()
 
 
-def resampled_noise(noise: Noise, spacing: float) -> Noise:
-    """The noise of a record whose samples are `spacing` of the old ones apart.
-
-    With h the response of the resampler, w of unit size on the old samples, gives
-    e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
-    rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
-    """
-
-    kernels = {
-        name: {source: resampled_taps(np.asarray(kernel), spacing) for source, kernel in of.items()}
-        for name, of in noise.kernels.items()
-    }
-    return Noise(kernels, noise.freedom)
-
-
 def resampled_taps(
     kernel: Float[np.ndarray, " taps"], spacing: float
 ) -> Float[np.ndarray, " new_taps"]:
-    """The kernel on the new samples of one on the old; see [`resampled_noise`][]."""
+    """The kernel on the new samples of one on the old; see [`on_step`][]."""
     half = kernel.size // 2
     reach = math.ceil((half + reach_beyond(spacing)) / spacing)
     places = spacing * np.arange(-reach, reach + 1)
@@ -407,77 +426,6 @@ def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
             values = scipy.interpolate.CubicSpline(time - time[0], values)(even)
         sampled[a:b] = band_limited(values, (there - time[0]) / step, 1 / (rate * step))
     return sampled
-
-
-def _resampled(record: Record, step: float, spacing: float) -> Record:
-    """A record with `step` seconds between samples, which are `spacing` of the old ones."""
-    if abs(spacing - 1) < SAME_TIME:
-        return record
-    count = record.sample_count
-    recorded = len(record.arrays) * count
-    _require_room(
-        recorded / spacing,
-        recorded,
-        f"{1 / step:g} Hz",
-        "Choose a lower rate or factor, or a part of the record.",
-    )
-    # Stretches of one even grid lie between pauses, which no signal spans.
-    masks = [np.asarray(record.missing.get(name, np.zeros(count, bool))) for name in record.arrays]
-    some = ~np.all(masks, axis=0) if record.stamps is not None else np.ones(count, bool)
-    pieces = [_piece(record, slice(*run), step, spacing) for run in runs(some).T.tolist()]
-    pieces = [piece for piece in pieces if piece is not None]
-    for name in record.arrays:
-        if not any((~np.isnan(columns[name])).any() for _, columns in pieces):
-            raise DataError(
-                f"no stretch of '{name}' without a gap is long enough for 1 sample in {step:g} s: "
-                f"it takes {2 * reach_beyond(spacing) + 1} samples of the record, and the longest "
-                f"has {longest_stretch(record, name)}. Choose a higher rate, leave this signal "
-                f"out, or repair the gaps."
-            )
-
-    def joined(parts: list[np.ndarray]) -> np.ndarray:
-        # One missing sample between each two is the pause.
-        return np.concatenate([np.append(part, np.nan) for part in parts])[:-1]
-
-    columns = {name: joined([part[name] for _, part in pieces]) for name in record.arrays}
-    stamps = joined([time for time, _ in pieces])
-    pauses = np.flatnonzero(np.isnan(stamps))
-    stamps[pauses] = 0.5 * (stamps[pauses - 1] + stamps[pauses + 1])
-    return Record(
-        {name: hold(values) for name, values in columns.items()},
-        step,
-        stamps[0],
-        record.units,
-        gaps(columns),
-        stamps if len(pieces) > 1 else None,
-        record.skipped + (stamps[0] - record.time[0]),
-        resampled_noise(judged(record).noise, spacing),
-    )
-
-
-def _piece(
-    record: Record, run: slice, step: float, spacing: float
-) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-    """Times and signals of one run on its new grid, NaN in gaps, less the rows at its ends where
-    nothing could be computed."""
-    old_time = np.asarray(record.time)[run]
-    # Stamps may be rounded; together they tell the run's start more precisely than its first.
-    start = float(np.mean(old_time - float(record.time_step) * np.arange(old_time.size)))
-    positions = spacing * np.arange(int((old_time.size - 1) / spacing + SAME_TIME) + 1)
-    columns = {name: np.full(positions.size, np.nan) for name in record.arrays}
-    for name, values in columns.items():
-        samples = np.asarray(record[name])
-        for segment in record.segments([name]):
-            if run.start <= segment.start < run.stop:
-                first, last = segment.start - run.start, segment.stop - run.start
-                a, b = np.searchsorted(positions, [first - SAME_TIME, last])
-                values[a:b] = band_limited(samples[segment], positions[a:b] - first, spacing)
-    some = np.flatnonzero(~np.all([np.isnan(values) for values in columns.values()], axis=0))
-    if not some.size:
-        return None
-    rows = slice(some[0], some[-1] + 1)
-    time = start + step * (int(some[0]) + np.arange(some[-1] + 1 - some[0]))
-    return time, {name: values[rows] for name, values in columns.items()}
 
 
 def _check_rate(rate: float) -> None:
