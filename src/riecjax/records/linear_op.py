@@ -6,6 +6,7 @@ compute near the record's two ends is cut off, for all signals. A signal of whic
 a `DataError`.
 """
 
+import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -134,84 +135,67 @@ def through(record: Record, ops: Mapping[str, LinearOp]) -> Record:
         return record
     sources = {name: op.source or name for name, op in ops.items()}
     samples = {source: samples_with_nan(record, source) for source in sources.values()}
-    if changed := [sources[name] for name, op in ops.items() if op.noise is not None]:
-        record = judged(record, "auto", *changed)
-    noise, stated = record.noise, dict(record.units)
+    filtering = {name: op.noise for name, op in ops.items() if op.noise is not None}
+    if filtering:
+        record = judged(record, "auto", *(sources[name] for name in filtering))
     kernels = {
-        name: {s: op.noise(np.asarray(taps)) for s, taps in noise.kernels[sources[name]].items()}
-        for name, op in ops.items()
-        if op.noise is not None
+        name: {
+            white: filtered(np.asarray(taps))
+            for white, taps in record.noise.kernels[sources[name]].items()
+        }
+        for name, filtered in filtering.items()
     }
-    noise = noise.joined(Noise(kernels, noise.freedom))
+    noise, stated = record.noise.joined(Noise(kernels, record.noise.freedom)), dict(record.units)
     units = {n: stated[sources[n]] + op.unit for n, op in ops.items() if sources[n] in stated}
-    every, count = tuple(ops.values()), record.sample_count
-    if every[0].step is None:
+    step, count, times = next(iter(ops.values())).step, record.sample_count, []
+    if step is None:
         columns = {n: op.at(samples[sources[n]], np.arange(count)) for n, op in ops.items()}
-        first, stop = max(op.lost[0] for op in every), count - max(op.lost[1] for op in every)
-        _require_samples(record, ops, {n: values[first:stop] for n, values in columns.items()})
-        held = {name: hold(values) for name, values in columns.items()}
-        made = record.with_signals(held, units, gaps(columns), noise)
-        return made.part(first, stop) if (first, stop) != (0, count) else made
-    # Stretches of one even grid lie between pauses, which no signal spans.
-    missing = np.all([np.isnan(values) for values in samples.values()], axis=0)
-    even = ~missing if record.stamps is not None else np.ones(count, bool)
-    stamps, columns = [], {name: [] for name in ops}
-    for run in runs(even).T.tolist():
-        time, signals = _resampled(record, slice(*run), samples, ops)
-        stamps.append(time)
-        for name, values in signals.items():
-            columns[name].append(values)
-    # One missing sample between each two is the pause.
-    stamps, *joined = (
-        np.concatenate([np.append(part, np.nan) for part in parts if part.size] or [[np.nan] * 2])[
-            :-1
-        ]
-        for parts in (stamps, *columns.values())
-    )
-    columns = dict(zip(columns, joined))
-    _require_samples(record, ops, columns)
-    pauses = np.flatnonzero(np.isnan(stamps))
-    stamps[pauses] = 0.5 * (stamps[pauses - 1] + stamps[pauses + 1])
-    return Record(
-        {name: hold(values) for name, values in columns.items()},
-        every[0].step,
-        stamps[0],
-        units,
-        gaps(columns),
-        stamps if pauses.size else None,
-        record.skipped + (stamps[0] - record.time[0]),
-        noise,
-    )
-
-
-def _resampled(
-    record: Record, run: slice, samples: Mapping[str, Samples], ops: Mapping[str, LinearOp]
-) -> tuple[Samples, dict[str, Samples]]:
-    """Times and signals of one run on its new grid, NaN in gaps, less the rows at its ends where
-    nothing could be computed."""
-    op = next(iter(ops.values()))
-    old_time = np.asarray(record.time)[run]
-    # Stamps may be rounded; together they tell the run's start more precisely than its first.
-    start = float(np.mean(old_time - float(record.time_step) * np.arange(old_time.size)))
-    places = op.spacing * np.arange(int((old_time.size - 1) / op.spacing + SAME_TIME) + 1)
-    columns = {name: op.at(samples[name][run], places) for name, op in ops.items()}
-    some = np.flatnonzero(~np.all([np.isnan(values) for values in columns.values()], axis=0))
-    rows = slice(some[0], some[-1] + 1) if some.size else slice(0)
-    time = start + float(op.step or 0.0) * np.arange(places.size)
-    return time[rows], {name: values[rows] for name, values in columns.items()}
-
-
-def _require_samples(
-    record: Record, ops: Mapping[str, LinearOp], columns: Mapping[str, Samples]
-) -> None:
+    else:
+        times, columns = _on_new_times(record, samples, ops)
+    first, after = (max(lost) for lost in zip(*(op.lost for op in ops.values())))
     for name, op in ops.items():
-        if np.isnan(columns[name]).all():
-            source = op.source or name
+        if np.isnan(columns[name][first : columns[name].size - after]).all():
             raise DataError(
-                f"no stretch of '{source}' without a gap is long enough {op.aim}: it takes "
-                f"{op.shortest} samples, and the longest has {longest_stretch(record, source)}. "
-                f"{op.remedy}"
+                f"no stretch of '{sources[name]}' without a gap is long enough {op.aim}: it takes "
+                f"{op.shortest} samples, and the longest has "
+                f"{longest_stretch(record, sources[name])}. {op.remedy}"
             )
+    held = {name: hold(values) for name, values in columns.items()}
+    if step is None:
+        made = record.with_signals(held, units, gaps(columns), noise)
+        return made.part(first, count - after) if first or after else made
+    stamps = np.concatenate(times)[:-1]
+    skipped, paused = record.skipped + (stamps[0] - record.time[0]), stamps if times[1:] else None
+    return Record(held, step, stamps[0], units, gaps(columns), paused, skipped, noise)
+
+
+def _on_new_times(
+    record: Record, samples: Mapping[str, Samples], ops: Mapping[str, LinearOp]
+) -> tuple[list[Samples], dict[str, Samples]]:
+    """Times of each stretch of the new time base and of the pause behind it, and signals.
+
+    Stretches of one even grid lie between pauses, which no signal spans. Of each, rows at its ends
+    where nothing could be computed are left out.
+    """
+    op, old_time = next(iter(ops.values())), np.asarray(record.time)
+    missing = np.all([np.isnan(values) for values in samples.values()], axis=0)
+    times, pieces = [], [np.zeros((len(ops), 0))]
+    for begin, end in runs(~missing | (record.stamps is None)).T.tolist():
+        size = end - begin
+        # Stamps may be rounded; together they tell the run's start more precisely than its first.
+        start = np.mean(old_time[begin:end] - float(record.time_step) * np.arange(size))
+        places = op.spacing * np.arange(int((size - 1) / op.spacing + SAME_TIME) + 1)
+        rows = np.array([op.at(samples[name][begin:end], places) for name in ops])
+        some = np.flatnonzero(~np.isnan(rows).all(0))
+        if some.size:
+            # One missing sample between each two is the pause, and its time the middle of it.
+            pieces.append(
+                np.pad(rows[:, some[0] : some[-1] + 1], [(0, 0), (0, 1)], constant_values=np.nan)
+            )
+            times.append(start + float(op.step or 0.0) * np.arange(some[0], some[-1] + 2))
+    for stretch, following in itertools.pairwise(times):
+        stretch[-1] = 0.5 * (stretch[-2] + following[0])
+    return times, {name: column[:-1] for name, column in zip(ops, np.hstack(pieces))}
 
 
 def longest_stretch(record: Record, signal: str) -> int:

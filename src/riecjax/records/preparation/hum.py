@@ -272,12 +272,11 @@ def lines_off(record: Record, frequency: float | Literal["auto"]) -> dict[str, L
     at = "" if frequency == "auto" else f" at {frequency:g} Hz"
     for name in record.arrays:
         values = samples_with_nan(record, name)
-        spectrum = spectrum_of(values, step)
-        if spectrum is None:
-            continue
-        grids = MAINS if frequency == "auto" else (frequency,)
-        lines = [line for grid in grids for line in lines_of(spectrum, grid)]
-        if frequency != "auto":
+        spectrum, lines = spectrum_of(values, step), []
+        if spectrum is not None:
+            grids = MAINS if frequency == "auto" else (frequency,)
+            lines = [line for grid in grids for line in lines_of(spectrum, grid)]
+        if spectrum is not None and frequency != "auto":
             seen = spectrum.folded(frequency)
             if not spectrum.resolution < seen < spectrum.resolution * (spectrum.power.size - 2):
                 raise DataError(
@@ -287,8 +286,8 @@ def lines_off(record: Record, frequency: float | Literal["auto"]) -> dict[str, L
             exact = spectrum.line(frequency, 1.0) or Line(frequency, seen, 0.0)
             lines = [exact, *(line for line in lines if line.nominal > frequency)]
         if lines:
-            without = without_lines(values, step, [line.seen for line in lines])
-            ops[name] = LinearOp.of_values(f"lines of the mains{at} taken off", without)
+            values = without_lines(values, step, [line.seen for line in lines])
+        ops[name] = LinearOp.of_values(f"lines of the mains{at} taken off", values)
     return ops
 
 
