@@ -21,7 +21,6 @@ from riecjax.findings import Finding
 from riecjax.models.model import Model
 from riecjax.records import leave_out, shift
 from riecjax.records.faults.derivative_pairs import Pair, Relation, compare, relations
-from riecjax.records.linear_op import LinearOp, convolved_with
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.simulation.linearisation import growth
@@ -201,5 +200,4 @@ def _mended(record: Record, pair: Pair, code: str) -> Record:
         name, size = pair.zeroed
         course = np.arange(record.sample_count) / record.sample_count - 0.5
         zero = size * (pair.offset + pair.drift * course)
-    scaled = convolved_with(np.array([factor]))
-    return record.through({name: LinearOp("", lambda s, _: factor * s - zero, noise=scaled)})
+    return record.with_signals({name: factor * record.signal(name) - zero})

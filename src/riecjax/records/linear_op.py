@@ -7,7 +7,7 @@ a `DataError`.
 """
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.errors import DataError
-from riecjax.records.noise import Noise, shortened
+from riecjax.records.noise import SignalNoise
 from riecjax.records.noise_judgement import judged
-from riecjax.records.record import Record, gaps, hold, runs, samples_with_nan
+from riecjax.records.record import Record, runs
+from riecjax.records.signal import Signal
 
 Samples = Float[np.ndarray, " n"]
 Places = Float[np.ndarray, " m"]
@@ -28,7 +29,7 @@ SAME_TIME = 1e-6
 
 @dataclass(frozen=True)
 class LinearOp:
-    """What makes a signal of a record's signal, its gaps and its noise.
+    """What makes a signal of a record's signal: of its values, gaps, noise and unit.
 
     **Fields:**
 
@@ -36,7 +37,7 @@ class LinearOp:
     - `at`: of samples, shape `(n,)` and NaN where they are missing, the values at places, shape
       `(m,)` and counted in samples; NaN where they reach beyond an unbroken stretch.
     - `lost`: samples cut off at the record's start and at its end.
-    - `noise`: of a kernel of the signal's noise that of what is made; `None` where the noise stays,
+    - `noise`: of a signal's noise that of what is made, to be judged before; `None` where it stays,
       as what is taken off is none of it.
     - `source`: the signal that it reads, where that is another than it makes.
     - `unit`: what is put behind the source's unit.
@@ -49,7 +50,7 @@ class LinearOp:
     words: str
     at: Callable[[Samples, Places], Samples]
     lost: tuple[int, int] = (0, 0)
-    noise: Callable[[Taps], Taps] | None = None
+    noise: Callable[[SignalNoise], SignalNoise] | None = None
     source: str = ""
     unit: str = ""
     aim: str = ""
@@ -73,7 +74,7 @@ class LinearOp:
             made[places[there]] = valid[there]
             return made
 
-        fields = {"noise": convolved_with(taps[::-1]), "shortest": taps.size, **fields}
+        fields = {"noise": convolved_with(*taps[::-1]), "shortest": taps.size, **fields}
         lost = max(-first, 0), max(first + taps.size - 1, 0)
         return cls.of_stretches(words, sums, lost=lost, **fields)
 
@@ -104,12 +105,9 @@ class LinearOp:
         return cls(words, lambda *_: values)
 
 
-def convolved_with(taps: Taps) -> Callable[[Taps], Taps]:
-    """Of a kernel of noise that of the noise through a filter, the middle tap for the same sample.
-
-    What the filter's ends add to hardly anything is left out.
-    """
-    return lambda kernel: shortened(np.convolve(kernel, taps))
+def convolved_with(*taps: float) -> Callable[[SignalNoise], SignalNoise]:
+    """Of a signal's noise that behind a filter, the middle tap for the same sample."""
+    return lambda noise: noise.convolved(np.array(taps))
 
 
 def words_of(ops: Mapping[str, LinearOp]) -> Iterator[str]:
@@ -124,32 +122,18 @@ def words_of(ops: Mapping[str, LinearOp]) -> Iterator[str]:
 
 
 def through(record: Record, ops: Mapping[str, LinearOp]) -> Record:
-    """A record with the signals that operations make, by their name. Not under jit.
-
-    The noise of a signal that is filtered is judged before.
-
-    **Raises:** `DataError` for a signal that the record lacks, or of which no stretch is long
-    enough.
-    """
+    """See [`Record.through`][]."""
     if not ops:
         return record
     sources = {name: op.source or name for name, op in ops.items()}
-    samples = {source: samples_with_nan(record, source) for source in sources.values()}
-    filtering = {name: op.noise for name, op in ops.items() if op.noise is not None}
-    if filtering:
-        record = judged(record, "auto", *(sources[name] for name in filtering))
-    kernels = {
-        name: {
-            white: filtered(np.asarray(taps))
-            for white, taps in record.noise.kernels[sources[name]].items()
-        }
-        for name, filtered in filtering.items()
-    }
-    noise, stated = record.noise.joined(Noise(kernels, record.noise.freedom)), dict(record.units)
-    units = {n: stated[sources[n]] + op.unit for n, op in ops.items() if sources[n] in stated}
-    step, count, times = next(iter(ops.values())).step, record.sample_count, []
+    filtered = [sources[name] for name, op in ops.items() if op.noise is not None]
+    record = judged(record, "auto", *filtered) if filtered else record
+    signals = {name: record.signal(source) for name, source in sources.items()}
+    samples, times = {name: signal.with_nan for name, signal in signals.items()}, []
+    step = next(iter(ops.values())).step
     if step is None:
-        columns = {n: op.at(samples[sources[n]], np.arange(count)) for n, op in ops.items()}
+        rows = np.arange(record.sample_count)
+        columns = {name: op.at(samples[name], rows) for name, op in ops.items()}
     else:
         times, columns = _on_new_times(record, samples, ops)
     first, after = (max(lost) for lost in zip(*(op.lost for op in ops.values())))
@@ -160,13 +144,16 @@ def through(record: Record, ops: Mapping[str, LinearOp]) -> Record:
                 f"{op.shortest} samples, and the longest has "
                 f"{longest_stretch(record, sources[name])}. {op.remedy}"
             )
-    held = {name: hold(values) for name, values in columns.items()}
+        known = signals[name]
+        noise = known.noise if op.noise is None or known.noise is None else op.noise(known.noise)
+        unit = f"{known.unit}{op.unit}" if known.unit else dict(record.units).get(name, "")
+        signals[name] = Signal.of(columns[name], unit, noise)
     if step is None:
-        made = record.with_signals(held, units, gaps(columns), noise)
-        return made.part(first, count - after) if first or after else made
+        made = record.with_signals(signals)
+        return made.part(first, made.sample_count - after) if first or after else made
     stamps = np.concatenate(times)[:-1]
     skipped, paused = record.skipped + (stamps[0] - record.time[0]), stamps if times[1:] else None
-    return Record(held, step, stamps[0], units, gaps(columns), paused, skipped, noise)
+    return Record(signals, step, stamps[0], paused, skipped)
 
 
 def _on_new_times(
@@ -189,9 +176,8 @@ def _on_new_times(
         some = np.flatnonzero(~np.isnan(rows).all(0))
         if some.size:
             # One missing sample between each two is the pause, and its time the middle of it.
-            pieces.append(
-                np.pad(rows[:, some[0] : some[-1] + 1], [(0, 0), (0, 1)], constant_values=np.nan)
-            )
+            rows = np.pad(rows[:, : some[-1] + 1], [(0, 0), (0, 1)], constant_values=np.nan)
+            pieces.append(rows[:, some[0] :])
             times.append(start + float(op.step or 0.0) * np.arange(some[0], some[-1] + 2))
     for stretch, following in itertools.pairwise(times):
         stretch[-1] = 0.5 * (stretch[-2] + following[0])
@@ -201,9 +187,3 @@ def _on_new_times(
 def longest_stretch(record: Record, signal: str) -> int:
     """Samples in the longest unbroken stretch of a signal."""
     return max((part.stop - part.start for part in record.segments([signal])), default=0)
-
-
-def require_named(record: Record, signals: Collection[str], purpose: str) -> None:
-    """**Raises:** `DataError` for no signal."""
-    if not signals:
-        raise DataError(f"name the signals to {purpose}; there are: {', '.join(record.arrays)}.")

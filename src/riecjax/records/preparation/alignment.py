@@ -58,7 +58,7 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
 
 def advance(record: Record, name: str, seconds: float) -> LinearOp:
     """The operation of [`shift`][] on one signal."""
-    record.signals[name]  # an error that helps, if there is none
+    record.signal(name)  # an error that helps, if there is none
     by = seconds / float(record.time_step)
     if not abs(by) < record.sample_count / 2:
         raise DataError(
@@ -69,7 +69,7 @@ def advance(record: Record, name: str, seconds: float) -> LinearOp:
     wide = longest_stretch(record, name) >= 2 * MOST_LOST * reach
     taps, first = _taps(by, reach if wide else 0)
     # A shift between samples leaves white noise nearly white, but a little less of it.
-    noise = convolved_with(np.array([np.linalg.norm(taps)]))
+    noise = convolved_with(float(np.linalg.norm(taps)))
     words = f"advanced: {{}} by {seconds:g} s"
     return LinearOp.of_taps(words, taps, first, noise=noise, aim="to be shifted")
 
@@ -110,7 +110,7 @@ def clock(record: Record, name: str, ppm: float) -> LinearOp:
         f"clocks: {{}} by {ppm:g} ppm",
         set_,
         lost=(lost, lost),
-        noise=convolved_with(np.array([white])),
+        noise=convolved_with(float(white)),
         aim="for another clock",
         shortest=2 * reach + 1,
     )

@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
-from riecjax.records.linear_op import LinearOp, convolved_with, longest_stretch, require_named
+from riecjax.records.linear_op import LinearOp, convolved_with, longest_stretch
 from riecjax.records.noise_judgement import blackman_harris, judged
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 
 FILTER_ORDER = 4
 FILTER_PADDING = 16
@@ -63,7 +63,7 @@ def butterworth(record: Record, name: str, cutoff: float) -> LinearOp:
         f"zero-phase {FILTER_ORDER}th-order Butterworth low-pass: {{}} at {cutoff:g} Hz",
         both_ways,
         lost=(lost, lost),
-        noise=convolved_with(scipy.signal.sosfiltfilt(sections, impulse)),
+        noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
         aim=f"to be filtered at {cutoff:g} Hz",
         shortest=shortest,
         remedy="Raise the cut-off, or repair the gaps.",
@@ -110,8 +110,7 @@ def remove_offset(record: Record, *signals: str) -> Record:
 
     **Raises:** `DataError` for no signal, or one that the record lacks.
     """
-    require_named(record, signals, "remove the offset from")
-    return record.through({name: without_polynomial(record, name, 0) for name in signals})
+    return _without_polynomial(record, signals, 0)
 
 
 def remove_drift(record: Record, *signals: str) -> Record:
@@ -121,13 +120,21 @@ def remove_drift(record: Record, *signals: str) -> Record:
 
     **Raises:** `DataError` for no signal, or one that the record lacks.
     """
-    require_named(record, signals, "remove the drift from")
-    return record.through({name: without_polynomial(record, name, 1) for name in signals})
+    return _without_polynomial(record, signals, 1)
+
+
+def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -> Record:
+    if not signals:
+        raise DataError(
+            f"name the signals to remove the {('offset', 'drift')[degree]} from; there are: "
+            f"{', '.join(record.arrays)}."
+        )
+    return record.through({name: without_polynomial(record, name, degree) for name in signals})
 
 
 def without_polynomial(record: Record, name: str, degree: int) -> LinearOp:
     """The operation of [`remove_offset`][] and, of the first degree, [`remove_drift`][]."""
-    time, values = np.asarray(record.time), samples_with_nan(record, name)
+    time, values = np.asarray(record.time), record.signal(name).with_nan
     there = ~np.isnan(values)
     # `fit` maps time to [-1, 1], so that seconds since 1970 lose no digits.
     trend = np.polynomial.Polynomial.fit(time[there], values[there], min(degree, there.sum() - 1))
@@ -159,7 +166,7 @@ def central_differences(record: Record, signal: str) -> LinearOp:
     return LinearOp.of_stretches(
         f"{{}}: central differences of {signal}",
         differences,
-        noise=convolved_with(np.array([0.5, 0.0, -0.5]) / step),
+        noise=convolved_with(0.5 / step, 0.0, -0.5 / step),
         source=signal,
         unit="/s",
         aim="to be differentiated",

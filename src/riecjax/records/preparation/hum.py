@@ -13,7 +13,7 @@ from riecjax.records.faults.sampled_signal import (
     percent,
 )
 from riecjax.records.linear_op import LinearOp
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 
 MAINS = (50.0, 60.0, 50 / 3)
 """Hz of grids of countries and of railways."""
@@ -271,7 +271,7 @@ def lines_off(record: Record, frequency: float | Literal["auto"]) -> dict[str, L
     step, ops = float(record.time_step), {}
     at = "" if frequency == "auto" else f" at {frequency:g} Hz"
     for name in record.arrays:
-        values = samples_with_nan(record, name)
+        values = record.signal(name).with_nan
         spectrum, lines = spectrum_of(values, step), []
         if spectrum is not None:
             grids = MAINS if frequency == "auto" else (frequency,)

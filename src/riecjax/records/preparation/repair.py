@@ -20,8 +20,8 @@ from riecjax.records.faults.spikes import (
     finding_of,
     too_many,
 )
-from riecjax.records.linear_op import LinearOp, require_named
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.linear_op import LinearOp
+from riecjax.records.record import Record
 from riecjax.records.time_base import SHORTEST_PAUSE
 
 TURNS = (2 * np.pi, 360.0)
@@ -102,16 +102,11 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
 
     **Raises:** `DataError` for a signal that the record lacks, or another treatment.
     """
-    columns = {n: samples_with_nan(record, n) for n in {**dict.fromkeys(signals), **record.arrays}}
+    columns = {n: record.signal(n).with_nan for n in {**dict.fromkeys(signals), **record.arrays}}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
     treated = _treated(signals or tuple(columns), columns, times, how)
-    return record.through(
-        {
-            name: LinearOp.of_values(f"{{}}: outliers, {how}", one.values)
-            for name, one in treated.items()
-            if one.spikes and not one.acted
-        }
-    )
+    changed = {n: one.values for n, one in treated.items() if one.spikes and not one.acted}
+    return record.with_samples(changed) if changed else record
 
 
 def leave_out(record: Record, *signals: str) -> Record:
@@ -123,7 +118,8 @@ def leave_out(record: Record, *signals: str) -> Record:
     **Raises:** `DataError` for no signal, one that the record lacks, or one of which nothing would
     be left.
     """
-    require_named(record, signals, "leave out of")
+    if not signals:
+        raise DataError(f"name the signals to leave out of; there are: {', '.join(record.arrays)}.")
     return record.through({name: without_limits(record, name) for name in signals})
 
 

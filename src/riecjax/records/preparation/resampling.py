@@ -25,9 +25,18 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.memory import in_gigabytes, require_memory
 from riecjax.records.linear_op import SAME_TIME, LinearOp
-from riecjax.records.noise import DIFFERENCE_ORDER, STRETCH, STRETCHES, Noise, shortened, usual_size
+from riecjax.records.noise import (
+    DIFFERENCE_ORDER,
+    STRETCH,
+    STRETCHES,
+    Noise,
+    SignalNoise,
+    shortened,
+    usual_size,
+)
 from riecjax.records.noise_judgement import noise_of_level
-from riecjax.records.record import Record, hold
+from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""
@@ -107,12 +116,7 @@ def finer(record: Record, factor: int) -> dict[str, LinearOp]:
 
 
 def on_step(record: Record, words: str, step: float, spacing: float) -> dict[str, LinearOp]:
-    """The operations that make samples `step` seconds apart, which are `spacing` of the old ones.
-
-    With h the response of the resampler, w of unit size on the old samples, gives
-    e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
-    rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
-    """
+    """The operations that make samples `step` seconds apart, `spacing` of the old ones."""
     if abs(spacing - 1) < SAME_TIME:
         return {}
     recorded = len(record.arrays) * record.sample_count
@@ -125,7 +129,7 @@ def on_step(record: Record, words: str, step: float, spacing: float) -> dict[str
     op = LinearOp.of_stretches(
         words,
         lambda samples, places, first: band_limited(samples, places - first, spacing),
-        noise=lambda kernel: resampled_taps(kernel, spacing),
+        noise=lambda noise: resampled_noise(noise, spacing),
         aim=f"for 1 sample in {step:g} s",
         shortest=2 * reach_beyond(spacing) + 1,
         remedy="Choose a higher rate, leave this signal out, or repair the gaps.",
@@ -212,19 +216,21 @@ def on_grid_noise(
 
     **Arguments:** `given`, what is known of the channels as measured; the others are judged.
     """
-    found = given.of(*channels)
+    on_grid = {}
     for name, (time, values) in channels.items():
-        if name not in found.kernels:
-            level, known = uneven_level(time, values), ~np.isnan(values)
-            found = found.joined(noise_of_level(name, level, hold(values), known))
+        if name in given.kernels:
+            noise = given[name]
+        else:
+            level, held = uneven_level(time, values), Signal.of(values).values
+            noise = noise_of_level(name, level, held, ~np.isnan(values))
         channel = _channel(name, time, values)
         taps = (
             resampled_taps(np.ones(1), 1 / (rate * channel.step))
             if channel.step * rate < 1 - SAME_RATE
             else spline_taps(np.interp(grid, time, np.arange(time.size)))
         )
-        found = found.filtered(name, taps)
-    return found
+        on_grid[name] = noise.convolved(taps)
+    return Noise.of(on_grid)
 
 
 class _Channel(NamedTuple):
@@ -336,10 +342,21 @@ def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
     return _weights(offsets, spacing) / _weights(np.arange(-reach, reach + 1), spacing).sum()
 
 
+def resampled_noise(noise: SignalNoise, spacing: float) -> SignalNoise:
+    """The noise of a signal whose samples are `spacing` of the old ones apart.
+
+    With h the response of the resampler, w of unit size on the old samples, gives
+    e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
+    rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
+    """
+    kernels = {s: resampled_taps(np.asarray(taps), spacing) for s, taps in noise.kernels.items()}
+    return SignalNoise(kernels, noise.freedom)
+
+
 def resampled_taps(
     kernel: Float[np.ndarray, " taps"], spacing: float
 ) -> Float[np.ndarray, " new_taps"]:
-    """The kernel on the new samples of one on the old; see [`on_step`][]."""
+    """The kernel on the new samples of one on the old; see [`resampled_noise`][]."""
     half = kernel.size // 2
     reach = math.ceil((half + reach_beyond(spacing)) / spacing)
     places = spacing * np.arange(-reach, reach + 1)
