@@ -246,16 +246,20 @@ class Record(Drawn, eqx.Module):
         """A record with other samples of these signals, NaN where they are missing."""
         return self.with_signals({n: self.signal(n).with_samples(v) for n, v in columns.items()})
 
-    def through(self, ops: "Mapping[str, LinearOp]") -> "Record":
-        """A record with the signals that operations make, by their name: values, gaps, noise and
-        unit. Not under jit.
+    def through(self, op: "LinearOp | Mapping[str, LinearOp]", *names: str) -> "Record":
+        """A record with what operations make of its signals: values, gaps, noise and unit.
+
+        Not under jit.
+
+        **Arguments:** `op` on the signals of these `names`; or operations by the signal that each
+        makes.
 
         **Raises:** `DataError` for a signal that the record lacks, or of which no stretch is long
         enough.
         """
         from riecjax.records.linear_op import through
 
-        return through(self, ops)
+        return through(self, op if isinstance(op, Mapping) else dict.fromkeys(names, op))
 
     def with_noise(self, noise: Noise) -> "Record":
         """The same samples; of the noise of the signals that it names, this is known."""

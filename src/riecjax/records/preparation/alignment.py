@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
@@ -65,13 +64,20 @@ def advance(record: Record, name: str, seconds: float) -> LinearOp:
             f"cannot shift '{name}' by {seconds:g} s, which is {by:.4g} samples of "
             f"{record.sample_count}. Give seconds, less than half the record."
         )
-    reach = reach_beyond(1.0)
-    wide = longest_stretch(record, name) >= 2 * MOST_LOST * reach
-    taps, first = _taps(by, reach if wide else 0)
+    whole, reach = math.floor(by + SAME_TIME), reach_beyond(1.0)
+    between, at, taps = by - whole, np.zeros(1, int), np.ones(1)
+    if between >= 2 * SAME_TIME:
+        if longest_stretch(record, name) >= 2 * MOST_LOST * reach:
+            at = np.arange(1 - reach, reach + 1)
+            taps = response(at - between, 1.0)
+        else:
+            at = POINTS
+            taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
+    taps = taps / taps.sum()
     # A shift between samples leaves white noise nearly white, but a little less of it.
     noise = convolved_with(float(np.linalg.norm(taps)))
     words = f"advanced: {{}} by {seconds:g} s"
-    return LinearOp.of_taps(words, taps, first, noise=noise, aim="to be shifted")
+    return LinearOp.of_taps(words, taps, whole + int(at[0]), noise=noise, aim="to be shifted")
 
 
 def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
@@ -114,21 +120,6 @@ def clock(record: Record, name: str, ppm: float) -> LinearOp:
         aim="for another clock",
         shortest=2 * reach + 1,
     )
-
-
-def _taps(by: float, reach: int) -> tuple[Float[np.ndarray, " taps"], int]:
-    """Weights of samples around a place `by` samples on, and where the first of them lies."""
-    whole = int(np.floor(by + SAME_TIME))
-    between = by - whole
-    if between < 2 * SAME_TIME:
-        return np.ones(1), whole
-    if reach:
-        at = np.arange(1 - reach, reach + 1)
-        taps = response(at - between, 1.0)
-    else:
-        at = POINTS
-        taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
-    return taps / taps.sum(), whole + int(at[0])
 
 
 def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Aligned:

@@ -116,7 +116,7 @@ def finer(record: Record, factor: int) -> dict[str, LinearOp]:
 
 
 def on_step(record: Record, words: str, step: float, spacing: float) -> dict[str, LinearOp]:
-    """The operations that make samples `step` seconds apart, `spacing` of the old ones."""
+    """The operations, by signal, that make samples `step` seconds apart, `spacing` of the old."""
     if abs(spacing - 1) < SAME_TIME:
         return {}
     recorded = len(record.arrays) * record.sample_count
