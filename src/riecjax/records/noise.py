@@ -203,6 +203,11 @@ class Noise(eqx.Module):
             kernels[name] = {other: (levels[name] * share)[..., None] for other, share in shares}
         return cls(kernels, {name: np.asarray(np.inf) for name in names})
 
+    def combined(self, name: str, weights: Mapping[str, float]) -> "Noise":
+        """What is known of all signals, and of a new one that is so many times each of these."""
+        made = sum((weight * self[n] for n, weight in weights.items()), SignalNoise())
+        return Noise({**self.kernels, name: made.kernels}, self.freedom)
+
     def std(self, signal: str) -> Float[Leaf, ""]:
         """Standard deviation of a signal's noise, 0 if nothing is known of it."""
         return SignalNoise(self.kernels.get(signal)).std

@@ -46,8 +46,7 @@ from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import Sharing
 from riecjax.estimation.stages import all_normal_equations
 from riecjax.leaves import Leaf
-from riecjax.records.record import Record, Signals
-from riecjax.records.signal import Signal
+from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,

@@ -64,8 +64,7 @@ from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still, is_concrete, is_number
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.noise_judgement import judged
-from riecjax.records.record import Record, filled_up, shared_length
-from riecjax.records.signal import Signal, both
+from riecjax.records.record import Record, Signal, both, filled_up, shared_length
 from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,

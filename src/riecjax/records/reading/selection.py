@@ -10,7 +10,6 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.noise import Noise, SignalNoise
 from riecjax.records.noise_judgement import given_noise, judged
 from riecjax.records.preparation.repair import signed, treat_all
 from riecjax.records.reading import times as clocks
@@ -407,24 +406,17 @@ def _with_noise(record: Record, selection: Select, columns: Mapping[str, np.ndar
 
     What is said of a signal goes before what its samples and formulas tell.
     """
-    given = given_noise(selection.noise, record.arrays)
-    given = Noise.of(
-        {name: given[name] for name in given.kernels if record.by_name[name].noise is None}
-    )
-    record = record.with_noise(given)
-    known = {n: s.noise for n, s in record.by_name.items() if s.noise is not None}
-    formulas = {k: f for k, f in selection.derive.items() if k not in known}
+    known = record.noise
+    record = record.with_noise(given_noise(selection.noise, record.arrays)).with_noise(known)
+    formulas = {k: f for k, f in selection.derive.items() if k not in record.noise.kernels}
     measured = [name for name in record.arrays if name not in formulas]
-    if measured:
-        record = record.with_noise(judged(record.select(*measured)).noise)
-    known = {n: s.noise for n, s in record.by_name.items() if s.noise is not None}
+    noise = judged(record.select(*measured)).noise if measured else record.noise
     for name, formula in formulas.items():
         from riecjax.records.derived import sensitivities
 
-        levels = {n: float(known[n].std) for n in columns if n in known}
-        weights = sensitivities(formula, columns, levels)
-        known[name] = sum((w * known[n] for n, w in weights.items()), SignalNoise())
-    return record.with_noise(Noise.of(known))
+        levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
+        noise = noise.combined(name, sensitivities(formula, columns, levels))
+    return record.with_noise(noise)
 
 
 def _finite(values: dict[str, np.ndarray], selection: Select) -> dict[str, np.ndarray]:
