@@ -41,10 +41,9 @@ class LinearOp:
       as what is taken off is none of it.
     - `source`: the signal that it reads, where that is another than it makes.
     - `unit`: what is put behind the source's unit.
-    - `aim`, `shortest`, `remedy`: what for, and how many samples it takes in succession, and what
-      to do where there are not so many.
-    - `step`: seconds between samples of the new time base, where it makes one, for all signals;
-      `spacing`, the same in terms of the old step.
+    - `shortest`: samples in succession that it takes.
+    - `spacing`: of samples of the new time base, in terms of the old, where it makes one, for all
+      signals.
     """
 
     words: str
@@ -53,11 +52,8 @@ class LinearOp:
     noise: Callable[[SignalNoise], SignalNoise] | None = None
     source: str = ""
     unit: str = ""
-    aim: str = ""
     shortest: int = 1
-    remedy: str = "Repair the gaps."
-    step: float | None = None
-    spacing: float = 1.0
+    spacing: float | None = None
 
     @classmethod
     def of_taps(cls, words: str, taps: Taps, first: int, **fields: Any) -> "LinearOp":
@@ -130,55 +126,59 @@ def through(record: Record, ops: Mapping[str, LinearOp]) -> Record:
     record = judged(record, "auto", *filtered) if filtered else record
     signals = {name: record.signal(source) for name, source in sources.items()}
     samples, times = {name: signal.with_nan for name, signal in signals.items()}, []
-    step = next(iter(ops.values())).step
-    if step is None:
+    spacing = next(iter(ops.values())).spacing
+    if spacing is None:
         rows = np.arange(record.sample_count)
         columns = {name: op.at(samples[name], rows) for name, op in ops.items()}
     else:
-        times, columns = _on_new_times(record, samples, ops)
+        times, columns = _on_new_times(record, samples, ops, spacing)
     first, after = (max(lost) for lost in zip(*(op.lost for op in ops.values())))
     for name, op in ops.items():
         if np.isnan(columns[name][first : columns[name].size - after]).all():
             raise DataError(
-                f"no stretch of '{sources[name]}' without a gap is long enough {op.aim}: it takes "
-                f"{op.shortest} samples, and the longest has "
-                f"{longest_stretch(record, sources[name])}. {op.remedy}"
+                f"no stretch of '{sources[name]}' without a gap is long enough for a step of "
+                f"preparation ({op.words.format(name)}): it takes {op.shortest} samples, and the "
+                f"longest has {longest_stretch(record, sources[name])}. Repair the gaps, or change "
+                f"this step or leave it out."
             )
         known = signals[name]
         noise = known.noise if op.noise is None or known.noise is None else op.noise(known.noise)
         unit = f"{known.unit}{op.unit}" if known.unit else dict(record.units).get(name, "")
         signals[name] = Signal.of(columns[name], unit, noise)
-    if step is None:
+    if spacing is None:
         made = record.with_signals(signals)
         return made.part(first, made.sample_count - after) if first or after else made
     stamps = np.concatenate(times)[:-1]
     skipped, paused = record.skipped + (stamps[0] - record.time[0]), stamps if times[1:] else None
-    return Record(signals, step, stamps[0], paused, skipped)
+    return Record(signals, spacing * record.time_step, stamps[0], paused, skipped)
 
 
 def _on_new_times(
-    record: Record, samples: Mapping[str, Samples], ops: Mapping[str, LinearOp]
+    record: Record,
+    samples: Mapping[str, Samples],
+    ops: Mapping[str, LinearOp],
+    spacing: float,
 ) -> tuple[list[Samples], dict[str, Samples]]:
     """Times of each stretch of the new time base and of the pause behind it, and signals.
 
     Stretches of one even grid lie between pauses, which no signal spans. Of each, rows at its ends
     where nothing could be computed are left out.
     """
-    op, old_time = next(iter(ops.values())), np.asarray(record.time)
+    old_time, step = np.asarray(record.time), float(record.time_step)
     missing = np.all([np.isnan(values) for values in samples.values()], axis=0)
     times, pieces = [], [np.zeros((len(ops), 0))]
     for begin, end in runs(~missing | (record.stamps is None)).T.tolist():
         size = end - begin
         # Stamps may be rounded; together they tell the run's start more precisely than its first.
-        start = np.mean(old_time[begin:end] - float(record.time_step) * np.arange(size))
-        places = op.spacing * np.arange(int((size - 1) / op.spacing + SAME_TIME) + 1)
-        rows = np.array([op.at(samples[name][begin:end], places) for name in ops])
+        start = np.mean(old_time[begin:end] - step * np.arange(size))
+        places = spacing * np.arange(int((size - 1) / spacing + SAME_TIME) + 1)
+        rows = np.array([op.at(samples[n][begin:end], places) for n, op in ops.items()])
         some = np.flatnonzero(~np.isnan(rows).all(0))
         if some.size:
             # One missing sample between each two is the pause, and its time the middle of it.
             rows = np.pad(rows[:, : some[-1] + 1], [(0, 0), (0, 1)], constant_values=np.nan)
             pieces.append(rows[:, some[0] :])
-            times.append(start + float(op.step or 0.0) * np.arange(some[0], some[-1] + 2))
+            times.append(start + spacing * step * np.arange(some[0], some[-1] + 2))
     for stretch, following in itertools.pairwise(times):
         stretch[-1] = 0.5 * (stretch[-2] + following[0])
     return times, {name: column[:-1] for name, column in zip(ops, np.hstack(pieces))}

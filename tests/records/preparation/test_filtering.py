@@ -93,7 +93,7 @@ def test_one_sample_between_gaps_has_no_slope_and_two_have_one():
 
 def test_no_two_samples_in_succession():
     values = np.array([0.0, np.nan, 1.0, np.nan])
-    with pytest.raises(DataError, match="'q' .* to be differentiated: it takes 2 samples"):
+    with pytest.raises(DataError, match="'q' .*central differences of q.*takes 2 samples"):
         differentiate(Record.from_samples({"q": values}, time_step=1.0), "q", "dq")
 
 

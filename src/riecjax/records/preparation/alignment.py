@@ -77,7 +77,7 @@ def advance(record: Record, name: str, seconds: float) -> LinearOp:
     # A shift between samples leaves white noise nearly white, but a little less of it.
     noise = convolved_with(float(np.linalg.norm(taps)))
     words = f"advanced: {{}} by {seconds:g} s"
-    return LinearOp.of_taps(words, taps, whole + int(at[0]), noise=noise, aim="to be shifted")
+    return LinearOp.of_taps(words, taps, whole + int(at[0]), noise=noise)
 
 
 def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
@@ -117,7 +117,6 @@ def clock(record: Record, name: str, ppm: float) -> LinearOp:
         set_,
         lost=(lost, lost),
         noise=convolved_with(float(white)),
-        aim="for another clock",
         shortest=2 * reach + 1,
     )
 

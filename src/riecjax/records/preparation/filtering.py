@@ -64,9 +64,7 @@ def butterworth(record: Record, name: str, cutoff: float) -> LinearOp:
         both_ways,
         lost=(lost, lost),
         noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
-        aim=f"to be filtered at {cutoff:g} Hz",
         shortest=shortest,
-        remedy="Raise the cut-off, or repair the gaps.",
     )
 
 
@@ -99,8 +97,7 @@ def lead(record: Record, seconds: float) -> LinearOp:
     half = SLOPE.size // 2
     taps = seconds / float(record.time_step) * SLOPE
     taps[half] += 1.0
-    words = f"low-pass undone: {{}} of {seconds:g} s"
-    return LinearOp.of_taps(words, taps, -half, aim="for its low-pass to be undone")
+    return LinearOp.of_taps(f"low-pass undone: {{}} of {seconds:g} s", taps, -half)
 
 
 def remove_offset(record: Record, *signals: str) -> Record:
@@ -169,9 +166,7 @@ def central_differences(record: Record, signal: str) -> LinearOp:
         noise=convolved_with(0.5 / step, 0.0, -0.5 / step),
         source=signal,
         unit="/s",
-        aim="to be differentiated",
         shortest=2,
-        remedy="Repair the gaps, or resample to a lower rate.",
     )
 
 

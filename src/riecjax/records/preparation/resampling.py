@@ -90,7 +90,7 @@ def resample(record: Record, rate: float) -> Record:
     """
     _check_rate(rate)
     spacing = 1.0 / (rate * float(record.time_step))
-    return record.through(on_step(record, f"resampled to {rate:g} Hz", 1.0 / rate, spacing))
+    return record.through(spaced(record, f"resampled to {rate:g} Hz", spacing))
 
 
 def upsample(record: Record, factor: int) -> Record:
@@ -111,29 +111,25 @@ def finer(record: Record, factor: int) -> dict[str, LinearOp]:
     """The operations of [`upsample`][], by signal."""
     if not 1 <= factor < np.inf or int(factor) != factor:
         raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")
-    words = f"band-limited up-sampling by {factor}"
-    return on_step(record, words, float(record.time_step) / factor, 1.0 / factor)
+    return spaced(record, f"band-limited up-sampling by {factor}", 1.0 / factor)
 
 
-def on_step(record: Record, words: str, step: float, spacing: float) -> dict[str, LinearOp]:
-    """The operations, by signal, that make samples `step` seconds apart, `spacing` of the old."""
+def spaced(record: Record, words: str, spacing: float) -> dict[str, LinearOp]:
+    """The operations, by signal, that make samples so many of the old ones apart."""
     if abs(spacing - 1) < SAME_TIME:
         return {}
     recorded = len(record.arrays) * record.sample_count
     _require_room(
         recorded / spacing,
         recorded,
-        f"{1 / step:g} Hz",
+        f"{1 / (spacing * float(record.time_step)):g} Hz",
         "Choose a lower rate or factor, or a part of the record.",
     )
     op = LinearOp.of_stretches(
         words,
         lambda samples, places, first: band_limited(samples, places - first, spacing),
         noise=lambda noise: resampled_noise(noise, spacing),
-        aim=f"for 1 sample in {step:g} s",
         shortest=2 * reach_beyond(spacing) + 1,
-        remedy="Choose a higher rate, leave this signal out, or repair the gaps.",
-        step=step,
         spacing=spacing,
     )
     return dict.fromkeys(record.arrays, op)
