@@ -158,7 +158,7 @@ def central_differences(record: Record, signal: str) -> LinearOp:
     step = float(record.time_step)
 
     def differences(samples: np.ndarray, *_: object) -> np.ndarray:
-        return np.gradient(samples, step, edge_order=min(samples.size - 1, 2))
+        return np.gradient(samples, step, edge_order=2 if samples.size > 2 else 1)
 
     return LinearOp.of_stretches(
         f"{{}}: central differences of {signal}",

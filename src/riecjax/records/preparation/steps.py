@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def operations(preparation: Prepare) -> Iterator[Callable[[Record], Mapping[str,
     yield lambda r: {n: low_pass_undone(r, n, seconds) for n, seconds in p.lags.items()}
     yield lambda r: {n: without_polynomial(r, n, 0) for n in p.offsets}
     yield lambda r: {n: without_polynomial(r, n, 1) for n in p.drifts}
-    yield from ((lambda r, hertz=hertz: lines_off(r, hertz)) for hertz in p.notches)
+    yield from (partial(lines_off, frequency=hertz) for hertz in p.notches)
     yield lambda r: {n: butterworth(r, n, hertz) for n, hertz in p.cutoffs.items()}
     yield lambda r: finer(r, p.upsample)
     yield from (
