@@ -100,6 +100,39 @@ class LinearOp:
         spike; NaN where they are left out."""
         return cls(words, lambda *_: values)
 
+    def carry_out(self, ops: "Mapping[str, LinearOp]", record: Record) -> Record:
+        """What [`Record.through`][] does with operations of this one's time base."""
+        sources = {name: op.source or name for name, op in ops.items()}
+        filtered = [sources[name] for name, op in ops.items() if op.noise is not None]
+        record = judged(record, "auto", *filtered) if filtered else record
+        signals = {name: record.signal(source) for name, source in sources.items()}
+        samples, times = {name: signal.with_nan for name, signal in signals.items()}, []
+        if self.spacing is None:
+            rows = np.arange(record.sample_count)
+            columns = {name: op.at(samples[name], rows) for name, op in ops.items()}
+        else:
+            times, columns = _on_new_times(record, samples, ops, self.spacing)
+        first, after = (max(lost) for lost in zip(*(op.lost for op in ops.values())))
+        for name, op in ops.items():
+            if np.isnan(columns[name][first : columns[name].size - after]).all():
+                longest = longest_stretch(record, sources[name])
+                raise DataError(
+                    f"no stretch of '{sources[name]}' without a gap is long enough for a step of "
+                    f"preparation ({op.words.format(name)}): it takes {op.shortest} samples, and "
+                    f"the longest has {longest}. Repair the gaps, or change or leave out this step."
+                )
+            known = signals[name]
+            noise = op.noise(known.noise) if op.noise and known.noise else known.noise
+            unit = f"{known.unit}{op.unit}" if known.unit else dict(record.units).get(name, "")
+            signals[name] = Signal.of(columns[name], unit, noise)
+        if self.spacing is None:
+            made = record.with_signals(signals)
+            return made.part(first, made.sample_count - after) if first or after else made
+        stamps = np.concatenate(times)[:-1]
+        step, skipped = self.spacing * record.time_step, stamps[0] - record.time[0]
+        paused = stamps if len(times) > 1 else None
+        return Record(signals, step, stamps[0], paused, record.skipped + skipped)
+
 
 def convolved_with(*taps: float) -> Callable[[SignalNoise], SignalNoise]:
     """Of a signal's noise that behind a filter, the middle tap for the same sample."""
@@ -115,42 +148,6 @@ def words_of(ops: Mapping[str, LinearOp]) -> Iterator[str]:
         said = signals.setdefault(op.words.format(name) if alone else before, [])
         said += [] if alone else [f"{name}{after}"]
     return (before + ", ".join(each) for before, each in signals.items())
-
-
-def through(record: Record, ops: Mapping[str, LinearOp]) -> Record:
-    """See [`Record.through`][]."""
-    if not ops:
-        return record
-    sources = {name: op.source or name for name, op in ops.items()}
-    filtered = [sources[name] for name, op in ops.items() if op.noise is not None]
-    record = judged(record, "auto", *filtered) if filtered else record
-    signals = {name: record.signal(source) for name, source in sources.items()}
-    samples, times = {name: signal.with_nan for name, signal in signals.items()}, []
-    spacing = next(iter(ops.values())).spacing
-    if spacing is None:
-        rows = np.arange(record.sample_count)
-        columns = {name: op.at(samples[name], rows) for name, op in ops.items()}
-    else:
-        times, columns = _on_new_times(record, samples, ops, spacing)
-    first, after = (max(lost) for lost in zip(*(op.lost for op in ops.values())))
-    for name, op in ops.items():
-        if np.isnan(columns[name][first : columns[name].size - after]).all():
-            raise DataError(
-                f"no stretch of '{sources[name]}' without a gap is long enough for a step of "
-                f"preparation ({op.words.format(name)}): it takes {op.shortest} samples, and the "
-                f"longest has {longest_stretch(record, sources[name])}. Repair the gaps, or change "
-                f"this step or leave it out."
-            )
-        known = signals[name]
-        noise = known.noise if op.noise is None or known.noise is None else op.noise(known.noise)
-        unit = f"{known.unit}{op.unit}" if known.unit else dict(record.units).get(name, "")
-        signals[name] = Signal.of(columns[name], unit, noise)
-    if spacing is None:
-        made = record.with_signals(signals)
-        return made.part(first, made.sample_count - after) if first or after else made
-    stamps = np.concatenate(times)[:-1]
-    skipped, paused = record.skipped + (stamps[0] - record.time[0]), stamps if times[1:] else None
-    return Record(signals, spacing * record.time_step, stamps[0], paused, skipped)
 
 
 def _on_new_times(

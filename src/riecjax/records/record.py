@@ -257,9 +257,8 @@ class Record(Drawn, eqx.Module):
         **Raises:** `DataError` for a signal that the record lacks, or of which no stretch is long
         enough.
         """
-        from riecjax.records.linear_op import through
-
-        return through(self, op if isinstance(op, Mapping) else dict.fromkeys(names, op))
+        ops = op if isinstance(op, Mapping) else dict.fromkeys(names, op)
+        return next(iter(ops.values())).carry_out(ops, self) if ops else self
 
     def with_noise(self, noise: Noise) -> "Record":
         """The same samples; of the noise of the signals that it names, this is known."""
