@@ -157,7 +157,19 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     late = _named(found, names) if names else _later(found)
     if not late:
         return Aligned(record)
-    told = [_finding(name, seconds, found) for name, seconds in late.items()]
+    told = []
+    for name, seconds in late.items():
+        holding = [pair for pair in found if name in pair.relation.names]
+        pair = next((pair for pair in holding if pair.delay), holding[0])
+        mine, others = pair.relation.side(pair.suspect)
+        other = " and ".join(others if name in mine else mine)
+        message = (
+            f"{name} came {seconds / pair.step:.3g} \u00b1 {pair.fit.errors[0]:.1g} samples "
+            f"({1e3 * seconds:.3g} ms) late against {other}, and was brought forward by that; "
+            f"--align none leaves it. Whether both are late against other signals the two cannot "
+            f"tell."
+        )
+        told.append(Finding("late_signal", message, (name,)))
     words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
     return Aligned(shift(record, late), words, tuple(told))
 
@@ -191,20 +203,6 @@ def _later(pairs: Sequence[Pair]) -> dict[str, float]:
         for name, seconds in group.items()
         if seconds - min(group.values()) > LATE * pairs[0].step
     }
-
-
-def _finding(name: str, seconds: float, pairs: Sequence[Pair]) -> Finding:
-    holding = [pair for pair in pairs if name in pair.relation.names]
-    pair = next((pair for pair in holding if pair.delay), holding[0])
-    mine, others = pair.relation.side(pair.suspect)
-    other = " and ".join(others if name in mine else mine)
-    return Finding(
-        "late_signal",
-        f"{name} came {seconds / pair.step:.3g} \u00b1 {pair.fit.errors[0]:.1g} samples "
-        f"({1e3 * seconds:.3g} ms) late against {other}, and was brought forward by that; --align "
-        f"none leaves it. Whether both are late against other signals the two cannot tell.",
-        (name,),
-    )
 
 
 def declared_pairs(model: Any) -> list[tuple[str, str] | Relation]:

@@ -238,7 +238,16 @@ def _widest(record: Record, signal: str, step: float) -> int:
     size = samples.size
     kernels = record.noise.kernels[signal].values()
     noise = sum((np.abs(_response(k, size)) ** 2 for k in kernels), np.zeros(size // 2 + 1))
-    above = _above(samples, noise)
+    # Mean square of the motion at each frequency, up to the last that stands out of the noise.
+    window = blackman_harris(size)
+    density = np.abs(np.fft.rfft(window * scipy.signal.detrend(samples))) ** 2 / np.sum(window**2)
+    around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
+    summed = (density, noise, np.ones(density.size))
+    near, usual, number = (np.convolve(each, around, "same") for each in summed)
+    freedom = 2 * np.maximum(INDEPENDENT * number, 1.0)
+    out = np.flatnonzero(near > scipy.special.chdtri(freedom, BY_CHANCE) / freedom * usual)
+    last = out[-1] if out.size else 0
+    above = np.where(np.arange(density.size) <= last, 2 * (density - noise) / size, 0.0)
     slope = 2j * np.pi * np.fft.rfftfreq(size) / step
 
     def fits(count: int) -> bool:
@@ -259,19 +268,3 @@ def _response(taps: Leaf, size: int) -> np.ndarray:
     wrapped = np.zeros(size)
     np.add.at(wrapped, np.arange(taps.size) - taps.size // 2, taps)
     return np.fft.rfft(wrapped)
-
-
-def _above(samples: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Mean square of the motion at each frequency, up to the last that stands out of the noise.
-
-    **Arguments:** `noise`, its density, that of white noise being its variance.
-    """
-    window = blackman_harris(samples.size)
-    density = np.abs(np.fft.rfft(window * scipy.signal.detrend(samples))) ** 2 / np.sum(window**2)
-    around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
-    summed = (density, noise, np.ones(density.size))
-    near, usual, number = (np.convolve(each, around, "same") for each in summed)
-    freedom = 2 * np.maximum(INDEPENDENT * number, 1.0)
-    out = np.flatnonzero(near > scipy.special.chdtri(freedom, BY_CHANCE) / freedom * usual)
-    last = out[-1] if out.size else 0
-    return np.where(np.arange(density.size) <= last, 2 * (density - noise) / samples.size, 0.0)
