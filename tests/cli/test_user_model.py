@@ -107,9 +107,10 @@ def test_names_with_square_brackets_are_printed_as_they_are(capsys):
 
 def test_verbose_says_in_order_what_was_done_to_the_recording(capsys):
     model(IMPORTS + "thing = " + EQUATION)
-    steps = ("--every=2", "--low-pass=v=20", "--remove-offset=f", "--shift=a=0.01")
-    options = (*steps, "--criterion", "dols", "--refine", "none", "--verbose")
-    result = call(capsys, "identify", "cart.csv", "--model", "mine.py:thing", *options)
+    options = (
+        "--every=2 --low-pass=v=20 --remove-offset=f --shift=a=0.01 --criterion=dols --verbose"
+    )
+    result = call(capsys, "identify", "cart.csv", "--model=mine.py:thing", *options.split(" "))
     lines = [line.partition(": ") for line in result.out.splitlines()]
     assert [words for begins, _, words in lines if begins == "prepared"] == [
         "advanced: a by 0.01 s",
