@@ -10,8 +10,7 @@ import numpy as np
 from riecjax import Finding, Summary
 from riecjax.assessment import assess_summary
 from riecjax.errors import DataError, reason_of
-from riecjax.fleets.order import Order, unpacked
-from riecjax.fleets.sums import DONE, Row
+from riecjax.fleets.order import DONE, Order, Row, unpacked
 
 FEW = 8
 """Recordings of a group up to which each keeps its blocks of time; more are summed as one."""
@@ -181,7 +180,7 @@ def _answers(
             intervals=order.settings.intervals,
         )
         estimate, levels = assessment.estimate, assessment.verdict.parameters
-        ends, units = estimate.interval_by_name(), dict(estimate.units)
+        ends = estimate.interval_by_name()
         concerned = [(f.code, assessment.parameters_of(f)) for f in assessment.findings()]
         for name, error in zip(estimate.parameters, np.asarray(estimate.standard_errors)):
             codes = dict.fromkeys(code for code, names in concerned if name in names)
@@ -189,7 +188,7 @@ def _answers(
                 *place,
                 parameter=name,
                 value=float(estimate[name]),
-                unit=units.get(name, ""),
+                unit=estimate.table[name].unit,
                 std_error=float(error),
                 low95=float(ends[name][0]),
                 high95=float(ends[name][1]),
