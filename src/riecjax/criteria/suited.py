@@ -23,7 +23,7 @@ from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
 from riecjax.equations.procedure import Procedure
 from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
-from riecjax.records.preparation import with_local_derivative
+from riecjax.records.preparation.filtering import local_slope
 from riecjax.records.record import Record
 from riecjax.settings import Contradiction, Fit
 
@@ -176,6 +176,7 @@ def with_velocities(procedure: Procedure, record: Record) -> tuple[Record, list[
                 name, of = error.signal, below.get(error.signal)
                 if of not in record.arrays or not is_concrete(record):
                     break
-            record, width = with_local_derivative(record, of, name)
-            steps.append(f"{name}: slope of {of} by local polynomials, {width:.3g} s to each side")
+            op = local_slope(record, of)
+            record = record.through({name: op})
+            steps.append(op.words.format(name))
     return record, steps
