@@ -47,7 +47,7 @@ def share_of(record, noise: GivenNoise = "auto"):
 
 
 def share_kept(equations: NormalEquations) -> float:
-    less, _ = borne_out(equations, equations)
+    less = borne_out(equations)
     return float(np.asarray(less.noise).sum() / np.asarray(equations.noise).sum())
 
 

@@ -211,26 +211,26 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
     )
     raise_if_nothing_to_fit(plan, counts, sums)
 
-    def noise(i: int, j: int) -> NormalEquations:
-        e = equations[i][j]
-        if e.noise is not None:
-            return NormalEquations(e.noise.sum(1), e.count.sum(1), e.parameters)
+    def with_surveyed_noise(i: int, j: int) -> NormalEquations:
+        records = equations[i][j].of_records()
+        if records.noise is not None:
+            return records
         found = [one.stages[i][j].survey for one in summary.recordings]
-        count = e.count.sum(1)
         # Sums without a survey say nothing of the noise in their rows.
-        nothing = np.zeros(np.shape(e.moments)[-2:])
+        nothing = np.zeros(np.shape(records.moments)[-2:])
         each: Any = np.stack([nothing if s is None else np.asarray(s.noise) for s in found])
-        return NormalEquations(each * count[:, None, None], count, e.parameters)
+        return records.with_noise(each * records.count[:, None, None], records.of_source)
 
-    noises = [[noise(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]
-    totals = [[e.in_blocks_of_records() for e in stage] for stage in equations]
-    sources = summary.noise_by_source()
-    found, by_source = on_host(_excitations(totals, noises, sources, plan))
+    totals = [
+        [with_surveyed_noise(i, j) for j, _ in enumerate(stage)]
+        for i, stage in enumerate(equations)
+    ]
+    found, by_stage = on_host(_excitations(totals, plan))
     if all(e.noise is None for stage in equations for e in stage):
         return found
     # The source of noise that adds most to each stage's noisiest combination.
     names = [list(one.noise.sources) for one in summary.recordings]
-    stages = dict(zip((label for label, _ in plan.stages), by_source))
+    stages = dict(zip((label for label, _ in plan.stages), by_stage))
     corrected = []
     for one in found:
         stage = stages[one.stage_name]
@@ -239,7 +239,7 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
         place = [1 + stage.parameters.index(name) for name in one.parameters]
         scale = np.where(size > 0, size, 1)
         direction[place] = np.where(size > 0, one.noisiest_direction / scale, 0)
-        added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.moments), direction)
+        added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.of_source), direction)
         record, source = np.unravel_index(int(np.argmax(added)), added.shape)
         noisiest = names[record][source]
         corrected.append(dataclasses.replace(one, corrected=True, noisiest=noisiest))
@@ -248,20 +248,17 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
 
 @kept_jit
 def _excitations(
-    equations: list[list[NormalEquations]],
-    noise: list[list[NormalEquations]],
-    sources: list[list[NormalEquations]],
-    plan: ParameterPlan,
+    equations: list[list[NormalEquations]], plan: ParameterPlan
 ) -> tuple[list[Excitation], list[NormalEquations]]:
     stages, _ = stages_over_records(equations, plan.sharing)
-    noises, _ = stages_over_records(noise, plan.sharing)
     found = []
-    for stage, own, (label, unknown) in zip(stages, noises, plan.stages):
+    for stage, (label, unknown) in zip(stages, plan.stages):
         if unknown:
-            summed, added = stage.total(), own.total()
-            mean = added.moments / jnp.where(added.count > 0, added.count, 1.0)
+            summed = stage.total()
+            assert summed.noise is not None
+            mean = summed.noise / jnp.where(summed.count > 0, summed.count, 1.0)
             found.append(excitation_of(summed.with_noise(None), mean, unknown, label))
-    return found, stages_over_records(sources, plan.sharing)[0]
+    return found, stages
 
 
 def excitation_of(

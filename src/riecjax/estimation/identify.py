@@ -144,7 +144,7 @@ def _estimated(
     intervals: AbstractIntervals,
 ) -> Estimate:
     sharing, given, _ = plan
-    equations, sources = summary.equations(), summary.noise_by_source()
+    equations = summary.equations()
     modes, short = None, summary.short_blocks
     if procedure.has_hidden:
         if sharing.own:
@@ -152,20 +152,18 @@ def _estimated(
         from riecjax.estimation.mode_windows import find_modes
 
         modes = find_modes(procedure, summary, given)
-        equations, sources = modes.equations, modes.sources
+        equations = modes.equations
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = intervals.drawn(short.number.shape[0])
     settings = given, sharing, drawn
-    sums = _Sums(equations, sources, summary.noise_freedom, short, window)
+    sums = _Sums(equations, summary.noise_freedom, short, window)
     fit = _solve(sums, *settings, None)
     if modes is not None:
         from riecjax.estimation.mode_windows import find_modes
 
         other = find_modes(procedure, summary, given, rank=1)
-        beside = _solve(
-            sums._replace(equations=other.equations, sources=other.sources), *settings, None
-        )
+        beside = _solve(sums._replace(equations=other.equations), *settings, None)
         apart = _apart(fit, beside, other.shown)
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
@@ -239,13 +237,11 @@ class _Fit(NamedTuple):
 class _Sums(NamedTuple):
     """What a fit is solved from.
 
-    **Fields:** of each equation of each stage `equations`, and what each source of noise adds to
-    them, `sources`; `freedom` of these sources' variances; the `short` blocks of time, and seconds
-    of the `longest_window`.
+    **Fields:** `equations` of each stage; `freedom` of the variances of the noise's sources; the
+    `short` blocks of time, and seconds of the `longest_window`.
     """
 
     equations: list[list[NormalEquations]]
-    sources: list[list[NormalEquations]]
     freedom: Float[Leaf, "records sources"]
     short: ShortBlocks
     longest_window: Float[Array, ""]
@@ -259,9 +255,7 @@ def _solve(
     intervals: AbstractIntervals,
     rows: list[Rows] | None,
 ) -> _Fit:
-    pairs = zip(sums.equations, sums.sources)
-    both = [[borne_out(*pair) for pair in zip(*stage)] for stage in pairs]
-    equations = [[e for e, _ in stage] for stage in both]
+    equations = [[borne_out(equation) for equation in stage] for stage in sums.equations]
     stages, shared = stages_over_records(equations, sharing)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
     solutions, values = solve_stages([stage.flattened() for stage in stages], known, rows, apart)
@@ -270,9 +264,7 @@ def _solve(
     uncertainty, inflation, statistics = estimate_uncertainty(
         stages, known, values, sums.short, sums.longest_window, common, intervals
     )
-    by_source, _ = stages_over_records([[s for _, s in stage] for stage in both], sharing)
-    of_level = level_covariance(statistics, by_source, sums.freedom, values)
-    uncertainty = uncertainty.widened(of_level)
+    uncertainty = uncertainty.widened(level_covariance(statistics, stages, sums.freedom, values))
     block_count = jnp.sum(statistics.used)
     totals = [stage.flattened().total() for stage in stages]
     return _Fit(

@@ -281,10 +281,9 @@ def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquatio
     names = equations.parameters
     if not sharing.own:
         return equations
-    every = [
-        equations.each(
-            operator.itemgetter(i), operator.itemgetter(i), sharing.of_record(names, i)
-        ).embed(sharing.everywhere(names))
-        for i in range(equations.count.shape[0])
-    ]
+    every = []
+    for i in range(equations.count.shape[0]):
+        record = jax.tree.map(operator.itemgetter(i), equations)
+        record = record.in_columns(lambda matrix: matrix, sharing.of_record(names, i))
+        every.append(record.embed(sharing.everywhere(names)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)

@@ -11,7 +11,7 @@ of them: moments of all windows, and, on request, a survey for checks and figure
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -211,13 +211,12 @@ def of_rows(
 
     def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
         beside = noisy._replace(columns=with_constant(noisy.columns))
-        (found, number), added = moments_of_drawn(criterion, beside, record, drawn, blocks)
-        total, of_source = None, None
-        if added is not None:
-            total, of_source = (each[..., :-1, :-1] for each in (added.total, added.of_source))
-            total, of_source = total[:, None], of_source[None, None]
-        moments, constant = without_constant(found)
-        return (BlockSums(moments[:, None], number[:, None], constant[:, None], total, of_source),)
+        found = moments_of_drawn(criterion, beside, record, drawn, blocks)
+        _, constant = without_constant(found.moments)
+        found = found.in_columns(lambda matrix: matrix[..., :-1, :-1], noisy.columns.parameters)
+        sums = BlockSums(found.moments, found.count, constant, found.noise, None)
+        sums = jax.tree.map(lambda leaf: leaf[:, None], sums)
+        return (sums._replace(of_source=jax.tree.map(lambda s: s[None, None], found.of_source)),)
 
     every = WindowSet(drawn.start[None], drawn.stop[None])
     return _in_chunks(procedure, criterion, part, sums_of, lambda _: every, 0, request)
@@ -479,43 +478,29 @@ class OnePass:
 
         def of_equation(i: int, j: int) -> EquationSums:
             every = [part[i][j] for part in parts]
+            # Blocks, or chunks, of all parts one after the other; then bins of all lengths.
+            lengths = [
+                jax.tree.map(lambda *leaves: np.concatenate(leaves), *group)
+                for group in zip(*(part.moments for part in every))
+            ]
+            sums: BlockSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
 
-            def joined(of: str) -> np.ndarray | None:
-                """Sums by blocks of all parts and bins, the bins first."""
-                groups = list(zip(*(part.moments for part in every)))
-                if getattr(groups[0][0], of) is None:
-                    return None
-                in_groups = [np.concatenate([getattr(p, of) for p in group]) for group in groups]
-                in_bins = np.moveaxis(np.concatenate(in_groups, axis=1)[:count], 1, 0)
-                if grouped == 1:
-                    return in_bins
-                bins, blocks, *rest = in_bins.shape
-                missing = -blocks % grouped
-                padded = np.pad(in_bins, [(0, 0), (0, missing)] + [(0, 0)] * len(rest))
-                return padded.reshape(bins, -1, grouped, *rest).sum(2)
+            def in_bins(blocks: np.ndarray) -> np.ndarray:
+                in_bins = np.moveaxis(blocks[:count], 1, 0)
+                return np.add.reduceat(in_bins, np.arange(0, count, grouped), axis=1)
 
-            def of_sources() -> np.ndarray | None:
-                groups = zip(*(part.moments for part in every))
-                sums = [
-                    [p.of_source.sum(0) for p in group if p.of_source is not None]
-                    for group in groups
-                ]
-                return (
-                    np.concatenate([sum(each[1:], start=each[0]) for each in sums])
-                    if sums[0]
-                    else None
-                )
-
-            sums: dict[str, Any] = {n: joined(n) for n in ("moments", "noise", "constant")}
-            sums["count"] = joined("number")
             surveys = [part.survey for part in every if part.survey is not None]
-            return EquationSums(
-                survey=_survey(surveys, float(self.record.skipped)) if surveys else None,
-                factor=None,
-                parameters=self.procedure.stages[i][j].parameters,
-                **sums,
-                noise_of_source=of_sources(),
+            found = EquationSums(
+                sums.moments,
+                sums.number,
+                _survey(surveys, float(self.record.skipped)) if surveys else None,
+                None,
+                self.procedure.stages[i][j].parameters,
+                sums.noise,
+                sums.of_source,
+                sums.constant,
             )
+            return found.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
 
         shape = [len(stage) for stage in self.procedure.stages]
         return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]

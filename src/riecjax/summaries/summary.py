@@ -165,13 +165,11 @@ class Summary(Shown, eqx.Module):
         jit)."""
         band = slice(*self.band)
 
+        def together(bins: Leaf) -> Leaf:
+            return np.asarray(bins)[band].sum(0, keepdims=True)
+
         def of(equation: EquationSums) -> EquationSums:
-            by_source = equation.noise_of_source
-            one = equation.each(lambda sums: np.asarray(sums)[band].sum(0, keepdims=True))
-            if by_source is None:
-                return one
-            by_source = np.asarray(by_source)[band].sum(0, keepdims=True)
-            return dataclasses.replace(one, noise_of_source=by_source)
+            return equation.each(together, noise_of_source=together)
 
         return dataclasses.replace(
             self.of_recordings(one.of_equations(of) for one in self.recordings),
@@ -290,40 +288,20 @@ class Summary(Shown, eqx.Module):
         if is_concrete(self.recordings):
             room = min((number for number in ROOMS if number >= count), default=count)
 
-        def in_band(equation: EquationSums) -> NormalEquations:
-            moments, count, noise = (
+        def in_band(recording: RecordingSums, i: int, j: int) -> NormalEquations:
+            sums = recording.stages[i][j]
+            moments, count, noise, of_source = (
                 _of_bins(leaf, first, last)
-                for leaf in (equation.moments, equation.count, equation.noise)
+                for leaf in (sums.moments, sums.count, sums.noise, sums.noise_of_source)
             )
-            return NormalEquations(moments, count, equation.parameters, noise)
+            if of_source is None:
+                sources = len(recording.noise.sources)
+                of_source = namespace(moments).zeros((sources, *moments.shape[-2:]))
+            return NormalEquations(moments, count, sums.parameters, noise, of_source)
 
-        def stacked(i: int, j: int) -> NormalEquations:
-            every = [in_band(one.stages[i][j]) for one in self.recordings]
-            return stack_normal_equations(every, room)
-
-        return [
-            [stacked(i, j) for j, _ in enumerate(stage)]
-            for i, stage in enumerate(self.outline.stages)
-        ]
-
-    def noise_by_source(self, band: tuple[int, int] | None = None) -> list[list[NormalEquations]]:
-        """Of each equation of each stage, what each source of noise adds, with axes
-        `(recordings, sources)`; empty ones follow where a recording has fewer. Of the bins in use,
-        or of others."""
-        first, last = self.band if band is None else band
-
-        def of(one: RecordingSums, equation: EquationSums) -> NormalEquations:
-            size, each = len(one.noise.sources), equation.noise_of_source
-            names = equation.parameters
-            shape = (size, 1 + len(names), 1 + len(names))
-            xp = namespace(equation.moments)
-            moments: Any = xp.zeros(shape) if each is None else _of_bins(each, first, last)
-            return NormalEquations(moments, xp.zeros(size), names)
-
-        most = max(len(one.noise.sources) for one in self.recordings)
         return [
             [
-                stack_normal_equations([of(one, one.stages[i][j]) for one in self.recordings], most)
+                stack_normal_equations([in_band(one, i, j) for one in self.recordings], room)
                 for j, _ in enumerate(stage)
             ]
             for i, stage in enumerate(self.outline.stages)
