@@ -28,8 +28,7 @@ from riecjax.estimation.hidden_modes import ModeStage, Values, as_asked, search
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace, on_host
 from riecjax.linear_algebra import solve_scaled
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import sum_of_equations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import EquationSums, Survey
 from riecjax.uncertainty.block_statistics import block_influence

@@ -16,8 +16,12 @@ from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import namespace
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
-from riecjax.summaries.stage_sums import stage_normal_equations, sum_of_equations
+from riecjax.summaries.normal_equations import (
+    NormalEquations,
+    stack_normal_equations,
+    sum_of_equations,
+)
+from riecjax.summaries.stage_sums import stage_normal_equations
 
 
 class Solution(eqx.Module):
@@ -272,8 +276,7 @@ def stages_over_records(
     **Arguments:** `equations` of each stage, with a leading axis of records.
     """
     apart = [[_over_records(e, sharing) for e in stage] for stage in equations]
-    names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
-    return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
+    return [sum_of_equations(stage) for stage in apart], apart
 
 
 def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:

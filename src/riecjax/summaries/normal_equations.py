@@ -1,5 +1,7 @@
 """Normal equations: all that least squares needs to know of its rows, and additive."""
 
+import functools
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -183,6 +185,18 @@ class NormalEquations(eqx.Module):
 def _energy(moments: Array, theta: Float[Array, " p"]) -> Array:
     v = jnp.concatenate([jnp.ones((1,), theta.dtype), -theta])
     return jnp.maximum(jnp.einsum("i,...ij,j->...", v, moments, v), 0.0)
+
+
+def sum_of_equations(
+    equations: Sequence[NormalEquations], names: tuple[str, ...] | None = None
+) -> NormalEquations:
+    """A stage's normal equations: its equations' ones, residuals of all weighted alike.
+
+    Among `names`, all that occur in order unless they are given.
+    """
+    if names is None:
+        names = tuple(dict.fromkeys(name for one in equations for name in one.parameters))
+    return functools.reduce(operator.add, (one.embed(names) for one in equations))
 
 
 def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> NormalEquations:

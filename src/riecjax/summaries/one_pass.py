@@ -33,8 +33,8 @@ from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
 from riecjax.records.record import Record, filled_up
 from riecjax.summaries.digest import digest_of
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import moments_of_drawn, sum_of_equations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
+from riecjax.summaries.stage_sums import moments_of_drawn
 from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
 
 PART = 2**17

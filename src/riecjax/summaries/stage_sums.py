@@ -18,7 +18,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import Columns, NoisyColumns
 from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import NormalEquations, short_blocks
+from riecjax.summaries.normal_equations import NormalEquations, short_blocks, sum_of_equations
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 
@@ -41,14 +41,6 @@ def stage_normal_equations(
     return [
         sum_of_equations(stage, names) for stage, names in zip(parts, procedure.stage_parameters)
     ]
-
-
-def sum_of_equations(equations: list[NormalEquations], names: tuple[str, ...]) -> NormalEquations:
-    """A stage's normal equations: its equations' ones, residuals of all weighted alike."""
-    total = equations[0].embed(names)
-    for further in equations[1:]:
-        total = total + further.embed(names)
-    return total
 
 
 def traced_sums(

@@ -30,11 +30,14 @@ without each block of time in turn. Noise is taken off the moments as ever.
 """
 
 import dataclasses
+import functools
 import itertools
+import operator
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -46,6 +49,7 @@ from riecjax.findings import Finding, option_for
 from riecjax.records.faults.derivative_pairs import Course, changing
 from riecjax.records.preparation.filtering import SLOPE, lead
 from riecjax.records.record import Record
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import Task, record_keys, signals_read
@@ -60,15 +64,8 @@ COARSE = 3
 """Units between the amounts that are then tried."""
 STEPS = 5
 """Times that the middle of the three amounts is moved to where least is left."""
-Blocks = Float[np.ndarray, "blocks q q"]
-
-
-class StageSums(NamedTuple):
-    """Sums of a stage by block of time, less noise; and those of noise."""
-
-    names: tuple[str, ...]
-    clean: Blocks
-    noise: Blocks
+Stages = Sequence[NormalEquations]
+"""Of each stage, by block of time or over some of them."""
 
 
 class Solved(NamedTuple):
@@ -112,7 +109,7 @@ class Search:
     estimate: Estimate
     undone: Callable[[int], list[Record]]
     most: int
-    kept: dict[int, list[StageSums]]
+    kept: dict[int, Stages]
 
     def __post_init__(self) -> None:
         zero, one = self.sums(0), self.sums(1)
@@ -122,11 +119,12 @@ class Search:
         count = min(int(self.estimate.block_count), GROUPS)
         self.groups = np.array_split(np.flatnonzero(rows != 0), count)
 
-    def sums(self, count: int) -> list[StageSums]:
+    def sums(self, count: int) -> Stages:
         """Of the records with so much undone."""
         if count not in self.kept:
             summary = sums_like(self.procedure, self.undone(count), self.estimate)
-            self.kept[count] = _stages(summary)
+            stages = (sum_of_equations(stage).flattened() for stage in summary.equations())
+            self.kept[count] = list(stages)
         return self.kept[count]
 
     # Values too large to be squared leave no finite sum, and nothing is found.
@@ -169,12 +167,12 @@ class Search:
                 break  # a parabola through the three reaches no further
         return at
 
-    def around(self, middle: int, left_out: np.ndarray | None = None) -> list[list[StageSums]]:
+    def around(self, middle: int, left_out: np.ndarray | None = None) -> list[Stages]:
         """Sums over all blocks, but some, at an amount and one unit to either side of it."""
         every = (self.sums(middle + k) for k in (-1, 0, 1))
         return [[total(stage, left_out) for stage in stages] for stages in every]
 
-    def solve(self, three: Sequence[Sequence[StageSums]], at: float) -> Solved:
+    def solve(self, three: Sequence[Stages], at: float) -> Solved:
         """Values and what is left at an amount from the middle one of three."""
         return solve(between(three, at), self.estimate.known, self.reading)
 
@@ -198,82 +196,55 @@ def sums_like(procedure: Procedure, records: list[Record], estimate: Estimate) -
     return summed(task, bins=bins, survey=surveyed)
 
 
-def _stages(summary: Summary) -> list[StageSums]:
-    found = []
-    for stage in summary.equations():
-        names = tuple(dict.fromkeys(name for e in stage for name in e.parameters))
-        size, blocks = 1 + len(names), stage[0].count.size
-        clean, noise = np.zeros((2, blocks, size, size))
-        for equation in stage:
-            place = [0, *(1 + names.index(name) for name in equation.parameters)]
-            among = np.ix_(range(blocks), place, place)
-            shape = (blocks, len(place), len(place))
-            clean[among] += np.asarray(equation.clean).reshape(shape)
-            if equation.noise is not None:
-                noise[among] += np.asarray(equation.noise).reshape(shape)
-        found.append(StageSums(names, clean, noise))
-    return found
-
-
 def total(
-    stage: StageSums, left_out: np.ndarray | None = None, only: np.ndarray | None = None
-) -> StageSums:
+    stage: NormalEquations, left_out: np.ndarray | None = None, only: np.ndarray | None = None
+) -> NormalEquations:
     """The sum over all blocks, over all but some, or over some only."""
 
-    def of(blocks: Blocks) -> Float[np.ndarray, "q q"]:
+    def of(blocks: np.ndarray) -> np.ndarray:
         if only is not None:
             return blocks[only].sum(0)
         every = blocks.sum(0)
         return every if left_out is None else every - blocks[left_out].sum(0)
 
-    return StageSums(stage.names, of(stage.clean), of(stage.noise))
+    return stage.in_blocks(of)
 
 
-def between(parts: Sequence[Sequence[StageSums]], at: float) -> list[StageSums]:
+def between(parts: Sequence[Stages], at: float) -> list[NormalEquations]:
     """Sums at an amount between three."""
-    shares = at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2
-
-    def mixed(of: Callable[[StageSums], np.ndarray], stages: Sequence[StageSums]) -> np.ndarray:
-        return sum((w * of(s) for w, s in zip(shares, stages)), np.zeros(()))
-
+    low, here, high = at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2
     return [
-        StageSums(three[0].names, mixed(lambda s: s.clean, three), mixed(lambda s: s.noise, three))
-        for three in zip(*parts)
+        jax.tree.map(lambda a, b, c: low * a + here * b + high * c, *three) for three in zip(*parts)
     ]
 
 
-def solve(stages: Sequence[StageSums], known: Mapping, reading: Sequence[int]) -> Solved:
+def solve(stages: Stages, known: Mapping, reading: Sequence[int]) -> Solved:
     """Values of all stages in turn, and what those that the fault reaches leave, as energy."""
     values, left, noise = {n: float(v) for n, v in known.items()}, 0.0, 0.0
-    for i, (names, clean, noisy) in enumerate(stages):
-        free = [name for name in names if name not in values]
-        mix = np.zeros((1 + len(free), 1 + len(names)))
-        mix[0] = [1.0, *(-values.get(name, 0.0) for name in names)]
-        for row, name in enumerate(free, 1):
-            mix[row, 1 + names.index(name)] = 1.0
-        moments = mix @ clean @ mix.T
-        if not np.isfinite(moments).all():
+    for i, stage in enumerate(stages):
+        equations = stage.fix(values)
+        clean = np.asarray(equations.clean)
+        if not np.isfinite(clean).all():
             return Solved(values, float("nan"), 0.0)
-        sizes = np.diagonal(moments)
+        sizes = np.diagonal(clean)
         scale = 1 / np.sqrt(np.where(sizes > 0, sizes, 1.0))
-        scaled = moments * scale[:, None] * scale
+        scaled = clean * scale[:, None] * scale
         theta = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-12)[0]
         theta = theta * scale[1:] / scale[0]
-        values |= dict(zip(free, theta.tolist()))
-        if i in reading and free:
-            row = np.array([1.0, *-theta]) @ mix
-            target = (mix[0] @ (clean + noisy) @ mix[0]) or 1.0
-            left += float(row @ clean @ row / target)
-            noise += float(row @ noisy @ row / target)
+        values |= dict(zip(equations.parameters, theta.tolist()))
+        if i in reading and equations.parameters:
+            row = np.array([1.0, *-theta])
+            target = float(equations.energy) or 1.0
+            left += float(row @ clean @ row) / target
+            if equations.noise is not None:
+                noise += float(row @ equations.noise @ row) / target
     return Solved(values, left, noise, tuple(n for n in values if n not in known))
 
 
-def energy(
-    stages: Sequence[StageSums], values: Mapping[str, float], reading: Sequence[int]
-) -> float:
+def energy(stages: Stages, values: Mapping[str, float], reading: Sequence[int]) -> float:
     """What stages leave beyond noise with these values, in the squares of their units."""
-    rows = {i: np.array([1.0, *(-values[n] for n in stages[i].names)]) for i in reading}
-    return float(sum(row @ stages[i].clean @ row for i, row in rows.items()))
+    left = (stages[i].fix(values).clean for i in reading)
+    return float(sum(moments[0, 0] for moments in left))
 
 
 PARTS = 16
@@ -352,12 +323,9 @@ def _found(
 
 
 def _solved(search: Search, sums: list, at: Float[np.ndarray, " parts"]) -> Solved:
-    each = [_at(sums, i, float(place)) for i, place in enumerate(at)]
-    every = [
-        stages[0]._replace(clean=sum(s.clean for s in stages), noise=sum(s.noise for s in stages))
-        for stages in zip(*each)
-    ]
-    return solve(every, search.estimate.known, search.reading)
+    parts = [_at(sums, i, float(place)) for i, place in enumerate(at)]
+    stages = [functools.reduce(operator.add, stage) for stage in zip(*parts)]
+    return solve(stages, search.estimate.known, search.reading)
 
 
 def _at(sums: list, part: int, place: float) -> list:
