@@ -1,7 +1,5 @@
 """What is to be summed, and everything of it that can be refused before any arithmetic."""
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -191,22 +189,16 @@ def signals_read(
     read: set[str] = set()
     for stage in procedure.stages:
         for equation in stage:
-            with _saying_whose_derivative(equation):
+            try:
                 read |= equation.signals_read(record, criterion.smoothness)
+            except MissingSignalError as error:
+                # If the equation calls it a derivative, say whose it is.
+                below = [of for of, name in equation.derivatives if name == error.signal]
+                known = next((of for of in below if of in error.available), "")
+                raise MissingSignalError(error.signal, error.available, known) from None
             if not summed:
                 eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
     return tuple(name for name in record.arrays if name in read)
-
-
-@contextlib.contextmanager
-def _saying_whose_derivative(equation: Equation) -> Iterator[None]:
-    """Of a missing signal that the equation calls a derivative, say whose it is."""
-    try:
-        yield
-    except MissingSignalError as error:
-        below = [of for of, name in equation.derivatives if name == error.signal]
-        known = next((of for of in below if of in error.available), "")
-        raise MissingSignalError(error.signal, error.available, known) from None
 
 
 def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:

@@ -12,11 +12,13 @@ windows are sums of these values times h: the impulse's rise.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Shaped
+import scipy.fft
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.test_functions import Boxcar, Hat
@@ -29,7 +31,54 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_of_record
 from riecjax.leaves import Leaf, namespace
-from riecjax.records.record import Record
+from riecjax.records.record import Record, runs
+
+
+class Series(NamedTuple):
+    """Values in time, of which those that are not present are zero, or count as zero."""
+
+    values: Float[np.ndarray, " n"]
+    present: Bool[np.ndarray, " n"]
+
+    @property
+    def count(self) -> int:
+        """How many are present."""
+        return int(self.present.sum())
+
+    def centred(self) -> "Series":
+        """The same about its mean."""
+        mean = np.sum(self.values, where=self.present) / max(self.count, 1)
+        return Series(np.where(self.present, self.values - mean, 0.0), self.present)
+
+    def averaged(self, count: int) -> "Series":
+        """Means of `count` successive values, of which those that are whole are present."""
+        running = np.concatenate([[0.0], np.cumsum(np.where(self.present, self.values, 0.0))])
+        absent = np.concatenate([[0], np.cumsum(~self.present)])
+        whole = absent[count:] == absent[:-count]
+        return Series(np.where(whole, (running[count:] - running[:-count]) / count, 0.0), whole)
+
+    def runs(self) -> list[slice]:
+        """Stretches without a missing value."""
+        return [slice(a, b) for a, b in runs(self.present).T.tolist()]
+
+    def correlation(
+        self, other: "Series", lags: Int[np.ndarray, " lags"]
+    ) -> Float[np.ndarray, " lags"]:
+        """Mean product of the pairs that are present at each lag, over the root mean squares."""
+        size = scipy.fft.next_fast_len(2 * self.values.size, real=True)
+
+        def products(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+            """Sum over t of mine[t + lag] theirs[t]."""
+            spectrum = np.fft.rfft(mine, size) * np.conj(np.fft.rfft(theirs, size))
+            return np.fft.irfft(spectrum, size)[lags % size]
+
+        pairs = np.round(products(self.present.astype(float), other.present.astype(float)))
+        squares = np.sum(self.values**2) / max(self.count, 1) * np.sum(other.values**2)
+        scale = np.sqrt(squares / max(other.count, 1))
+        if not scale > 0:
+            return np.where(lags == 0, 1.0 if self is other else 0.0, 0.0)
+        means = products(self.values, other.values) / np.maximum(pairs, 1) / scale
+        return np.where(pairs > 0, means, 0.0)
 
 
 class EquationError(eqx.Module):
@@ -59,6 +108,17 @@ class EquationError(eqx.Module):
     name: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
     times: Float[Leaf, " values"]
+
+    @property
+    def series(self) -> Series:
+        """The error where it is present (not under jit)."""
+        return Series(np.asarray(self.error), np.asarray(self.present))
+
+    def signal(self, record: Record, name: str) -> Series:
+        """A signal at the middle of each window, where its samples are present (not under jit)."""
+        values, missing = np.asarray(self.centred(record[name])), record.missing.get(name)
+        gone = np.zeros(values.size) if missing is None else self.centred(missing * 1.0)
+        return Series(values, np.asarray(gone) == 0)
 
     @property
     def target(self) -> Float[Leaf, " values"]:

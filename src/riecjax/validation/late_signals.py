@@ -530,64 +530,15 @@ def late_cause(
     return max(causes, key=lambda one: one.left_as_recorded**2 - one.left**2, default=None)
 
 
-class _Told(NamedTuple):
-    """A delay in words: its code, what it is, what to do about it, and how."""
-
-    code: str
-    what: str
-    mend: str
-    remedy: tuple[str, ...]
-    step: str
-
-
 def finding_of(one: SignalDelay, record: Record) -> Finding:
     """What is told of a delay, seen in a record and others."""
-    told = _steady(one) if one.course.kind == "steady" else _uneven(one, record)
-    return Finding(
-        told.code,
-        f"{told.what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
-        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %{told.mend}",
-        one.signals,
-        tuple(one.moved),
-        doubts={name: abs(share) for name, share in one.moved.items()},
-        remedy=told.remedy,
-        step=told.step,
-    )
-
-
-def _steady(one: SignalDelay) -> _Told:
-    names, late = " and ".join(one.signals), one.seconds > 0
-    most = max(one.moved, key=lambda name: abs(one.moved[name]))
+    names, course = " and ".join(one.signals), one.course
     size = (
         f"{1e3 * abs(one.seconds):.3g} ms ({abs(one.samples):.3g} samples, "
         f"+-{1e3 * one.reach:.2g} ms)"
     )
-    named = one.low_passed and one.certain
-    option = "--unfilter" if named else "--shift"
-    remedy = option_for(option, one.signals, f"{one.seconds:.4g}")
-    if named:
-        what = (
-            f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
-            f"{1 / (2 * np.pi * one.seconds):.3g} Hz"
-        )
-        mend = f"Record it without that filter, or undo it ({shlex.join(remedy)})."
-        step = f"Undo the low-pass of {names}"
-    else:
-        comes = "come" if len(one.signals) > 1 else "comes"
-        doubtful = "" if one.certain else ", or low-passed"
-        others = "earlier than the equation says: all others are late, or low-passed"
-        what = f"{names} {comes} {size} " + (
-            f"later than the equation says{doubtful}" if late else others
-        )
-        mend = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
-        step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
-    moves = f", and {most} changes by {100 * one.moved[most]:+.2g} %. {mend}"
-    return _Told("low_passed" if named else "late_signal", what, moves, remedy, step)
-
-
-def _uneven(one: SignalDelay, record: Record) -> _Told:
-    names, course, time = " and ".join(one.signals), one.course, np.asarray(record.elapsed)
     lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
+    time = np.asarray(record.elapsed)
     if course.kind == "clocks":
         # Clocks go on through pauses.
         samples = float(time[-1] - time[0]) / one.time_step / (time.size - 1)
@@ -598,16 +549,47 @@ def _uneven(one: SignalDelay, record: Record) -> _Told:
             f"{names} {course.way} the others evenly, {lasts}: its clock differs by {rate:.3g} ppm"
         )
         step = f"Set the clock of {names}, or record it by that of the others"
-    else:
+    elif course.kind == "rows":
         first, last = (time[min(place + LONGEST, time.size - 1)] for place in course.place)
-        remedy = course.in_time(first, last)
-        code, step = "lost_rows", "Use the part of the record in which it is in time"
+        code, remedy = "lost_rows", course.in_time(first, last)
         what = (
             f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
             f"{'all others have' if course.change > 0 else 'it has'} lost rows there"
         )
-    how = f" ({shlex.join(remedy)})" if remedy else ""
-    return _Told(code, what, f". {step}{how}.", remedy, step)
+        step = "Use the part of the record in which it is in time"
+    elif one.low_passed and one.certain:
+        code, remedy = "low_passed", option_for("--unfilter", one.signals, f"{one.seconds:.4g}")
+        what = (
+            f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
+            f"{1 / (2 * np.pi * one.seconds):.3g} Hz"
+        )
+        mend = f"Record it without that filter, or undo it ({shlex.join(remedy)})."
+        step = f"Undo the low-pass of {names}"
+    else:
+        code, remedy = "late_signal", option_for("--shift", one.signals, f"{one.seconds:.4g}")
+        comes = "come" if len(one.signals) > 1 else "comes"
+        doubtful, late = "" if one.certain else ", or low-passed", one.seconds > 0
+        others = "earlier than the equation says: all others are late, or low-passed"
+        what = f"{names} {comes} {size} " + (
+            f"later than the equation says{doubtful}" if late else others
+        )
+        mend = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
+        step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
+    if course.kind == "steady":
+        most = max(one.moved, key=lambda name: abs(one.moved[name]))
+        then = f", and {most} changes by {100 * one.moved[most]:+.2g} %. {mend}"
+    else:
+        then = f". {step}{f' ({shlex.join(remedy)})' if remedy else ''}."
+    return Finding(
+        code,
+        f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
+        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %{then}",
+        one.signals,
+        tuple(one.moved),
+        doubts={name: abs(share) for name, share in one.moved.items()},
+        remedy=remedy,
+        step=step,
+    )
 
 
 def _clocks(procedure: Procedure, read: set[str]) -> list[tuple[str, ...]]:

@@ -19,7 +19,7 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, require
-from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
+from riecjax.estimation.parameters import Sharing, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
@@ -266,7 +266,39 @@ def window_sweep(
         )
         summary = summed(asked, bins=edges)
     plan = plan_parameters(procedure, len(summary.recordings), known, per_record)
-    return _sweep(procedure, summary, plan, _bands(summary, shortest, longest))
+    # Bands are pairs of neighbouring bins of a Summary within the reach of the sweep.
+    bins = summary.bins
+    if bins is None:
+        raise DataError(
+            "this Summary keeps the sums of all window lengths together: make it with bins, "
+            "rx.summarise(..., bins=12)."
+        )
+    lengths = [(float(r.time_step), int(r.samples)) for r in summary.recordings]
+    law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
+    low, high = _reach(lengths, law, shortest, longest)
+    inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))
+    pairs = [(i, i + 2) for i in range(inside.size - 1) if inside[i] and inside[i + 1]]
+    if len(pairs) < 2:
+        raise DataError(
+            f"the Summary's bins of window lengths make fewer than two bands from {low:.3g} to "
+            f"{high:.3g} s: make it anew with more of them."
+        )
+    ends = np.array([summary.lengths_of(pair) for pair in pairs])
+    short = summary.short_blocks
+    # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
+    used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
+    every = [summary.equations(pair) for pair in pairs]
+    equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
+    stages = [(label, names) for label, names in plan.stages if names]
+    return WindowSweep(
+        ends[:, 0],
+        ends[:, 1],
+        *_estimates(equations, plan.given, short, used, plan.sharing),
+        block_count=namespace(used).sum(used),
+        parameters=tuple(name for _, names in stages for name in names),
+        units=tuple(plan.sharing.values(procedure.units).items()),
+        stage_names=tuple(label for label, _ in stages),
+    )
 
 
 def sweep_edges(
@@ -321,54 +353,6 @@ def _reach(
     return low, high
 
 
-def _bands(
-    summary: Summary, shortest: float | None, longest: float | None
-) -> list[tuple[int, int]]:
-    """Pairs of neighbouring bins of a Summary within the reach of a sweep."""
-    bins = summary.bins
-    if bins is None:
-        raise DataError(
-            "this Summary keeps the sums of all window lengths together: make it with bins, "
-            "rx.summarise(..., bins=12)."
-        )
-    lengths = [(float(r.time_step), int(r.samples)) for r in summary.recordings]
-    law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
-    low, high = _reach(lengths, law, shortest, longest)
-    inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))
-    found = [(i, i + 2) for i in range(inside.size - 1) if inside[i] and inside[i + 1]]
-    if len(found) < 2:
-        raise DataError(
-            f"the Summary's bins of window lengths make fewer than two bands from {low:.3g} to "
-            f"{high:.3g} s: make it anew with more of them."
-        )
-    return found
-
-
-def _sweep(
-    procedure: Procedure, summary: Summary, plan: ParameterPlan, bands: list[tuple[int, int]]
-) -> WindowSweep:
-    ends = np.array([summary.lengths_of(band) for band in bands])
-    short = summary.short_blocks
-    # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
-    used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
-    every = [summary.equations(band) for band in bands]
-    equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
-    theta, influence, residual, noise = _estimates(equations, plan.given, short, used, plan.sharing)
-    stages = [(label, names) for label, names in plan.stages if names]
-    return WindowSweep(
-        alpha=ends[:, 0],
-        beta=ends[:, 1],
-        theta=theta,
-        influence=influence,
-        relative_rms=residual,
-        noise_rms=noise,
-        block_count=namespace(used).sum(used),
-        parameters=tuple(name for _, names in stages for name in names),
-        units=tuple(plan.sharing.values(procedure.units).items()),
-        stage_names=tuple(label for label, _ in stages),
-    )
-
-
 @kept_jit
 def _estimates(
     equations: list[list[NormalEquations]],
@@ -376,7 +360,7 @@ def _estimates(
     short: ShortBlocks,
     used: Int[Array, " records"],
     sharing: Sharing,
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, ...]:
     """What a `WindowSweep` holds: theta, influence, relative r.m.s. and the noise's."""
 
     def at_length(own: list[list[NormalEquations]]) -> tuple[Array, ...]:
@@ -391,11 +375,6 @@ def _estimates(
             jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
         )
 
-    theta, influence, residual, noise, held = jax.lax.map(at_length, equations)
+    *found, held = jax.lax.map(at_length, equations)
     known = (held >= SHARE_OF_BLOCKS * jnp.max(held)) & (held > 0)
-    return (
-        jnp.where(known[:, None], theta, jnp.nan),
-        jnp.where(known[:, None, None], influence, jnp.nan),
-        jnp.where(known[:, None], residual, jnp.nan),
-        jnp.where(known[:, None], noise, jnp.nan),
-    )
+    return tuple(jnp.where(known.reshape(-1, *(1,) * (of.ndim - 1)), of, jnp.nan) for of in found)
