@@ -247,8 +247,10 @@ def _in_chunks(
             each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
             sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
             drawn = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
-            signals = {name: record.arrays[name] + own for name, own in zip(names, drawn)}
-            disturbed = record.with_signals(signals, missing=record.missing)
+            signals = zip(names, (record.signal(name) for name in names), drawn)
+            disturbed = record.with_signals(
+                {n: dataclasses.replace(s, values=s.values + own) for n, s, own in signals}
+            )
 
         def of_equation(equation: Equation) -> PartSums:
             noisy, survey = criterion.noisy_columns(equation, record), None

@@ -116,8 +116,8 @@ class EquationError(eqx.Module):
 
     def signal(self, record: Record, name: str) -> Series:
         """A signal at the middle of each window, where its samples are present (not under jit)."""
-        values, missing = np.asarray(self.centred(record[name])), record.missing.get(name)
-        gone = np.zeros(values.size) if missing is None else self.centred(missing * 1.0)
+        values, there = np.asarray(self.centred(record[name])), record.signal(name).present
+        gone = np.zeros(values.size) if there is None else self.centred(~there * 1.0)
         return Series(values, np.asarray(gone) == 0)
 
     @property

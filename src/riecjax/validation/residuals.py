@@ -48,7 +48,7 @@ from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, t
 from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
-from riecjax.records.record import Record, Records, as_records, samples_with_nan
+from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import (
     EquationError,
@@ -686,7 +686,7 @@ def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
 
 
 def _each(records: Sequence[Record], name: str) -> list[Float[np.ndarray, " n"]]:
-    return _of_order_one([np.nan_to_num(samples_with_nan(record, name)) for record in records])
+    return _of_order_one([np.nan_to_num(record.signal(name).with_nan) for record in records])
 
 
 NOTABLE_SIZE = 0.02
