@@ -110,8 +110,8 @@ def wrong_zeros(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> 
         yield Finding(
             "wrong_zero",
             f"{seen.equation.name}: the constant parts of the signals disagree with their motion, "
-            f"as with a wrong zero of a sensor: together they leave {100 * fitted:.2g} % of how the "
-            f"target varies, motion alone {100 * left:.2g} %. It moves {most} by "
+            f"as with a wrong zero of a sensor: together they leave {100 * fitted:.2g} % of how "
+            f"the target varies, motion alone {100 * left:.2g} %. It moves {most} by "
             f"{100 * moved[most]:.2g} % of its value. Estimate the zero as a constant"
             + (f" (on the command line: {' '.join(remedy)})" if remedy else "")
             + ": rx.Term('offset', rx.constant); or remove the signals' offsets.",

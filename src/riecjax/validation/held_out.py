@@ -32,7 +32,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import DataError, SimulationError
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Signal, both
 from riecjax.shows import Drawn
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
@@ -120,12 +120,10 @@ class Validation(dict[str, Array]):
         return sum(self.values(), start=jnp.zeros(()))
 
 
-def present_in_both(one: Record, other: Record, signal: str) -> Bool[Array, " n"] | None:
-    """Where both records have their sample of a signal; `None` if they have all."""
-    first, second = one.present((signal,)), other.present((signal,))
-    if first is None or second is None:
-        return second if first is None else first
-    return first & second
+def in_both(predicted: Record, measured: Record, name: str) -> tuple[Array, Array, Array | None]:
+    """A signal of both records, and where both have their sample of it; `None` if everywhere."""
+    present: Any = both(predicted.signal(name).present, measured.signal(name).present)
+    return predicted[name], measured[name], present
 
 
 def validate(predicted: Record, measured: Record, signals: Sequence[str]) -> Validation:
@@ -135,12 +133,7 @@ def validate(predicted: Record, measured: Record, signals: Sequence[str]) -> Val
 
     **Raises:** `DataError` if a signal is missing in either record.
     """
-    return Validation(
-        {
-            s: percentage_error(predicted[s], measured[s], present_in_both(predicted, measured, s))
-            for s in signals
-        }
-    )
+    return Validation({s: percentage_error(*in_both(predicted, measured, s)) for s in signals})
 
 
 class SignalFit(NamedTuple):
@@ -168,14 +161,14 @@ class SignalFit(NamedTuple):
 
 
 def signal_fit(
-    predicted: Float[Array, " n"], measured: Float[Array, " n"], present: Bool[Array, " n"]
+    predicted: Float[Array, " n"], measured: Float[Array, " n"], present: Bool[Array, " n"] | None
 ) -> SignalFit:
     """All measures of one signal's prediction over the samples that are `present`."""
     return SignalFit(
         percentage_error(predicted, measured, present),
         nrmse_fit(predicted, measured, present),
         variance_accounted_for(predicted, measured, present),
-        int(jnp.sum(present)),
+        measured.size if present is None else int(jnp.sum(present)),
     )
 
 
@@ -380,11 +373,7 @@ def validate_held_out(
         simulation = simulate(system, padded, method=method, initial_state=first)
         runs.append(_Run(start, stop, simulation, min(int(simulation.samples_reached), count)))
     record, simulated = _joined(system, measured, runs)
-    fits: dict[str, SignalFit] = {}
-    for name in compared:
-        there = measured.present((name,))
-        both = jnp.asarray(simulated) if there is None else there & jnp.asarray(simulated)
-        fits[name] = signal_fit(record[name], measured[name], both)
+    fits = {name: signal_fit(*in_both(record, measured, name)) for name in compared}
     reason = ""
     for run in runs:
         if run.reached < run.stop - run.start and not reason:
