@@ -114,8 +114,8 @@ def whiteness(
             # The values of all windows where they stand in the recording.
             values, present = values[..., j], present[..., j]
             place = np.asarray(part.position)[present] // part.every
-            size = int(place.max(initial=0)) + 1
-            series_in_time = Series(np.zeros(size), np.zeros(size, bool))
+            length = int(place.max(initial=0)) + 1
+            series_in_time = Series(np.zeros(length), np.zeros(length, bool))
             series_in_time.values[place], series_in_time.present[place] = values[present], True
             tests.append(ljung_box(series_in_time))
         statistics[name] = max((t for t in tests if t == t), default=float("nan")) / LAGS
