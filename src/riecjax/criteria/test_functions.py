@@ -24,7 +24,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -50,6 +50,7 @@ from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
+from riecjax.records.signal import both
 
 # Gains of windows: how much of each frequency one window, or a range of lengths, lets through.
 #
@@ -221,10 +222,9 @@ class Dirac(AbstractTestFunction):
         self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
     ) -> Integrals:
         """Every column at the start of every window, where the sample is not padding."""
-        valid = valid_windows(windows, columns.present)
+        valid: Any = valid_windows(windows, columns.present)
         if unpadded is not None:
-            inside = windows.start < unpadded
-            valid = inside if valid is None else valid & inside
+            valid = both(valid, windows.start < unpadded)
         return Integrals(columns.values[0][:, windows.start], valid)
 
 
@@ -558,10 +558,10 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
         """Where a window of this length may start: inside, with no sample missing."""
         start = jnp.arange(columns.sample_count)
-        inside = start + length < blocks.unpadded
         window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
         unbroken = valid_windows(window, columns.present)
-        return inside if unbroken is None else inside & unbroken
+        valid: Any = both(unbroken, start + length < blocks.unpadded)
+        return valid
 
     def _at_every_start(
         self, columns: Columns, unpadded: Count | None

@@ -27,12 +27,12 @@ from riecjax.estimation.stages import (
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.record import Records
-from riecjax.records.recording import as_recordings, explaining_errors
+from riecjax.records.recording import explaining_errors
 from riecjax.settings import Identify, taking
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
-from riecjax.summaries.task import signals_read, task
+from riecjax.summaries.task import ready, signals_read, task
 from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
@@ -80,10 +80,11 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    asked = task(model, records, settings, settings.key, settings.noise, settings.at_rest)
+    recordings = ready(as_procedure(model), records, settings.noise)
+    asked = task(model, recordings, settings, settings.key, settings.at_rest)
     plan = plan_parameters(asked.procedure, len(asked.records), settings.known, settings.per_record)
     intervals = intervals_of(settings.intervals)
-    with explaining_errors(as_recordings(records)):
+    with explaining_errors(recordings):
         found = _estimated(asked.procedure, summed(asked), plan, intervals)
 
     def otherwise(procedure: Procedure) -> Estimate:
@@ -94,7 +95,7 @@ def identify(
     # What recordings say of signals that are read; bare records say nothing.
     doubts = [
         finding
-        for one in as_recordings(records)
+        for one in recordings
         if one.findings
         for finding in one.concerning(
             signals_read(asked.procedure, one.record, asked.criterion)

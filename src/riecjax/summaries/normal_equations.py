@@ -71,12 +71,10 @@ class NormalEquations(eqx.Module):
         self, of_matrix: Callable[[Array], Array], parameters: tuple[str, ...]
     ) -> "NormalEquations":
         """The same of other columns: something linear done to every matrix."""
-        matrices = (
-            None if matrix is None else of_matrix(matrix)
-            for matrix in (self.moments, self.noise, self.of_source)
+        noise, of_source = (
+            None if matrix is None else of_matrix(matrix) for matrix in (self.noise, self.of_source)
         )
-        moments, noise, of_source = matrices
-        return NormalEquations(moments, self.count, parameters, noise, of_source)
+        return NormalEquations(of_matrix(self.moments), self.count, parameters, noise, of_source)
 
     def with_noise(self, noise: Array | None, of_source: Array | None = None) -> "NormalEquations":
         """The same moments, of which this is noise."""

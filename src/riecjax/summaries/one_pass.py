@@ -11,7 +11,7 @@ of them: moments of all windows, and, on request, a survey for checks and figure
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,11 +27,12 @@ from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Terms, both_present, evaluate
+from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
 from riecjax.records.record import Record, filled_up
+from riecjax.records.signal import both
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.stage_sums import moments_of_drawn
@@ -271,7 +272,7 @@ def _in_chunks(
 
         def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
             found = by.rows_of(of, flat, blocks.unpadded)
-            valid = both_present(inside, found.valid)
+            valid: Any = both(inside, found.valid)
             values = jnp.where(valid[:, None], found.columns.T, 0.0)
             return values.reshape(*windows.start.shape, -1), valid.reshape(windows.start.shape)
 
@@ -465,7 +466,7 @@ class OnePass:
             ]
             sums: BlockSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
 
-            def in_bins(blocks: np.ndarray) -> np.ndarray:
+            def in_bins(blocks: Leaf) -> Leaf:
                 in_bins = np.moveaxis(blocks[:count], 1, 0)
                 return np.add.reduceat(in_bins, np.arange(0, count, grouped), axis=1)
 

@@ -41,13 +41,13 @@ class Series(NamedTuple):
     present: Bool[np.ndarray, " n"]
 
     @property
-    def count(self) -> int:
+    def held(self) -> int:
         """How many are present."""
         return int(self.present.sum())
 
     def centred(self) -> "Series":
         """The same about its mean."""
-        mean = np.sum(self.values, where=self.present) / max(self.count, 1)
+        mean = np.sum(self.values, where=self.present) / max(self.held, 1)
         return Series(np.where(self.present, self.values - mean, 0.0), self.present)
 
     def averaged(self, count: int) -> "Series":
@@ -73,8 +73,8 @@ class Series(NamedTuple):
             return np.fft.irfft(spectrum, size)[lags % size]
 
         pairs = np.round(products(self.present.astype(float), other.present.astype(float)))
-        squares = np.sum(self.values**2) / max(self.count, 1) * np.sum(other.values**2)
-        scale = np.sqrt(squares / max(other.count, 1))
+        squares = np.sum(self.values**2) / max(self.held, 1) * np.sum(other.values**2)
+        scale = np.sqrt(squares / max(other.held, 1))
         if not scale > 0:
             return np.where(lags == 0, 1.0 if self is other else 0.0, 0.0)
         means = products(self.values, other.values) / np.maximum(pairs, 1) / scale

@@ -195,7 +195,8 @@ def unbroken_stretches(
         edges = [whole.start, whole.stop]
         if horizon is not None:  # parts of a horizon or a little more
             samples = max(round(horizon / float(measured.time_step)), SHORTEST_STRETCH)
-            edges = np.linspace(*edges, max((whole.stop - whole.start) // samples, 1) + 1)
+            count = max((whole.stop - whole.start) // samples, 1)
+            edges = np.linspace(whole.start, whole.stop, count + 1).tolist()
         for first, stop in itertools.pairwise(int(edge) for edge in edges):
             starts = np.flatnonzero(known[first:stop])
             if starts.size and stop - first - starts[0] >= SHORTEST_STRETCH:

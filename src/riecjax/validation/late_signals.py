@@ -35,7 +35,7 @@ import itertools
 import operator
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -51,7 +51,6 @@ from riecjax.records.preparation.filtering import SLOPE, lead
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summarise import summed
-from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import Task, record_keys, signals_read
 
 GROUPS = 32
@@ -122,7 +121,16 @@ class Search:
     def sums(self, count: int) -> Stages:
         """Of the records with so much undone."""
         if count not in self.kept:
-            summary = sums_like(self.procedure, self.undone(count), self.estimate)
+            # By the functions that were compiled for the estimate's own Summary.
+            made, criterion, own = self.estimate.summary, self.estimate.criterion, None
+            assert made is not None
+            if (windows := criterion.windows) is not None:
+                own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
+            bins = None if own is not None or made.edges is None else np.asarray(made.edges)
+            records = self.undone(count)
+            task = Task(self.procedure, records, criterion, record_keys(None, len(records)))
+            surveyed = made.recordings[0].stages[0][0].survey is not None
+            summary = summed(task, bins=bins, survey=surveyed)
             stages = (sum_of_equations(stage).flattened() for stage in summary.equations())
             self.kept[count] = list(stages)
         return self.kept[count]
@@ -182,26 +190,12 @@ class Search:
         return found._replace(left=float(np.maximum(found.left, 0.0)), noise=max(found.noise, 0.0))
 
 
-def sums_like(procedure: Procedure, records: list[Record], estimate: Estimate) -> Summary:
-    """A Summary of other records, made by the functions that were compiled for an estimate's."""
-    made, criterion = estimate.summary, estimate.criterion
-    assert made is not None
-    windows = criterion.windows
-    own = None
-    if windows is not None:
-        own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
-    bins = None if own is not None or made.edges is None else np.asarray(made.edges)
-    surveyed = made.recordings[0].stages[0][0].survey is not None
-    task = Task(procedure, records, criterion, record_keys(None, len(records)))
-    return summed(task, bins=bins, survey=surveyed)
-
-
 def total(
     stage: NormalEquations, left_out: np.ndarray | None = None, only: np.ndarray | None = None
 ) -> NormalEquations:
     """The sum over all blocks, over all but some, or over some only."""
 
-    def of(blocks: np.ndarray) -> np.ndarray:
+    def of(blocks: Any) -> Any:
         if only is not None:
             return blocks[only].sum(0)
         every = blocks.sum(0)
@@ -532,7 +526,7 @@ def late_cause(
 
 def finding_of(one: SignalDelay, record: Record) -> Finding:
     """What is told of a delay, seen in a record and others."""
-    names, course = " and ".join(one.signals), one.course
+    names, course, then = " and ".join(one.signals), one.course, ""
     size = (
         f"{1e3 * abs(one.seconds):.3g} ms ({abs(one.samples):.3g} samples, "
         f"+-{1e3 * one.reach:.2g} ms)"
@@ -563,7 +557,7 @@ def finding_of(one: SignalDelay, record: Record) -> Finding:
             f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
             f"{1 / (2 * np.pi * one.seconds):.3g} Hz"
         )
-        mend = f"Record it without that filter, or undo it ({shlex.join(remedy)})."
+        then = f"Record it without that filter, or undo it ({shlex.join(remedy)})."
         step = f"Undo the low-pass of {names}"
     else:
         code, remedy = "late_signal", option_for("--shift", one.signals, f"{one.seconds:.4g}")
@@ -573,11 +567,11 @@ def finding_of(one: SignalDelay, record: Record) -> Finding:
         what = f"{names} {comes} {size} " + (
             f"later than the equation says{doubtful}" if late else others
         )
-        mend = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
+        then = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
         step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
     if course.kind == "steady":
         most = max(one.moved, key=lambda name: abs(one.moved[name]))
-        then = f", and {most} changes by {100 * one.moved[most]:+.2g} %. {mend}"
+        then = f", and {most} changes by {100 * one.moved[most]:+.2g} %. {then}"
     else:
         then = f". {step}{f' ({shlex.join(remedy)})' if remedy else ''}."
     return Finding(

@@ -136,7 +136,7 @@ def autocorrelation(series: Series, lags: int, time_step: float) -> Autocorrelat
     return Autocorrelation(
         forward * time_step,
         found,
-        float(tails.normal(LEVEL / 2) / np.sqrt(max(series.count, 1))),
+        float(tails.normal(LEVEL / 2) / np.sqrt(max(series.held, 1))),
         time_step * float(1 + 2 * np.sum(found[1:] ** 2)),
         time_step * float(1 + 2 * np.sum(taper * found[1:])),
     )
@@ -154,7 +154,7 @@ def cross_correlation(
     error, signal = (Series(series.values, both).centred() for series in (error, signal))
     around = np.arange(-lags, lags + 1)
     variance = bartlett_variance(error.values, signal.values)
-    apart = max(around.size / max(variance * error.count, 1.0), 1.0)
+    apart = max(around.size / max(variance * error.held, 1.0), 1.0)
     quantile = tails.normal(LEVEL / (2 * apart * signals))
     bound = float(quantile * np.sqrt(variance))
     return CrossCorrelation(name, around * time_step, error.correlation(signal, around), bound)
@@ -324,8 +324,13 @@ def error_spectrum(
     """
     from scipy.signal import csd
 
-    runs = error.series.runs()
-    length = segment_length([run.stop - run.start for run in runs], parts)
+    runs, length = error.series.runs(), SHORTEST_SEGMENT
+    if runs:
+        # As wanted, unless half of all samples lie in shorter stretches.
+        longest_first = np.sort([run.stop - run.start for run in runs])[::-1]
+        running = np.cumsum(longest_first)
+        typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
+        length = max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
     left, explained, target = map(np.asarray, (error.error, error.explained, error.target))
     pairs = {
         "error": (left, left),
@@ -351,16 +356,6 @@ def error_spectrum(
     frequency = np.fft.rfftfreq(length, float(error.time_step))
     means = {name: total / max(count, 1) for name, total in sums.items()}
     return ErrorSpectrum(frequency, **means, segments=count)
-
-
-def segment_length(stretches: list[int], parts: int) -> int:
-    """Samples in a segment: as wanted, unless half of all samples lie in shorter stretches."""
-    if not stretches:
-        return SHORTEST_SEGMENT
-    longest_first = np.sort(stretches)[::-1]
-    running = np.cumsum(longest_first)
-    typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
-    return max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
 
 
 # Why eq. (18) allows ordinary least squares. With n windows the errors' covariance is

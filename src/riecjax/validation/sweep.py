@@ -34,7 +34,7 @@ from riecjax.summaries.normal_equations import (
 )
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.task import task
+from riecjax.summaries.task import ready, task
 from riecjax.uncertainty.block_statistics import block_influence
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
@@ -260,7 +260,7 @@ def window_sweep(
             "the criterion", criterion, RIEC, "rx.RIEC(rx.AllWindows(0.05, 0.5)), which has windows"
         )
         assert isinstance(criterion, RIEC)
-        asked = task(procedure, records, criterion.every, key)
+        asked = task(procedure, ready(procedure, records), criterion.every, key)
         edges = sweep_edges(
             asked.records, criterion, shortest=shortest, longest=longest, bands=bands
         )

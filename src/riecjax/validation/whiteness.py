@@ -132,7 +132,7 @@ def whiteness(
 
 def ljung_box(series: Series) -> float:
     """Q over 20 lags; NaN of fewer than 60 values, or of values that do not vary."""
-    (values, present), count = series, series.count
+    (values, present), count = series, series.held
     if count < FEWEST_RESIDUALS or not np.ptp(values[present]) > 0:
         return float("nan")
     found = autocorrelation(series, LAGS, 1.0).values[1:]
