@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
@@ -165,7 +165,16 @@ def _estimated(
 
         other = find_modes(procedure, summary, given, rank=1)
         beside = _solve(sums._replace(equations=other.equations), *settings, None)
-        apart = _apart(fit, beside, other.shown)
+        # Which lengths tell most of hidden elements is a choice among nearly equals, and what the
+        # model and its integrals leave out weighs differently in each. As in an average over models
+        # (Buckland, Burnham and Augustin 1997), what the choice moves is part of the variance. It
+        # counts as far as both lengths know a parameter equally well, by the ratio of their
+        # variances, and where the other shows the elements at all: what lies between is otherwise
+        # the scatter of the poorer one.
+        mine, its = (jnp.diagonal(one.uncertainty.covariance) for one in (fit, beside))
+        weight = jnp.minimum(mine / jnp.where(its > 0, its, jnp.inf), 1.0)
+        apart = jnp.sqrt(weight) * (jnp.asarray(beside.theta) - fit.theta)
+        apart = jnp.where(other.shown & jnp.all(jnp.isfinite(apart)), apart, 0.0)
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
@@ -203,21 +212,6 @@ def _estimated(
         rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
         summary=summary if is_concrete(fit.stages, summary) else None,
     )
-
-
-def _apart(fit: "_Fit", beside: "_Fit", shown: Bool[Array, ""]) -> Float[Array, " p"]:
-    """How far a model's parameters are from those by the window lengths that tell next most.
-
-    Which lengths tell most of hidden elements is a choice among nearly equals, and what the model
-    and its integrals leave out weighs differently in each. As in an average over models (Buckland,
-    Burnham and Augustin 1997), what the choice moves is part of the variance. It counts as far as
-    both lengths know a parameter equally well, by the ratio of their variances: what lies between
-    is otherwise the scatter of the poorer one. `shown`: whether that length shows the elements.
-    """
-    own, other = (jnp.diagonal(one.uncertainty.covariance) for one in (fit, beside))
-    weight = jnp.minimum(own / jnp.where(other > 0, other, jnp.inf), 1.0)
-    apart = jnp.sqrt(weight) * (jnp.asarray(beside.theta) - fit.theta)
-    return jnp.where(shown & jnp.all(jnp.isfinite(apart)), apart, 0.0)
 
 
 class _Fit(NamedTuple):

@@ -467,8 +467,8 @@ class OnePass:
             sums: BlockSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
 
             def in_bins(blocks: Leaf) -> Leaf:
-                in_bins = np.moveaxis(blocks[:count], 1, 0)
-                return np.add.reduceat(in_bins, np.arange(0, count, grouped), axis=1)
+                bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
+                return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
 
             surveys = [part.survey for part in every if part.survey is not None]
             found = EquationSums(

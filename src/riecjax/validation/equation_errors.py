@@ -168,9 +168,45 @@ def equation_error(
         from riecjax.equations.hidden_motion import with_hidden_motion
 
         procedure, record = with_hidden_motion(procedure, record, given)
-    return tuple(
-        _error_of(equation, record, given) for stage in procedure.stages for equation in stage
-    )
+    errors = []
+    for equation in procedure.equations:
+        # The boxcar, if the record holds every derivative that it needs.
+        weight = Boxcar()
+        try:
+            for term in equation.terms:
+                term.expression(record, max(term.derivative - weight.smoothness, 0))
+        except DataError:
+            weight = Hat()
+        span, step = weight.smoothness, record.time_step
+        if record.sample_count <= span + 1:
+            raise DataError(
+                f"{equation.name}: a record of {record.sample_count} samples has no equation error "
+                f"over time."
+            )
+        start = jnp.arange(record.sample_count - span)
+        sampled = sampled_columns(equation, record, weight.smoothness)
+        columns, whole = weight.finest().integrals(sampled, WindowSet(start, start + span))
+        present = jnp.ones(start.shape, bool) if whole is None else whole
+        target, *regressors = jnp.where(present[None, :], columns / step**span, 0.0)
+        parts = {
+            name: given[name] * column
+            for name, column in zip(equation.parameters, regressors, strict=True)
+        }
+        if not equation.has_target:
+            target = -parts.pop(equation.parameters[0])
+        explained = sum(parts.values(), start=jnp.zeros_like(target))
+        error = EquationError(
+            target - explained,
+            explained,
+            present,
+            step,
+            span,
+            equation.name,
+            equation.unit,
+            0.5 * (record.elapsed[span:] + record.elapsed[:-span]),
+        )
+        errors.append(error)
+    return tuple(errors)
 
 
 def errors_over_records(
@@ -240,46 +276,6 @@ def with_pads(parts: Sequence[Shaped[np.ndarray, " n"]], pad: int) -> Shaped[np.
 
 
 _compiled = kept_jit(equation_error)
-
-
-def _error_of(
-    equation: Equation, record: Record, values: Mapping[str, float | Array]
-) -> EquationError:
-    # The boxcar, if the record holds every derivative that it needs.
-    weight = Boxcar()
-    try:
-        for term in equation.terms:
-            term.expression(record, max(term.derivative - weight.smoothness, 0))
-    except DataError:
-        weight = Hat()
-    span, step = weight.smoothness, record.time_step
-    if record.sample_count <= span + 1:
-        raise DataError(
-            f"{equation.name}: a record of {record.sample_count} samples has no equation error "
-            f"over time."
-        )
-    start = jnp.arange(record.sample_count - span)
-    sampled = sampled_columns(equation, record, weight.smoothness)
-    columns, whole = weight.finest().integrals(sampled, WindowSet(start, start + span))
-    present = jnp.ones(start.shape, bool) if whole is None else whole
-    target, *regressors = jnp.where(present[None, :], columns / step**span, 0.0)
-    parts = {
-        name: _value(values, name) * column
-        for name, column in zip(equation.parameters, regressors, strict=True)
-    }
-    if not equation.has_target:
-        target = -parts.pop(equation.parameters[0])
-    explained = sum(parts.values(), start=jnp.zeros_like(target))
-    return EquationError(
-        target - explained,
-        explained,
-        present,
-        step,
-        span,
-        equation.name,
-        equation.unit,
-        0.5 * (record.elapsed[span:] + record.elapsed[:-span]),
-    )
 
 
 def _value(values: Mapping[str, float | Array], name: str) -> Array:

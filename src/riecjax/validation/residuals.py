@@ -274,42 +274,31 @@ class ErrorSpectrum(NamedTuple):
         holds 30 % of the error's power there. A rise towards half the sampling rate, as of
         differentiated noise, is no peak, nor one that only ends where the excitation does.
         """
-        from scipy.signal import find_peaks  # half a second, which the first answer need not wait
+        # Half a second, which the first answer need not wait.
+        from scipy.signal import find_peaks, peak_widths
 
         if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
             return None
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
         level = np.log(np.maximum(smooth, np.finfo(float).tiny))
         tops, _ = find_peaks(level, prominence=np.log(PROMINENCE))
-        peaks = (self._peak_at(int(top), smooth) for top in tops)
-        genuine = [
-            p
-            for p in peaks
-            if p.bandwidth <= p.frequency
-            and p.high < PEAK_BAND * self.band
-            and p.share >= PEAK_SHARE
-        ]
-        return max(genuine, key=lambda p: p.share, default=None)
-
-    def _peak_at(self, top: int, smooth: Float[np.ndarray, " frequencies"]) -> Peak:
-        from scipy.signal import peak_widths
-
-        # As prominence the whole height, so that half the prominence is half the power.
-        height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
-        edges = peak_widths(smooth, [top], prominence_data=height)
-        low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
-        inside = (self.frequency >= low) & (self.frequency <= high)
         # The mean is no oscillation, so it does not count.
         total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
-        power = np.sum(self.error, where=inside)
-        whole = np.sum(self.target)
-        return Peak(
-            float(self.frequency[top]),
-            low,
-            high,
-            float(power / total) if total > 0 else 0.0,
-            float(np.sqrt(power / whole)) if whole > 0 else 0.0,
-        )
+        whole, genuine = np.sum(self.target), []
+        for top in tops.tolist():
+            # As prominence the whole height, so that half the prominence is half the power.
+            height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
+            edges = peak_widths(smooth, [top], prominence_data=height)
+            low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
+            inside = (self.frequency >= low) & (self.frequency <= high)
+            power = np.sum(self.error, where=inside)
+            share = float(power / total) if total > 0 else 0.0
+            size = float(np.sqrt(power / whole)) if whole > 0 else 0.0
+            peak = Peak(float(self.frequency[top]), low, high, share, size)
+            narrow = peak.bandwidth <= peak.frequency and high < PEAK_BAND * self.band
+            if narrow and share >= PEAK_SHARE:
+                genuine.append(peak)
+        return max(genuine, key=lambda peak: peak.share, default=None)
 
 
 def error_spectrum(
