@@ -668,16 +668,14 @@ def search(
     # The point differentiates by anything in `problem`, forward and in reverse.
     point = _implicit(jax.lax.stop_gradient(solution.value), problem)
     theta, initial = problem.values(point)
-    status = RefinementStatus.failed
-    for ended, said in (
-        (
-            solution.result == optx.RESULTS.nonlinear_max_steps_reached,
-            RefinementStatus.out_of_steps,
-        ),
-        (solution.result == optx.RESULTS.successful, RefinementStatus.converged),
-        (begun.status == RefinementStatus.not_finite, RefinementStatus.not_finite),
+    status, ended = RefinementStatus.failed, optx.RESULTS
+    for result, reason in (
+        (ended.nonlinear_max_steps_reached, RefinementStatus.out_of_steps),
+        (ended.successful, RefinementStatus.converged),
     ):
-        status = RefinementStatus.where(ended, said, status)
+        status = RefinementStatus.where(solution.result == result, reason, status)
+    lost = RefinementStatus.not_finite
+    status = RefinementStatus.where(begun.status == lost, lost, status)
     expansion, steps = solution.aux.aside, begun.steps + solution.stats["num_steps"]
     reached = Reached(theta, initial, expansion.energy, status, steps)
     at_bound = problem.coordinates.at_bound(theta)

@@ -31,8 +31,7 @@ from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
-from riecjax.records.record import Record, filled_up
-from riecjax.records.signal import both
+from riecjax.records.record import Record, both, filled_up
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.stage_sums import moments_of_drawn
