@@ -91,8 +91,7 @@ def test_bartletts_variance_is_the_scatter_over_many_independent_pairs():
     values, said = [], []
     for seed in range(400):
         one, other = filtered(taps, 1, np.random.default_rng(seed).normal(size=(2, 900)))
-        whole = np.ones(900, bool)
-        found = cross_correlation(Series(one, whole), Series(other, whole), 1, 1.0)
+        found = cross_correlation(*(Series(x, np.ones(900, bool)) for x in (one, other)), 1, 1.0)
         values.append(found.values[1])
         said.append(bartlett_variance(one - one.mean(), other - other.mean()))
     assert np.mean(said) == pytest.approx(np.var(values), rel=0.2)

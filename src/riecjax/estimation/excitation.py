@@ -8,7 +8,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from riecjax.compilation import kept_jit
 from riecjax.equations.hidden_elements import is_mode_name, is_stiffness_name
@@ -20,27 +19,25 @@ from riecjax.estimation.stages import StageSolution, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
 
 
-def raise_if_nothing_to_fit(
-    plan: ParameterPlan, counts: Sequence[ArrayLike], sums: Sequence[ArrayLike]
-) -> None:
+def raise_if_nothing_to_fit(plan: ParameterPlan, totals: Sequence[NormalEquations]) -> None:
     """Refuse a stage without rows, or with sums that are not finite numbers (not under jit).
 
-    **Arguments:** of each stage of the plan, `counts` of its rows and `sums` of their products.
+    **Arguments:** `totals` of each stage of the plan.
 
     **Raises:** `DataError` naming the stage.
     """
-    for (label, unknown), count in zip(plan.stages, counts):
-        if unknown and not bool(np.sum(np.asarray(count)) > 0):
+    for (label, unknown), total in zip(plan.stages, totals):
+        if unknown and not bool(np.asarray(total.count) > 0):
             raise DataError(
                 f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
                 f"or repair the record's gaps."
             )
-    for (label, _), values in zip(plan.stages, sums):
-        if not bool(np.all(np.isfinite(values))):
+    for (label, _), total in zip(plan.stages, totals):
+        if not bool(np.all(np.isfinite(total.moments))):
             raise DataError(
                 f"{label}: its terms are not finite numbers on this record: a division by zero, a "
                 f"root of a negative number, or values too large to be squared. Scale the signals "
@@ -205,11 +202,8 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
     **Raises:** `DataError` for a stage without rows, or with terms that are not finite.
     """
     equations = summary.equations()
-    counts, sums = (
-        [sum(getattr(e, of).sum() for e in stage) for stage in equations]
-        for of in ("count", "moments")
-    )
-    raise_if_nothing_to_fit(plan, counts, sums)
+    totals = [sum_of_equations([e.flattened().total() for e in stage]) for stage in equations]
+    raise_if_nothing_to_fit(plan, totals)
 
     def with_surveyed_noise(i: int, j: int) -> NormalEquations:
         records = equations[i][j].of_records()
@@ -221,11 +215,11 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
         each: Any = np.stack([nothing if s is None else np.asarray(s.noise) for s in found])
         return records.with_noise(each * records.count[:, None, None], records.of_source)
 
-    totals = [
+    of_records = [
         [with_surveyed_noise(i, j) for j, _ in enumerate(stage)]
         for i, stage in enumerate(equations)
     ]
-    found, by_stage = on_host(_excitations(totals, plan))
+    found, by_stage = on_host(_excitations(of_records, plan))
     if all(e.noise is None for stage in equations for e in stage):
         return found
     # The source of noise that adds most to each stage's noisiest combination.

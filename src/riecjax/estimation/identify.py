@@ -177,7 +177,7 @@ def _estimated(
         apart = jnp.where(other.shown & jnp.all(jnp.isfinite(apart)), apart, 0.0)
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
-        raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
+        raise_if_nothing_to_fit(plan, fit.totals)
         # Sums that were made under jit have no constant to tell means from motion by.
         with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
         if with_constant and modes is None:
@@ -216,7 +216,7 @@ def _estimated(
 
 class _Fit(NamedTuple):
     """What `Estimate` takes from a fit; and of each stage of the procedure, those that find nothing
-    included, `counts` of rows and `totals` of their products, to refuse it by."""
+    included, the `totals` to refuse it by."""
 
     theta: Float[Array, " p"]
     stages: list[StageSolution]
@@ -225,8 +225,7 @@ class _Fit(NamedTuple):
     inflation: Float[Array, " p"]
     block_count: Int[Array, ""]
     block_length: Float[Array, ""]
-    counts: list[Float[Array, ""]]
-    totals: list[Float[Array, "columns columns"]]
+    totals: list[NormalEquations]
 
 
 class _Sums(NamedTuple):
@@ -261,7 +260,6 @@ def _solve(
     )
     uncertainty = uncertainty.widened(level_covariance(statistics, stages, sums.freedom, values))
     block_count = jnp.sum(statistics.used)
-    totals = [stage.flattened().total() for stage in stages]
     return _Fit(
         jnp.concatenate([stage.solution.theta for stage in solutions]),
         solutions,
@@ -270,8 +268,7 @@ def _solve(
         inflation,
         block_count,
         jnp.sum(sums.short.durations) / block_count,
-        [total.count for total in totals],
-        [total.moments for total in totals],
+        [stage.flattened().total() for stage in stages],
     )
 
 

@@ -62,19 +62,16 @@ class NormalEquations(eqx.Module):
 
     def in_blocks(self, of_blocks: Callable[[Array], Array]) -> "NormalEquations":
         """The same with something done to the leading axes; sources are no longer told apart."""
-        noise = None if self.noise is None else of_blocks(self.noise)
-        return NormalEquations(
-            of_blocks(self.moments), of_blocks(self.count), self.parameters, noise
-        )
+        moments, count, noise = jax.tree.map(of_blocks, (self.moments, self.count, self.noise))
+        return NormalEquations(moments, count, self.parameters, noise)
 
     def in_columns(
         self, of_matrix: Callable[[Array], Array], parameters: tuple[str, ...]
     ) -> "NormalEquations":
         """The same of other columns: something linear done to every matrix."""
-        noise, of_source = (
-            None if matrix is None else of_matrix(matrix) for matrix in (self.noise, self.of_source)
-        )
-        return NormalEquations(of_matrix(self.moments), self.count, parameters, noise, of_source)
+        matrices = (self.moments, self.noise, self.of_source)
+        moments, noise, of_source = jax.tree.map(of_matrix, matrices)
+        return NormalEquations(moments, self.count, parameters, noise, of_source)
 
     def with_noise(self, noise: Array | None, of_source: Array | None = None) -> "NormalEquations":
         """The same moments, of which this is noise."""

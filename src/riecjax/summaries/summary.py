@@ -4,7 +4,6 @@ import dataclasses
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -290,9 +289,9 @@ class Summary(Shown, eqx.Module):
 
         def in_band(recording: RecordingSums, i: int, j: int) -> NormalEquations:
             sums = recording.stages[i][j]
-            moments, count, noise, of_source = (
-                _of_bins(leaf, first, last)
-                for leaf in (sums.moments, sums.count, sums.noise, sums.noise_of_source)
+            moments, count, noise, of_source = jax.tree.map(
+                lambda bins: bins[first:last].sum(0),
+                (sums.moments, sums.count, sums.noise, sums.noise_of_source),
             )
             if of_source is None:
                 sources = len(recording.noise.sources)
@@ -385,13 +384,6 @@ def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
     if not summaries:
         raise ModelError("at least one Summary is needed.")
     return summaries[0].merge(*summaries[1:])
-
-
-def _of_bins(leaf: Any, first: int, last: int) -> Any:
-    """The sum over some bins along the leading axis, `None` of `None`."""
-    if leaf is None:
-        return None
-    return leaf[first] if last == first + 1 else leaf[first:last].sum(0)
 
 
 def _edges_of(summary: Summary) -> np.ndarray:
