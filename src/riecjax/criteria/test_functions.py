@@ -323,29 +323,21 @@ class _Differences(AbstractTestFunction):
         are cubes of a chunk's length, beside which those of a window have no digit left."""
         if self.smoothness == 2 and columns.values.dtype == jnp.float32:
             return None
-        points = self._points(columns, windows, blocks)
-        weights = boxcar_noise_weights if self.smoothness == 1 else hat_noise_weights
-        return None if points is None else weights(points, self.quadrature, columns.time_step)
-
-    def _points(
-        self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
-    ) -> Points | None:
         present, n = columns.present, columns.sample_count
         if isinstance(windows, LagBins):
-            return points_of_windows(present, n, windows, blocks, self.smoothness)
-        if not jnp.issubdtype(windows.start.dtype, jnp.integer):
+            points = points_of_windows(present, n, windows, blocks, self.smoothness)
+        elif not jnp.issubdtype(windows.start.dtype, jnp.integer):
             return None
-        whole = valid_windows(windows, present)
-        one = jnp.ones(windows.start.shape) if whole is None else whole.astype(float)
-        half = (windows.stop - windows.start) // 2
-        middle = windows.start + half
-
-        def at(place: Array, weight: Array) -> Array:
-            return jnp.zeros(n, one.dtype).at[place].add(weight)
-
-        return Points(
-            at(windows.start, one), at(middle, one), at(middle, half * one), at(windows.stop, one)
-        )
+        else:
+            whole = valid_windows(windows, present)
+            one = jnp.ones(windows.start.shape) if whole is None else whole.astype(float)
+            half = (windows.stop - windows.start) // 2
+            places = windows.start, windows.start + half, windows.start + half, windows.stop
+            nothing = jnp.zeros(n, one.dtype)
+            each = zip(places, (one, one, half * one, one))
+            points = Points(*(nothing.at[place].add(weight) for place, weight in each))
+        weights = boxcar_noise_weights if self.smoothness == 1 else hat_noise_weights
+        return weights(points, self.quadrature, columns.time_step)
 
 
 class Boxcar(_Differences):

@@ -201,13 +201,40 @@ class Summary(Shown, eqx.Module):
             for source, degrees in one.noise.freedom.items():
                 freedom[source] = np.asarray(freedom.get(source, 0.0) + np.asarray(degrees, float))
         noise = Noise(kernels, freedom)
-        sources = [one.noise.sources for one in every]
+
+        def pooled(i: int, j: int) -> EquationSums:
+            """The sums of one equation side by side."""
+            sums = [one.stages[i][j] for one in every]
+            shape = np.asarray(sums[0].moments).shape
+            # Of what no noise is known nothing is taken off.
+            added = [np.zeros_like(e.moments) if e.noise is None else e.noise for e in sums]
+            by_source = np.zeros((shape[0], len(noise.sources), *shape[2:]))
+            for one, equation in zip(every, sums):
+                if equation.noise_of_source is not None:
+                    place = [noise.sources.index(name) for name in one.noise.sources]
+                    by_source[:, place] += np.asarray(equation.noise_of_source)
+            known = any(equation.noise is not None for equation in sums)
+            constant = [e.constant for e in sums if e.constant is not None]
+            factor = None
+            if any(equation.factor is not None for equation in sums):
+                grams = [np.asarray(equation.moments).sum((0, 1)) for equation in sums]
+                factors = [e.factor for e in sums]
+                factor = joined_factor(
+                    [factor_of_gram(g) if f is None else f for g, f in zip(grams, factors)]
+                )
+            return EquationSums(
+                moments=np.concatenate([equation.moments for equation in sums], axis=1),
+                count=np.concatenate([equation.count for equation in sums], axis=1),
+                survey=None,
+                factor=factor,
+                parameters=sums[0].parameters,
+                noise=np.concatenate(added, axis=1) if known else None,
+                noise_of_source=by_source if known else None,
+                constant=np.concatenate(constant, axis=1) if len(constant) == len(sums) else None,
+            )
+
         stages = [
-            [
-                _pooled([one.stages[i][j] for one in every], sources, noise.sources)
-                for j, _ in enumerate(stage)
-            ]
-            for i, stage in enumerate(every[0].stages)
+            [pooled(i, j) for j, _ in enumerate(stage)] for i, stage in enumerate(every[0].stages)
         ]
         digests = b"".join(np.asarray(one.digest).astype(">u4").tobytes() for one in every)
         joined = RecordingSums(
@@ -411,36 +438,3 @@ def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
         return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
 
     return min(one, other, key=rank)
-
-
-def _pooled(
-    every: Sequence[EquationSums], had: Sequence[Sequence[str]], sources: Sequence[str]
-) -> EquationSums:
-    """The sums of one equation side by side, each recording's with the `sources` that it `had`."""
-    shape = np.asarray(every[0].moments).shape
-    # Of what no noise is known nothing is taken off.
-    noise = [np.zeros_like(one.moments) if one.noise is None else one.noise for one in every]
-    by_source = np.zeros((shape[0], len(sources), *shape[2:]))
-    for one, names in zip(every, had):
-        if one.noise_of_source is not None:
-            by_source[:, [sources.index(name) for name in names]] += np.asarray(one.noise_of_source)
-    known = any(one.noise is not None for one in every)
-    constant = [one.constant for one in every if one.constant is not None]
-    return EquationSums(
-        moments=np.concatenate([one.moments for one in every], axis=1),
-        count=np.concatenate([one.count for one in every], axis=1),
-        survey=None,
-        factor=_factor(every),
-        parameters=every[0].parameters,
-        noise=np.concatenate(noise, axis=1) if known else None,
-        noise_of_source=by_source if known else None,
-        constant=np.concatenate(constant, axis=1) if len(constant) == len(every) else None,
-    )
-
-
-def _factor(every: Sequence[EquationSums]) -> np.ndarray | None:
-    if all(one.factor is None for one in every):
-        return None
-    sums = [np.asarray(one.moments).sum((0, 1)) for one in every]
-    given = [one.factor for one in every]
-    return joined_factor([factor_of_gram(s) if f is None else f for s, f in zip(sums, given)])
