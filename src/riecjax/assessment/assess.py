@@ -108,7 +108,7 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     procedure, records, criterion = asked.procedure, asked.records, asked.criterion
     require_memory_to_assess(procedure, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
-    plan = plan_parameters(procedure, len(records), **asked.settings)
+    table = plan_parameters(procedure, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
     sweep = settings.sweep and not procedure.has_hidden
     bins = None
@@ -118,8 +118,8 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     with explaining_errors(asked.fitted):
         summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
     estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
-    evidence, ordinary = _about_hidden(procedure, estimate, summary, plan.given)
-    excited = excitations(ordinary, plan)
+    evidence, ordinary = _about_hidden(procedure, estimate, summary, table.known)
+    excited = excitations(ordinary, table)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
     doubted = refusal_by(finding for stage in excited for finding in stage.findings())
@@ -209,9 +209,9 @@ def assess_summary(
     model = as_model(model)
     procedure = model.build_procedure() if procedure is None else procedure
     found = on_host(estimate_of(procedure, summary, known=known, intervals=intervals))
-    plan = plan_parameters(procedure, len(summary.recordings), known, ())
-    evidence, ordinary = _about_hidden(procedure, found, summary, plan.given)
-    excited = excitations(ordinary, plan)
+    table = plan_parameters(procedure, len(summary.recordings), known, ())
+    evidence, ordinary = _about_hidden(procedure, found, summary, table.known)
+    excited = excitations(ordinary, table)
     raise_if_refused(excited)
     told = [*findings, *(finding for stage in excited for finding in stage.findings())]
     sweep = None

@@ -1,6 +1,6 @@
-"""What a search for missing terms found.
+"""What a search for further terms found.
 
-A hidden mode that is missing, instead of terms or beside them.
+A further hidden mode, instead of terms or beside them.
 
 An oscillator on a body rings in the body's equation. Terms of its velocity and position explain a
 part of that, one more for each thing that it does, and are no forces of the machine. Its three
@@ -20,7 +20,6 @@ from riecjax.equations.hidden_elements import (
     accelerated,
     mode_frequency,
 )
-from riecjax.equations.procedure import told_apart
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.findings import Finding
@@ -77,7 +76,7 @@ class Discovery(Shown):
     - `findings`: what is amiss with the recordings, also signals that are late against the
       equations that were found.
     - `delays`, seconds by which such signals were advanced before terms were chosen.
-    - `mode`: a hidden mode that is missing, where much less is left with it; `chosen` are then
+    - `mode`: a further hidden mode, where much less is left with it; `chosen` are then
       those terms that were found without it and are told from zero beside it.
     """
 
@@ -103,7 +102,7 @@ class Discovery(Shown):
 
     @property
     def leaves_more(self) -> bool:
-        """Whether most of what is left is no noise, so that something else is missing."""
+        """Whether most of what is left is no noise, so that a model lacks something else."""
         return any(is_more_than_noise(steps[-1]) for steps in self.paths.values())
 
     @property
@@ -118,7 +117,7 @@ class Discovery(Shown):
 
 LEAVES = 0.3
 """Of the error beyond noise that terms leave, rms, what is left with a mode at most that is
-missing: a tenth of the energy."""
+added: a tenth of the energy."""
 TOLD = 3.0
 """Standard errors from zero of a term that stays beside a mode; without the mode it may have stood
 for it."""
@@ -137,11 +136,11 @@ def with_mode(
     same with standard errors by blocks of time, whatever intervals were asked for; `with_terms`,
     the model that was given with some of what was chosen.
     """
-    equations = found.start.build_procedure().equations
-    names = told_apart([equation.name for equation in equations])
-    bodies = {name: accelerated(one) for name, one in zip(names, equations, strict=True)}
+    procedure = found.start.build_procedure()
+    stages = {name: " + ".join(names) for names in procedure.equation_names for name in names}
+    bodies = {n: accelerated(one) for n, one in zip(stages, procedure.equations, strict=True)}
     fits, both = found.estimate.equations, (identified, by_blocks)
-    for name in sorted((n for n in names if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
+    for name in sorted((n for n in stages if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
         most = LEAVES * float(fits[name].model_rms)
         for on in reversed(bodies[name]):
             try:
@@ -152,7 +151,7 @@ def with_mode(
                 start = identified(found.start) if found.chosen else found.estimate
                 number = ModeParameters.of(len(found.start.modes))
                 frequency, _ = mode_frequency(estimate.values, number)
-                stage = next((key for key in found.paths if name in key.split(" + ")), name)
+                stage = stages[name] if stages[name] in found.paths else name
                 terms = " + ".join(one.candidate.name for one in chosen)
                 beside = [_step(terms, fits[name])] if chosen else []
                 last = _step("mode", estimate.equations[name])

@@ -166,14 +166,14 @@ def check_sums(
     asked = task(model, recordings, criterion, key)
     procedure, plain, criterion, _ = asked
     read = [read_of(procedure, one, criterion, summary is not None) for one in recordings]
-    plan = plan_parameters(procedure, len(plain), known, per_record)
+    table = plan_parameters(procedure, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
     if procedure.has_hidden:
         from riecjax.estimation.mode_windows import linearised
 
-        summary = linearised(procedure, summary, plan.given)
-    excited = excitations(summary, plan) if excited is None else excited
-    settings = procedure, plan, summary
+        summary = linearised(procedure, summary, table.known)
+    excited = excitations(summary, table) if excited is None else excited
+    settings = procedure, table, summary
     # Deviations from the mean are no regressors of hidden elements.
     constant = (
         () if procedure.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
@@ -246,7 +246,7 @@ def recording_findings(
     Each finding names the parameters that it concerns, those of equations that read its signals;
     one that names none concerns all.
 
-    **Raises:** `DataError` for a missing signal or a record shorter than a window.
+    **Raises:** `DataError` for an absent signal or a record shorter than a window.
     """
     read, record = read_of(procedure, recording, criterion, summed=True), recording.record
     equations = [(e, e.signals_read(record, criterion.smoothness)) for e in procedure.equations]

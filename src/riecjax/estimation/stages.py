@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.procedure import Procedure
-from riecjax.estimation.parameters import Sharing
+from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import namespace
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.records.record import Record
@@ -83,12 +83,12 @@ def solve_rows(rows: Rows) -> Solution:
     theta = lx.linear_solve(
         lx.MatrixLinearOperator(matrix), rows.target, solver=lx.SVD(rcond=tolerance), throw=False
     ).value
-    # With fewer rows than parameters the missing singular values are zero.
-    missing = max(matrix.shape[1] - matrix.shape[0], 0)
+    # With fewer rows than parameters the further singular values are zero.
+    further = max(matrix.shape[1] - matrix.shape[0], 0)
     _, singular_values, right = jnp.linalg.svd(
-        jax.lax.stop_gradient(matrix), full_matrices=missing > 0
+        jax.lax.stop_gradient(matrix), full_matrices=further > 0
     )
-    singular_values = jnp.pad(singular_values, (0, missing))
+    singular_values = jnp.pad(singular_values, (0, further))
     return _solution(theta * scale, singular_values[::-1], right[-1], tolerance)
 
 
@@ -251,7 +251,7 @@ def _shrinkage(
 
 def all_normal_equations(
     procedure: Procedure,
-    sharing: Sharing,
+    table: ParameterTable,
     records: list[Record],
     criterion: AbstractCriterion,
     keys: list[Key[Array, ""] | None],
@@ -261,28 +261,28 @@ def all_normal_equations(
         stage_normal_equations(procedure, record, criterion, key, blocks=True)
         for record, key in zip(records, keys)
     ]
-    return [_over_records(stack_normal_equations(parts), sharing) for parts in zip(*every)]
+    return [_over_records(stack_normal_equations(parts), table) for parts in zip(*every)]
 
 
 def stages_over_records(
-    equations: list[list[NormalEquations]], sharing: Sharing
+    equations: list[list[NormalEquations]], table: ParameterTable
 ) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
     """Normal equations of stages, and of each equation, among the parameters of all records.
 
     **Arguments:** `equations` of each stage, with a leading axis of records.
     """
-    apart = [[_over_records(e, sharing) for e in stage] for stage in equations]
+    apart = [[_over_records(e, table) for e in stage] for stage in equations]
     return [sum_of_equations(stage) for stage in apart], apart
 
 
-def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+def _over_records(equations: NormalEquations, table: ParameterTable) -> NormalEquations:
     """Normal equations with a leading axis of records, among the parameters of all of them."""
     names = equations.parameters
-    if not sharing.own:
+    if not table.per_record:
         return equations
     every = []
     for i in range(equations.count.shape[0]):
         record = jax.tree.map(operator.itemgetter(i), equations)
-        record = record.in_columns(lambda matrix: matrix, sharing.of_record(names, i))
-        every.append(record.embed(sharing.everywhere(names)))
+        record = record.in_columns(lambda matrix: matrix, table.of_record(names, i))
+        every.append(record.embed(table.everywhere(names)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)

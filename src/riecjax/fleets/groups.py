@@ -76,10 +76,10 @@ def named(rows: Iterable[Row], by: Sequence[str], allow_duplicates: bool) -> lis
             name = row.whole_name
         elif by[0] == "folder":
             name = row.name.rpartition("/")[0] or "."
-        elif missing := [key for key in by if key not in keys]:
+        elif lacking := [key for key in by if key not in keys]:
             if status == DONE:
                 status = (
-                    f"{row.name}: neither the path nor a column says the recording's {missing[0]}; "
+                    f"{row.name}: neither the path nor a column says the recording's {lacking[0]}; "
                     f"what there is: {', '.join(keys) or 'nothing'}."
                 )
         else:
@@ -180,7 +180,7 @@ def _answers(
             intervals=order.settings.intervals,
         )
         estimate, levels = assessment.estimate, assessment.verdict.parameters
-        ends, units = estimate.interval_by_name(), dict(estimate.units)
+        ends = estimate.interval_by_name()
         concerned = [(f.code, assessment.parameters_of(f)) for f in assessment.findings()]
         for name, error in zip(estimate.parameters, np.asarray(estimate.standard_errors)):
             codes = dict.fromkeys(code for code, names in concerned if name in names)
@@ -188,7 +188,7 @@ def _answers(
                 *place,
                 parameter=name,
                 value=float(estimate[name]),
-                unit=units.get(name, ""),
+                unit=estimate.table[name].unit,
                 std_error=float(error),
                 low95=float(ends[name][0]),
                 high95=float(ends[name][1]),

@@ -29,7 +29,7 @@ from riecjax.equations.memories import with_memories
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.parameters import values_of_record
+from riecjax.estimation.parameters import values_in_recording
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record, runs
 
@@ -229,14 +229,11 @@ def errors_over_records(
         )
     procedure = as_procedure(model)
     records = [with_memories(record, procedure.memories) for record in records]
-    own = [values_of_record(values, i) for i in range(len(records))]
+    names = procedure.parameters
+    own = [values_in_recording(names, values, i) for i in range(len(records))]
     # Only what the equations read: other names would compile them anew.
     parts = [
-        _compiled(
-            in_motion(procedure, record),
-            record,
-            {name: _value(v, name) for name in procedure.parameters},
-        )
+        _compiled(in_motion(procedure, record), record, {name: _value(v, name) for name in names})
         for record, v in zip(records, own)
     ]
     return [list(of_equation) for of_equation in zip(*parts)]
