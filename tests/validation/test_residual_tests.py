@@ -91,7 +91,8 @@ def test_bartletts_variance_is_the_scatter_over_many_independent_pairs():
     values, said = [], []
     for seed in range(400):
         one, other = filtered(taps, 1, np.random.default_rng(seed).normal(size=(2, 900)))
-        found = cross_correlation(*(Series(x, np.ones(900, bool)) for x in (one, other)), 1, 1.0)
+        error, signal = (Series(x, np.ones(900, bool)) for x in (one, other))
+        found = cross_correlation(error, signal, 1, 1.0)
         values.append(found.values[1])
         said.append(bartlett_variance(one - one.mean(), other - other.mean()))
     assert np.mean(said) == pytest.approx(np.var(values), rel=0.2)
