@@ -50,8 +50,7 @@ from riecjax.equations.memories import with_memories
 from riecjax.equations.procedure import Procedure
 from riecjax.equations.term import AbstractTerm
 from riecjax.records.recording import Recording
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import sum_of_equations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 

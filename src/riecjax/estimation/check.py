@@ -295,38 +295,31 @@ def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
             )
 
 
-def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Finding]:
+def _windows(records: list[Record], criterion: AbstractCriterion) -> Iterator[Finding]:
     windows = criterion.windows
     if windows is None:
-        return []
-    findings = []
+        return
     alpha, beta = float(windows.alpha), float(windows.beta)
     coarsest = max(float(record.time_step) for record in records)
     fewest = criterion.test_function.fewest_samples
     if alpha < (fewest - 0.5) * coarsest:
-        findings.append(
-            Finding(
-                "short_windows",
-                f"the shortest window, {alpha:g} s, spans {alpha / coarsest:.1f} samples of "
-                f"{coarsest:g} s; below {fewest} it is hardly an integral. Choose a larger "
-                f"alpha, or sample faster.",
-            )
+        yield Finding(
+            "short_windows",
+            f"the shortest window, {alpha:g} s, spans {alpha / coarsest:.1f} samples of "
+            f"{coarsest:g} s; below {fewest} it is hardly an integral. Choose a larger alpha, or "
+            f"sample faster.",
         )
     stretches = sum(round(float(record.duration) / (2 * beta)) for record in records)
     if stretches < FEWEST_STRETCHES:
         total = sum(float(record.duration) for record in records)
-        findings.append(
-            Finding(
-                "short_record",
-                f"{total:.3g} s recorded are only {stretches} stretches of twice the longest "
-                f"window, {beta:g} s; intervals will be rough. Record for longer or choose a "
-                f"smaller beta.",
-            )
+        yield Finding(
+            "short_record",
+            f"{total:.3g} s recorded are only {stretches} stretches of twice the longest window, "
+            f"{beta:g} s; intervals will be rough. Record for longer or choose a smaller beta.",
         )
-    return findings
 
 
-def _quadrature(summary: Summary) -> list[Finding]:
+def _quadrature(summary: Summary) -> Iterator[Finding]:
     """Compare the integrals with those of the highest order: how far the sampling carries."""
     sums: dict[str, Float[np.ndarray, "2"]] = {}
     for survey, names in _surveys(summary):
@@ -339,10 +332,8 @@ def _quadrature(summary: Summary) -> list[Finding]:
         for name, (error, size) in sums.items()
     }
     worst = max(shares, key=lambda name: shares[name])
-    if shares[worst] <= QUADRATURE_ERROR:
-        return []
-    return [
-        Finding(
+    if shares[worst] > QUADRATURE_ERROR:
+        yield Finding(
             "coarse_sampling",
             f"the motion is sampled so coarsely that its integrals are "
             f"{100 * shares[worst]:.2g} % off (at {worst}). Use quadrature of higher order (on the "
@@ -351,7 +342,6 @@ def _quadrature(summary: Summary) -> list[Finding]:
             parameters=() if worst == KNOWN_TERMS else (worst,),
             doubt=min(float(shares[worst]), 1.0),
         )
-    ]
 
 
 def _surveys(summary: Summary) -> Iterator[tuple[Survey, tuple[str, ...]]]:

@@ -126,29 +126,19 @@ class ModeEvidence(Drawn):
         first = names == ModeParameters.of(0)
         close = "" if first else ", or cannot tell it from another that lies close"
         mode = f"the hidden mode on {self.on} ({names.mass})"
+        message = (
+            f"{self.stage}: the recordings do not carry this mode{close}: on time that it was not "
+            f"found from, {mode} explains {100 * max(self.explained, 0.0):.2g} % of what is left "
+            f"without it ({shares}). Leave it out; something else is missing, such as friction or "
+            f"a delay, or nothing."
+        )
         if not self.oscillates and self.explained > LITTLE:
-            return [
-                Finding(
-                    "mode_not_carried",
-                    f"{self.stage}: what fits best in place of {mode} is no oscillator: its "
-                    f"mass, stiffness or damping is negative, or its damping more than critical. "
-                    f"Leave it out; something else is missing, such as a delay of one signal.",
-                    parameters=tuple(names),
-                ),
-                *elsewhere,
-            ]
-        return [
-            Finding(
-                "mode_not_carried",
-                f"{self.stage}: the recordings do not carry this mode{close}: on time "
-                f"that it was not found from, {mode} explains "
-                f"{100 * max(self.explained, 0.0):.2g} % of what is left without it "
-                f"({shares}). Leave it out; something else is missing, such as friction or a "
-                f"delay, or nothing.",
-                parameters=tuple(names),
-            ),
-            *elsewhere,
-        ]
+            message = (
+                f"{self.stage}: what fits best in place of {mode} is no oscillator: its mass, "
+                f"stiffness or damping is negative, or its damping more than critical. Leave it "
+                f"out; something else is missing, such as a delay of one signal."
+            )
+        return [Finding("mode_not_carried", message, parameters=tuple(names)), *elsewhere]
 
 
 def mode_evidence(

@@ -28,27 +28,23 @@ from riecjax.estimation.hidden_modes import ModeStage, Values, as_asked, search
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace, on_host
 from riecjax.linear_algebra import solve_scaled
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import sum_of_equations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import EquationSums, Survey
 from riecjax.uncertainty.block_statistics import block_influence
-
-Stages = list[list[NormalEquations]]
 
 
 class FoundModes(NamedTuple):
     """Where hidden elements are, what they were found from, and what is left to be solved.
 
-    **Fields:** `equations` of each stage, linearised about them, and what each source of noise
-    adds to them, `sources`; `mixes`, of each stage the combinations of its equations' columns that
-    these are; `at`, the shapes of each stage's elements; `bands`, of each stage the
-    bins of window lengths that it is solved from, `None` for all or under a trace; `lengths` of
-    these in seconds; whether the elements are `shown` in these at all.
+    **Fields:** `equations` of each stage, linearised about them; `mixes`, of each stage the
+    combinations of its equations' columns that these are; `at`, the shapes of each stage's
+    elements; `bands`, of each stage the bins of window lengths that it is solved from, `None` for
+    all or under a trace; `lengths` of these in seconds; whether the elements are `shown` in these
+    at all.
     """
 
-    equations: Stages
-    sources: Stages
+    equations: list[list[NormalEquations]]
     mixes: list[list[Float[Array, "1+p columns"]]]
     at: list[Float[Array, " shapes"]]
     bands: list[tuple[int, int] | None]
@@ -85,13 +81,13 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 f"it out, or give both."
             )
     known = {name: jnp.asarray(value) for name, value in given.items()}
-    found = FoundModes([], [], [], [], [], [], jnp.array(True))
+    found = FoundModes([], [], [], [], [], jnp.array(True))
     shown = jnp.array(True)
-    equations, sources = summary.equations(), summary.noise_by_source()
+    equations = summary.equations()
     looked_at = is_concrete(equations, known) and not is_under_trace()
     for i, expanded in enumerate(procedure.expanded):
         stage = ModeStage.of(expanded, equations[i], known)
-        used, at, band = (equations[i], sources[i]), jnp.zeros(0), None
+        used, at, band = equations[i], jnp.zeros(0), None
         if stage.sought:
             where = tuple(search_band(procedure, summary, names) for names in stage.sought)
             wanted = tuple(
@@ -101,10 +97,10 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
             # The sums over the windows that tell most of the stage's elements.
             first, last = summary.band
             options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
-            every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
+            every = [summary.equations(option)[i] for option in options]
             stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
             settings = where, wanted, np.asarray(rank)
-            best, at, there = _searched(expanded, stacked[0], known, *settings)
+            best, at, there = _searched(expanded, stacked, known, *settings)
             if is_concrete(best):
                 used = every[int(best)]
                 band = options[int(best)] if summary.bins else None
@@ -125,10 +121,9 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
         asked = {name for e in later for name in e.all_parameters}
         mixes = []
         if any(e.elements for e in expanded) or asked.intersection(stage.linear):
-            *used, mixes, values = _contracted(expanded, *used, known, at, not looked_at)
+            used, mixes, values = _contracted(expanded, used, known, at, not looked_at)
             known |= values
-        found.equations.append(used[0])
-        found.sources.append(used[1])
+        found.equations.append(used)
         found.mixes.append(mixes)
         found.at.append(at)
         found.bands.append(band)
@@ -187,14 +182,13 @@ def _searched(
 def _contracted(
     expanded: tuple[Expanded, ...],
     sums: list[NormalEquations],
-    sources: list[NormalEquations],
     known: Values,
     at: Float[Array, " shapes"],
     moves: bool,
-) -> tuple[list[NormalEquations], list[NormalEquations], list[Array], dict[str, Array]]:
-    """Normal equations of expanded columns, made those of the model's own parameters; the same of
-    what noise adds; the combinations that these are, none of an equation without elements; and the
-    parameters' values, about which all are linearised.
+) -> tuple[list[NormalEquations], list[Array], dict[str, Array]]:
+    """Normal equations of expanded columns, made those of the model's own parameters; the
+    combinations that these are, none of an equation without elements; and the parameters' values,
+    about which all are linearised.
 
     **Arguments:** `moves`, whether anything may be differentiated: else the derivative of `at` is
     not even compiled.
@@ -203,16 +197,13 @@ def _contracted(
     at = at_minimum(stage, at) if stage.sought and moves else at
     values = stage.values(at) if stage.linear else stage.given
     mixes = [e.linearised(values) if e.elements else jnp.zeros((0, 0)) for e in expanded]
-    equations, added = (
-        [_mixed(*each) for each in zip(expanded, mixes, s)] for s in (sums, sources)
-    )
-    return equations, added, mixes, values
+    return [_mixed(*each) for each in zip(expanded, mixes, sums)], mixes, values
 
 
 def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquations:
     if not expanded.elements:
         return sums
-    return sums.each(lambda m: mix @ m @ mix.T, parameters=expanded.all_parameters)
+    return sums.in_columns(lambda m: mix @ m @ mix.T, expanded.all_parameters)
 
 
 def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
@@ -311,22 +302,20 @@ def _mixed_sums(
 ) -> EquationSums:
     """The sums of some bins, of combinations of their columns."""
 
-    def of(moments: Any) -> Any:
-        return None if moments is None else mix @ np.asarray(moments) @ mix.T
+    def together(bins: Leaf) -> Leaf:
+        return bins[slice(*band)].sum(0, keepdims=True)
 
-    def together(bins: Any) -> Any:
-        return None if bins is None else bins[slice(*band)].sum(0, keepdims=True)
+    def of(matrices: Leaf) -> Leaf:
+        return mix @ np.asarray(matrices) @ mix.T
+
+    def mixed(bins: Leaf) -> Leaf:
+        return of(together(bins))
 
     survey = sums.survey
     if survey is not None:
         noise, quadrature = of(survey.noise), of(survey.quadrature)
         survey = Survey(noise, quadrature, survey.rows @ mix.T, survey.start, survey.reach)
-    return EquationSums(
-        of(together(sums.moments)),
-        together(sums.count),
-        survey=survey,
-        factor=None,
-        parameters=expanded.all_parameters,
-        noise=of(together(sums.noise)),
-        noise_of_source=of(together(sums.noise_of_source)),
+    linear = dataclasses.replace(
+        sums, survey=survey, factor=None, parameters=expanded.all_parameters, constant=None
     )
+    return linear.each(together, moments=mixed, noise=mixed, noise_of_source=mixed)

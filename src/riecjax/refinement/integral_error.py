@@ -157,7 +157,7 @@ class ParametricBalance(eqx.Module):
         moving = tuple(name for name in self.parameters if name in free)
         levels = self._levels(record, held, smoothness)
         name, unit, where = self.label(held)
-        arrays: dict[str, Leaf] = {}
+        arrays: dict[str, Any] = {}
         terms: list[AbstractTerm] = []
         for order, level in levels.items():
             arrays[f"~:{order}"] = level.values

@@ -48,7 +48,6 @@ from riecjax.validation.residuals import (
     EquationResidual,
     ErrorSpectrum,
     ResidualTests,
-    unbroken,
 )
 from riecjax.validation.sweep import WindowSweep
 
@@ -397,7 +396,7 @@ def _share(residual: EquationResidual) -> str:
 def _figure(residual: EquationResidual) -> Chart:
     error, found = residual.error, residual.autocorrelation
     # The error and its target over the longest stretch's beginning.
-    runs = unbroken(np.asarray(error.present)) or [slice(0, 1)]
+    runs = error.series.runs() or [slice(0, 1)]
     run = max(runs, key=lambda each: each.stop - each.start)
     shown = slice(run.start, min(run.start + EXCERPT, run.stop))
     times = np.asarray(error.times)

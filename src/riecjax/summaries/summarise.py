@@ -8,19 +8,19 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
+from riecjax.equations.procedure import AtRest, HasProcedure, Procedure, as_procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
-from riecjax.records.recording import as_recordings, explaining_errors
+from riecjax.records.recording import explaining_errors
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import OnePass
 from riecjax.summaries.sensor_choice import with_less_noise
 from riecjax.summaries.stage_sums import traced_sums
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import RecordingSums
-from riecjax.summaries.task import Task, task
+from riecjax.summaries.task import Task, ready, task
 
 
 def summarise(
@@ -58,8 +58,9 @@ def summarise(
     windows, or for an expression that mixes samples of a long record; `DataError` for an absent
     signal or a record shorter than a window.
     """
-    asked = task(model, record, criterion, key, noise, at_rest)
-    with explaining_errors(as_recordings(record)):
+    recordings = ready(as_procedure(model), record, noise)
+    asked = task(model, recordings, criterion, key, at_rest)
+    with explaining_errors(recordings):
         return summed(asked, bins=bins, survey=survey, starts=starts)
 
 

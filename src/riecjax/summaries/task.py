@@ -1,7 +1,6 @@
 """What is to be summed, and everything of it that can be refused before any arithmetic."""
 
-import contextlib
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -66,34 +65,18 @@ class Task(NamedTuple):
 
 def task(
     model: Equation | Procedure | HasProcedure,
-    records: Records,
+    recordings: Sequence[Recording],
     criterion: "AbstractCriterion | Fit | None",
     key: Key[Array, ""] | None,
-    noise: GivenNoise = "auto",
     at_rest: AtRest | None = None,
 ) -> Task:
-    """What can be refused of records before arithmetic; see [`identify`][] for the arguments.
+    """What can be refused before arithmetic of recordings that are [`ready`][].
 
-    `criterion` may be what settings say of one.
-
-    Of the records' noise something is known from here on.
+    `criterion` may be what settings say of one; see [`identify`][] for the other arguments.
 
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
     procedure = with_rests(as_procedure(model), at_rest)
-    # No sums tell of springs in series with maps.
-    if maps := [
-        f"'{spring.of}'"
-        for spring in procedure.springs
-        if any((t := spring.element(e)) and not t.is_linear for e in procedure.equations)
-    ]:
-        raise ModelError(
-            f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
-            f"its parameters: identify it without (on the command line: without --add-spring), and "
-            f"refine it from there, in Python: rx.refine(model, record, "
-            f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
-        )
-    recordings = ready(procedure, records, noise)
     band = getattr(model, "band", None)
     sampled = [each.record for each in recordings]
     criterion = criterion_for(criterion, procedure, band, sampled)
@@ -102,28 +85,25 @@ def task(
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for recording in recordings:
+        record = recording.record
         with recording.explaining_errors():
-            criterion.check(recording.record)
-            _require_squares(procedure, recording.record, criterion)
+            criterion.check(record)
+            if not is_concrete(record.arrays):
+                continue
+            # A value that is read and too large to be squared.
+            sizes = {name: float(np.max(np.abs(values))) for name, values in record.arrays.items()}
+            huge = [name for name, size in sizes.items() if size > LARGEST]
+            for name in huge and signals_read(procedure, record, criterion):
+                if name in huge:
+                    place = int(np.argmax(np.abs(record.arrays[name])))
+                    raise DataError(
+                        f"{name} is {float(record.arrays[name][place]):.4g} at "
+                        f"{float(record.elapsed[place]):.6g} s, so large that its square is not "
+                        f"finite. If that is a spike, repair it (--outliers repair; in Python "
+                        f"rx.records.repair_outliers(record)); else scale the signals to SI units."
+                    )
     plain = [recording.record for recording in recordings]
     return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
-
-
-def _require_squares(procedure: Procedure, record: Record, criterion: AbstractCriterion) -> None:
-    """Raise `DataError` for a signal that is read and has a value too large to be squared."""
-    if not is_concrete(record.arrays):
-        return
-    sizes = {name: float(np.max(np.abs(values))) for name, values in record.arrays.items()}
-    huge = [name for name, size in sizes.items() if size > LARGEST]
-    for name in huge and signals_read(procedure, record, criterion):
-        if name in huge:
-            place = int(np.argmax(np.abs(record.arrays[name])))
-            raise DataError(
-                f"{name} is {float(record.arrays[name][place]):.4g} at "
-                f"{float(record.elapsed[place]):.6g} s, so large that its square is not finite. If "
-                f"that is a spike, repair it (--outliers repair; in Python "
-                f"rx.records.repair_outliers(record)); else scale the signals to SI units."
-            )
 
 
 def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> None:
@@ -142,7 +122,21 @@ def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> 
 
 
 def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
-    """Recordings with the velocities that only functions read, and with their noise judged."""
+    """Recordings with the velocities that only functions read, and with their noise judged.
+
+    **Raises:** `ModelError` for springs of which no sums tell.
+    """
+    if maps := [
+        f"'{spring.of}'"
+        for spring in procedure.springs
+        if any((t := spring.element(e)) and not t.is_linear for e in procedure.equations)
+    ]:
+        raise ModelError(
+            f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
+            f"its parameters: identify it without (on the command line: without --add-spring), and "
+            f"refine it from there, in Python: rx.refine(model, record, "
+            f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
+        )
 
     def of(recording: Recording) -> Recording:
         with recording.explaining_errors():
@@ -190,22 +184,16 @@ def signals_read(
     read: set[str] = set()
     for stage in procedure.stages:
         for equation in stage:
-            with _saying_whose_derivative(equation):
+            try:
                 read |= equation.signals_read(record, criterion.smoothness)
+            except MissingSignalError as error:
+                # If the equation calls it a derivative, say whose it is.
+                below = [of for of, name in equation.derivatives if name == error.signal]
+                known = next((of for of in below if of in error.available), "")
+                raise MissingSignalError(error.signal, error.available, known) from None
             if not summed:
                 eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
     return tuple(name for name in record.arrays if name in read)
-
-
-@contextlib.contextmanager
-def _saying_whose_derivative(equation: Equation) -> Iterator[None]:
-    """Of a missing signal that the equation calls a derivative, say whose it is."""
-    try:
-        yield
-    except MissingSignalError as error:
-        below = [of for of, name in equation.derivatives if name == error.signal]
-        known = next((of for of in below if of in error.available), "")
-        raise MissingSignalError(error.signal, error.available, known) from None
 
 
 def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:

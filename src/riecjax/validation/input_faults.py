@@ -79,36 +79,30 @@ def drifting_inputs(
             for n in equation.parameters
             if n in estimate.parameters and float(estimate[n])
         }
-        yield _finding(equation, record, name, drift, moved)
+        change, offset = drift.tolist()
+        unit = dict(record.units).get(name, "")
+        offset = offset if abs(offset) > 1e-3 * abs(change) else 0.0
+        remedy = line_taken_off(name, time, offset, change)
+        most = max(moved, key=lambda n: moved[n], default="")
+        without = f"; without it {most} changes by {100 * moved[most]:.2g} %" if moved else ""
+        yield Finding(
+            "drifting_signal",
+            f"what {equation.name} leaves grows evenly with time, as if {name} drifted by "
+            f"{f'{change:.3g} {unit}'.rstrip()} along the record{without}. Take it off (on the "
+            f"command line: {shlex.join(remedy)}), or look for what else changes with time, such "
+            f"as friction of a machine that warms up.",
+            (name,),
+            equation.parameters,
+            doubts=moved,
+            remedy=remedy,
+            step=f"Take the straight line off {name}",
+        )
 
 
 def _only_input(equation: Equation) -> str | None:
     """The signal of an equation's only known term."""
     inputs = [t.signal for t in equation.terms if not t.parameters]
     return inputs[0] if len(inputs) == 1 else None
-
-
-def _finding(
-    equation: Equation, record: Record, name: str, drift: np.ndarray, moved: dict[str, float]
-) -> Finding:
-    change, offset = drift.tolist()
-    time, unit = np.asarray(record.time), dict(record.units).get(name, "")
-    offset = offset if abs(offset) > 1e-3 * abs(change) else 0.0
-    remedy = line_taken_off(name, time, offset, change)
-    most = max(moved, key=lambda n: moved[n], default="")
-    without = f"; without it {most} changes by {100 * moved[most]:.2g} %" if moved else ""
-    return Finding(
-        "drifting_signal",
-        f"what {equation.name} leaves grows evenly with time, as if {name} drifted by "
-        f"{f'{change:.3g} {unit}'.rstrip()} along the record{without}. Take it off (on the command "
-        f"line: {shlex.join(remedy)}), or look for what else changes with time, such as friction "
-        f"of a machine that warms up.",
-        (name,),
-        equation.parameters,
-        doubts=moved,
-        remedy=remedy,
-        step=f"Take the straight line off {name}",
-    )
 
 
 class _Left(NamedTuple):
