@@ -18,7 +18,7 @@ import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 from benchmarks.measured.emps_axis import RisingAxis
 from riecjax.discovery.discovery import Discovery
-from riecjax.equations.term import AbstractShape
+from riecjax.equations.bases import AbstractShape
 from riecjax.models.model import as_model
 from riecjax.records.preparation import upsample
 from riecjax.refinement.output_error import OutputError, Tiles
@@ -98,7 +98,7 @@ def silverbox_found(data: Path) -> dict[str, Any]:
 def _shaped(procedure: rx.equations.Procedure) -> list[tuple[str, AbstractShape]]:
     """Laws with a width, by name."""
     every = (term for equation in procedure.equations for term in equation.terms)
-    named = [(term.prefix, term.basis) for term in every if isinstance(term, rx.Terms)]
+    named = [(str(term.name), term.basis) for term in every if term.basis is not None]
     return [(name, basis) for name, basis in named if isinstance(basis, AbstractShape)]
 
 

@@ -54,7 +54,7 @@ TABLE_3_TRUTH = {"M_us": 30.0, "M_s": 200.0, "M_mode": 100.0, "K_series": 500e3}
 Values = Mapping[str, Any]
 
 
-def damper(points: tuple[float, ...]) -> rx.Terms:
+def damper(points: tuple[float, ...]) -> rx.Term:
     """The damper's map on these break points."""
     return rx.Terms("F", RoofFunctions(points), of=suspension_velocity, unit="N")
 

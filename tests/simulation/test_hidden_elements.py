@@ -10,8 +10,8 @@ from tests.machines import LAG_MODEL as MODEL
 from tests.machines import LAG_TRUTH as TRUTH
 
 import riecjax as rx
+from riecjax.equations.expressions import difference
 from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import difference
 from riecjax.models.model import Model, Quantity, as_model
 from riecjax.refinement.objective import ByCoefficients, ByFunction
 from riecjax.simulation.equation_system import EquationSystem, WithModes
@@ -308,7 +308,7 @@ def test_validation_starts_a_spring_at_the_map():
     assert start == pytest.approx(expected, rel=1e-9)
 
 
-def body(damper: rx.Term | rx.Terms) -> rx.Equation:
+def body(damper: rx.Term) -> rx.Equation:
     """The body of the machines with another damper."""
     inertia, _, *others = BODY.terms
     return rx.Equation(inertia, damper, *others, name="body", unit="N")

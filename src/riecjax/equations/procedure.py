@@ -15,12 +15,13 @@ measured: what is simulated of them is what the sensors would show.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, Protocol, TypeAlias, TypeGuard
+from typing import Literal, Protocol, TypeAlias
 
 import equinox as eqx
 import numpy as np
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, constant, signals_read
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
@@ -31,7 +32,7 @@ from riecjax.equations.hidden_elements import (
     why_no_element,
 )
 from riecjax.equations.memories import Memory
-from riecjax.equations.term import AbstractTerm, Expression, Term, constant, signals_read
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.faults.derivative_pairs import Relation
@@ -39,14 +40,10 @@ from riecjax.records.record import Record
 from riecjax.shows import Shown
 
 
-def _is_of(term: AbstractTerm, signal: str) -> TypeGuard[Term]:
-    return isinstance(term, Term) and term.of == signal
-
-
 def _refuse_functions(equation: Equation, signal: str) -> None:
     """Refuse a function of the signal: in it, an offset or a gain is no coefficient."""
     for term in equation.terms:
-        if signal in signals_read(term.of) and not _is_of(term, signal):
+        if signal in signals_read(term.of) and term.signal != signal:
             raise ModelError(
                 f"{equation.name}: the term of {' and '.join(term.parameters) or 'no coefficient'} "
                 f"is a function of '{signal}', in which an unknown offset or gain is no "
@@ -169,11 +166,8 @@ class Procedure(Shown, eqx.Module):
         def extended(equation: Equation) -> Sequence[AbstractTerm]:
             # What is differentiated most often stands for the inertia, a named coefficient first;
             # of a force element, which has none, what it was given.
-            first = min(
-                equation.terms, key=lambda t: (-getattr(t, "derivative", 0), not t.parameters)
-            )
-            sign = getattr(first, "number" if isinstance(first, Term) else "sign", 1.0)
-            turned = is_concrete(sign) and float(np.asarray(sign)) < 0
+            first = min(equation.terms, key=lambda t: (-t.derivative, not t.parameters))
+            turned = is_concrete(first.factor) and float(np.asarray(first.factor)) < 0
             own = added.get(next(rest), ())
             return (*equation.terms, *(-term if turned else term for term in own))
 
@@ -191,7 +185,7 @@ class Procedure(Shown, eqx.Module):
 
         def terms(equation: Equation) -> list[AbstractTerm]:
             _refuse_functions(equation, signal)
-            own = [t for t in equation.terms if _is_of(t, signal) and t.derivative == 0]
+            own = [t for t in equation.terms if t.signal == signal and t.derivative == 0]
             if not own:
                 return [*equation.terms]
             if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
@@ -203,7 +197,7 @@ class Procedure(Shown, eqx.Module):
             if len(own) > 1:
                 raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
             name = own[0].name
-            number = -own[0].number
+            number = -own[0].factor
             label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
             of_unit = unit if name is None else equation.unit
             return [*equation.terms, Term(label, constant, unit=of_unit, sign=number)]
@@ -221,16 +215,15 @@ class Procedure(Shown, eqx.Module):
         """
 
         def changed(term: AbstractTerm) -> AbstractTerm:
-            if not _is_of(term, signal):
+            if term.signal != signal:
                 return term
             if term.name is not None:
                 raise ModelError(
                     f"the gain of '{signal}' cannot be told apart from '{term.name}', which "
                     f"multiplies it: {term.name} comes out multiplied by the gain."
                 )
-            order, number = term.derivative, term.number
-            measured = term.measured
-            return Term(f"gain_{signal}", term.of, derivative=order, measured=measured, sign=number)
+            order, measured, factor = term.derivative, term.measured, term.factor
+            return Term(f"gain_{signal}", term.of, derivative=order, measured=measured, sign=factor)
 
         def terms(equation: Equation) -> list[AbstractTerm]:
             _refuse_functions(equation, signal)

@@ -294,7 +294,7 @@ def _outline(procedure: Procedure) -> Outline:
     stages = tuple(
         tuple((e.equation.name, e.all_parameters) for e in stage) for stage in procedure.expanded
     )
-    return Outline(stages, tuple(procedure.units.items()), "")
+    return Outline(stages, procedure.parameters, tuple(procedure.units.items()), "")
 
 
 def _mixed_sums(

@@ -21,7 +21,6 @@ from riecjax.equations.procedure import (
     as_procedure,
     with_rests,
 )
-from riecjax.equations.term import Terms
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.computed import without_computed
@@ -130,7 +129,7 @@ def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") ->
     if maps := [
         f"'{spring.of}'"
         for spring in procedure.springs
-        if any(isinstance(spring.element(e), Terms) for e in procedure.equations)
+        if any((t := spring.element(e)) and not t.is_linear for e in procedure.equations)
     ]:
         raise ModelError(
             f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "

@@ -74,7 +74,7 @@ def _spring() -> Term:
     return Term("K_s", "x2", unit="N/m")
 
 
-def _damper() -> Terms:
+def _damper() -> Term:
     return Terms("F", RoofFunctions(BREAK_POINTS), of=suspension_velocity, unit="N")
 
 
