@@ -18,10 +18,11 @@ accelerations, so the residuals r of all equations are affine in z,
 
     r(z) = r0 + J z,    and they vanish at    z = -J^-1 r0,
 
-which is what a solver of differential equations asks for. r0 is r(0). Column i of J is the forward
-derivative of r along e_i: exact for any expression that reads z linearly, where a difference
-quotient would round, and all columns share one linearisation. J holds masses and their couplings;
-for one unknown z is a division.
+which is what a solver of differential equations asks for. J holds masses and their couplings. A
+term of an unknown itself gives its factor to J, and a term of known signals its value to r0; only
+where an expression reads unknowns J is its forward derivative, exact for any that reads them
+linearly, where a difference quotient would round. An equation with one unknown left is a division,
+which orders most mechanisms; what stays coupled is solved together.
 
 Hidden modes attached to a system that was written by hand.
 
@@ -250,7 +251,7 @@ class Structure(NamedTuple):
     **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
     `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
     zero the equations jump; `modes` that are hidden, each two further states; `forces` of elements
-    with a spring in series, each a state.
+    with a spring in series, each a state; `implicit`, places of terms that are functions of unknowns.
     """
 
     motions: tuple[Motion, ...]
@@ -260,6 +261,7 @@ class Structure(NamedTuple):
     reversing: tuple[str, ...] = ()
     modes: tuple[ModeStates, ...] = ()
     forces: tuple[str, ...] = ()
+    implicit: frozenset[tuple[int, int]] = frozenset()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -358,6 +360,15 @@ def read_structure(
                     f"Term('NAME', '{beyond[0]}', derivative=2, measured=('d{beyond[0]}', "
                     f"'dd{beyond[0]}')) instead (derivative=1 of a velocity)."
                 )
+    leading = set(unknowns)
+    implicit = frozenset(
+        (i, j)
+        for i, equation in enumerate(equations)
+        for j, term in enumerate(equation.terms)
+        if not (isinstance(term, Term) and isinstance(term.of, str))
+        and (term.derivative or leading & set(signals_read(term.of)))
+    )
+    structure = structure._replace(implicit=implicit)
     functions = [(t.of, t.basis if isinstance(t, Terms) else None) for _, t in terms]
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
     return structure._replace(reversing=reversing_states(functions, structure.states, signals))
@@ -528,8 +539,12 @@ class EquationSystem(AbstractSystem):
     ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Float[Array, " n"]]:
         """r0 and J at a point, and the residuals of some values of the unknowns."""
         signals = self._known_signals(state, inputs)
-        whole = self._with_unknowns(signals, unknowns[:, None])
-        return *self._linear(signals), self._residuals(whole)
+        rows, names = self._rows(signals), self.structure.unknowns
+        none = jnp.zeros_like(unknowns[0])
+        slopes = [jnp.stack([slopes.get(name, none) for name in names]) for _, slopes in rows]
+        whole = {**signals, **dict(zip(names, unknowns[:, None]))}
+        found = [sum((self._term(t, whole) for t in e.terms), start=none) for e in self.equations]
+        return jnp.stack([rest for rest, _ in rows]), jnp.stack(slopes), jnp.stack(found)
 
     # Signals have shape (1,), so that an expression written for the samples of a record needs no
     # second version for a point.
@@ -539,29 +554,49 @@ class EquationSystem(AbstractSystem):
 
     def _solved(self, signals: dict[str, Array]) -> dict[str, Array]:
         """Known signals and unknowns."""
-        rest, slopes = self._linear(signals)
-        return self._with_unknowns(signals, solve_few(slopes, -rest)[:, None])
+        rows = dict(enumerate(self._rows(signals)))
+        solution: dict[str, Array] = {}
 
-    def _with_unknowns(self, signals: dict[str, Array], unknown: Array) -> dict[str, Array]:
-        return {**signals, **dict(zip(self.structure.unknowns, unknown))}
+        def without_solved(rest: Array, slopes: dict[str, Array]) -> Array:
+            return sum((slopes[n] * solution[n] for n in slopes if n in solution), start=rest)
 
-    def _linear(self, signals: dict[str, Array]) -> tuple[Array, Array]:
-        count = len(self.structure.unknowns)
-        zero = jnp.zeros((count, 1), next(iter(signals.values())).dtype)
-        residuals, push = jax.linearize(
-            lambda z: self._residuals(self._with_unknowns(signals, z)), zero
-        )
-        along = jnp.eye(count, dtype=zero.dtype)
-        return residuals, jnp.stack([push(along[i][:, None]) for i in range(count)], axis=-1)
+        # An equation with one unknown left is a division; those that are coupled remain.
+        while single := [i for i, (_, slopes) in rows.items() if len({*slopes} - {*solution}) == 1]:
+            rest, slopes = rows.pop(single[0])
+            (name,) = {*slopes} - {*solution}
+            solution[name] = -without_solved(rest, slopes) / slopes[name]
+        coupled = [name for name in self.structure.unknowns if name not in solution]
+        if coupled:
+            rest = jnp.stack([without_solved(*row) for row in rows.values()])
+            none = jnp.zeros_like(rest[0])
+            matrix = [jnp.stack([row[1].get(n, none) for n in coupled]) for row in rows.values()]
+            solution |= dict(zip(coupled, solve_few(jnp.stack(matrix), -rest)))
+        return signals | {name: value[None] for name, value in solution.items()}
 
-    def _residuals(self, signals: dict[str, Array]) -> Float[Array, " equations"]:
-        """What each equation leaves of one sample of all signals and unknowns."""
-        zero = jnp.zeros((), next(iter(signals.values())).dtype)
-        sums = [
-            sum((self._term(term, signals) for term in equation.terms), start=zero)
-            for equation in self.equations
-        ]
-        return jnp.stack(sums)
+    def _rows(self, signals: dict[str, Array]) -> list[tuple[Array, dict[str, Array]]]:
+        """Of each equation r0, and those columns of J in which it may be other than zero."""
+        zero = jnp.zeros((1,), next(iter(signals.values())).dtype)
+        zeros = dict.fromkeys(self.structure.unknowns, zero)
+        rows = []
+        for i, equation in enumerate(self.equations):
+            rest, slopes = zero[0], {}
+            for j, term in enumerate(equation.terms):
+                if (i, j) in self.structure.implicit:
+                    value, push = jax.linearize(
+                        lambda unknowns, term=term: self._term(term, {**signals, **unknowns}), zeros
+                    )
+                    rest = rest + value
+                    columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
+                elif isinstance(term, Term) and isinstance(term.of, str):
+                    name = derivative_name(term.of, term, self.structure.motions)
+                    columns = {name: self._term(term, {name: zero + 1})} if name in zeros else {}
+                    rest = rest if columns else rest + self._term(term, signals)
+                else:
+                    rest, columns = rest + self._term(term, signals), {}
+                for name, column in columns.items():
+                    slopes[name] = slopes[name] + column if name in slopes else column
+            rows.append((rest, slopes))
+        return rows
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
         values = [self.values[name] for name in term.parameters]
