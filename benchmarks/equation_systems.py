@@ -22,8 +22,6 @@ from riecjax.equations import RoofFunctions
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car.identification import (
     BREAK_POINTS,
-    suspension_velocity,
-    tyre_velocity,
 )
 from riecjax.runtime import start_jax
 from riecjax.simulation import AbstractSystem, band_limited_noise
@@ -31,8 +29,6 @@ from riecjax.simulation import AbstractSystem, band_limited_noise
 STEP, COUNT, REPEATS = 1 / 200, 8000, 9
 SIZES = {"emps": 60.0, "emps-asymmetric": 60.0, "duffing": 20.0, "drag-oscillator": 20.0}
 """Of the inputs, in r.m.s.; 0.5 of others."""
-
-RATES = {"x1": tyre_velocity, "x2": suspension_velocity}
 
 
 class ByHand(AbstractSystem):
@@ -89,9 +85,7 @@ def measured(name: str) -> list[str]:
     """One row of the table."""
     model = built_in_model(name)
     values = {q.name: jnp.asarray(q.default) for q in model.parameters}
-    made = rx.equation_system(
-        model.build_procedure(), values, rates=RATES if "quarter" in name else {}
-    )
+    made = rx.equation_system(model, values)
     start = {"theta": 3.0} if name == "pendulum" else {}
     wave = band_limited_noise(
         jax.random.key(0), COUNT, STEP, bandwidth=20.0, rms=SIZES.get(name, 0.5)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure, simultaneous
+from riecjax.equations.model import Model, simultaneous
 from riecjax.equations.term import Term
 from riecjax.records.record import Record, Signals
 
@@ -88,7 +88,7 @@ class Kind(NamedTuple):
     """A model, the physics behind the recordings, and what the model leaves out of it."""
 
     name: str
-    model: Equation | Procedure
+    model: Equation | Model
     left_out: str = ""
 
 
@@ -123,7 +123,7 @@ class Case(NamedTuple):
     kind: str
     fault: str
     noise: float
-    model: Equation | Procedure
+    model: Equation | Model
     record: Record
     truth: dict[str, float]
 

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import riecjax as rx
-from riecjax.models.emps import Axis
 from riecjax.records.record import Signals
 
 KP, KV = 160.18, 243.45
@@ -23,7 +22,12 @@ RISE = {"excess": 0.1, "vs": 0.02, "width": 1e-4}
 
 @eqx.filter_jit
 def sampled_control(
-    axis: Axis, reference: rx.Record, *, gain: Array, start: Array, delay: int = 0
+    axis: rx.simulation.AbstractSystem,
+    reference: rx.Record,
+    *,
+    gain: Array,
+    start: Array,
+    delay: int = 0,
 ) -> dict[str, Array]:
     """The axis under its controller as the rig runs it: sampled, its force held between samples.
 
@@ -99,6 +103,28 @@ class StribeckBalance(rx.refinement.AbstractBalance):
         coulomb = jnp.where(forward, self.Fc_pos, self.Fc_neg)
         level = coulomb * (1 + self.excess * jnp.exp(-((v / self.vs) ** 2)))
         return viscous * v + level * jnp.tanh(v / self.width) - signals["force"]
+
+
+class Axis(rx.simulation.AbstractSystem):
+    """A mass with friction that may differ between the directions, driven by a force."""
+
+    M: Float[Array, ""]
+    Fv_pos: Float[Array, ""]
+    Fc_pos: Float[Array, ""]
+    Fv_neg: Float[Array, ""]
+    Fc_neg: Float[Array, ""]
+    offset: Float[Array, ""]
+    states: ClassVar = (("q", "m"), ("dq", "m/s"))
+    inputs: ClassVar = (("force", "N"),)
+    reversing: ClassVar = ("dq",)
+
+    def derivative(self, state: Array, inputs: Array) -> Array:
+        """Velocity and acceleration."""
+        velocity = state[1]
+        forward = self.Fv_pos * velocity + self.Fc_pos
+        backward = self.Fv_neg * velocity - self.Fc_neg
+        friction = jnp.where(velocity > 0, forward, jnp.where(velocity < 0, backward, 0.0))
+        return jnp.stack([velocity, (inputs[0] - self.offset - friction) / self.M])
 
 
 class RisingAxis(Axis):

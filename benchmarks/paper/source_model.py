@@ -24,7 +24,7 @@ from tests.machines import noisy
 
 import riecjax as rx
 from benchmarks.recorded import FOLDER, write_json
-from riecjax.equations import Procedure, RoofFunctions
+from riecjax.equations import Model, RoofFunctions
 from riecjax.models.quarter_car.identification import (
     BREAK_POINTS,
     FORCES,
@@ -59,7 +59,7 @@ def damper(points: tuple[float, ...]) -> rx.Terms:
     return rx.Terms("F", RoofFunctions(points), of=suspension_velocity, unit="N")
 
 
-def car(points: tuple[float, ...], tyre: rx.Equation) -> Procedure:
+def car(points: tuple[float, ...], tyre: rx.Equation) -> Model:
     """The quarter car with its mode, and a spring in series with a damper of this map."""
     spring = rx.Term("K_s", "x2", unit="N/m")
     sprung = rx.Term("M_s", "x4", derivative=1, unit="kg")
@@ -83,11 +83,11 @@ def wheel_alone() -> ByFunction:
     spring = rx.Term("K_s", "x2", unit="N/m")
     force = rx.Term(1.0, "F_t")
     wheel = rx.Equation(force, -unsprung, -spring, -damper(POINTS), name="wheel", unit="N")
-    procedure = rx.staged(wheel).with_series_springs(rx.SeriesSpring("F_1"))
+    model = rx.staged(wheel).with_series_springs(rx.SeriesSpring("F_1"))
     rates = {"x2": suspension_velocity}
     return ByFunction(
         lambda values: rx.equation_system(
-            procedure, {name: jnp.asarray(value) for name, value in values.items()}, rates=rates
+            model, {name: jnp.asarray(value) for name, value in values.items()}, rates=rates
         )
     )
 

@@ -142,12 +142,7 @@ def motion(name: str, seed: int, share: float = 1.0) -> dict[str, np.ndarray]:
         drive += np.sin(2 * np.pi * frequency * time + phase)
     drive *= share * rms * np.sqrt(2 / TONES)
     model = find_model(machine.model)
-    values = {k: jnp.asarray(v) for k, v in machine.truth.items()}
-    system = (
-        rx.equation_system(model.build_procedure(), values)
-        if model.system is None
-        else model.build_system(machine.truth)
-    )
+    system = model.build_system(machine.truth)
     inputs = rx.Record.from_samples({machine.drive: drive}, time_step=1 / (RATE * FINE))
     record = rx.simulate(system, inputs, intersample="smooth").checked().record
     return {signal: np.asarray(record[signal]) for signal in machine.signals}

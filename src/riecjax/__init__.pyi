@@ -24,8 +24,9 @@ from .discovery.discover import discover as discover
 from .equations.equation import Equation as Equation
 from .equations.hidden_elements import HiddenMode as HiddenMode
 from .equations.hidden_elements import SeriesSpring as SeriesSpring
-from .equations.procedure import simultaneous as simultaneous
-from .equations.procedure import staged as staged
+from .equations.model import Model as Model
+from .equations.model import simultaneous as simultaneous
+from .equations.model import staged as staged
 from .equations.term import Polynomial as Polynomial
 from .equations.term import Term as Term
 from .equations.term import Terms as Terms
@@ -48,7 +49,6 @@ from .estimation.identify import identify as identify
 from .findings import Finding as Finding
 from .fleets.fleet import fleet as fleet
 from .models.catalogue import find_model as find_model
-from .models.model import Model as Model
 from .records.frames import from_dataframe as from_dataframe
 from .records.frames import from_dataset as from_dataset
 from .records.noise import Noise as Noise

@@ -7,7 +7,7 @@ import pytest
 import riecjax as rx
 from nightly import nightly
 from riecjax.criteria import noise_moments
-from riecjax.equations.procedure import as_procedure
+from riecjax.equations.model import as_model
 from riecjax.equations.term import RoofFunctions
 from riecjax.summaries.stage_sums import stage_normal_equations
 
@@ -72,7 +72,7 @@ def moments(equation, criterion, noise, arrays, missing=None):
 
     def of(arrays):
         record = rx.Record(arrays, STEP, missing=missing).with_noise(noise)
-        found = stage_normal_equations(as_procedure(equation), record, criterion, key)
+        found = stage_normal_equations(as_model(equation), record, criterion, key)
         return found[0].total().clean, found[0].total().moments
 
     both = jax.jit(lambda arrays: jax.lax.map(of, arrays, batch_size=25))(arrays)

@@ -20,11 +20,10 @@ from riecjax.equations.hidden_elements import (
     accelerated,
     mode_frequency,
 )
-from riecjax.equations.procedure import told_apart
+from riecjax.equations.model import Model, told_apart
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.findings import Finding
-from riecjax.models.model import Model
 from riecjax.shows import Shown
 
 ELSE = 1e-4
@@ -137,7 +136,7 @@ def with_mode(
     same with standard errors by blocks of time, whatever intervals were asked for; `with_terms`,
     the model that was given with some of what was chosen.
     """
-    equations = found.start.build_procedure().equations
+    equations = found.start.equations
     names = told_apart([equation.name for equation in equations])
     bodies = {name: accelerated(one) for name, one in zip(names, equations, strict=True)}
     fits, both = found.estimate.equations, (identified, by_blocks)

@@ -27,7 +27,7 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
     of_mode = {name: value for name, value in values.items() if is_mode_name(name)}
     added: dict[str, list[str]] = {}
-    first = found.start.build_procedure().equation_names[0][0]
+    first = found.start.equation_names[0][0]
     own = False
     for one in (chosen.candidate for chosen in found.chosen):
         lines = [_term_source(term) for term in one.terms]

@@ -1,10 +1,10 @@
 from .memories import BoucWen as BoucWen
 from .memories import Dahl as Dahl
 from .memories import Elapsed as Elapsed
-from .procedure import AtRest as AtRest
-from .procedure import HasProcedure as HasProcedure
-from .procedure import Procedure as Procedure
-from .procedure import with_rests as with_rests
+from .model import AtRest as AtRest
+from .model import as_model as as_model
+from .model import with_rests as with_rests
+from .quantity import Quantity as Quantity
 from .term import AbstractBasis as AbstractBasis
 from .term import DeadZone as DeadZone
 from .term import Friction as Friction

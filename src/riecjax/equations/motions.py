@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.equations.term import Polynomial, Term, Terms, odd
 from riecjax.records.record import Record, samples_with_nan
 
@@ -91,15 +91,15 @@ def motions_and_unread(
     return motions, [name for name in unread if name not in positions][:MOST_UNREAD]
 
 
-def reading_velocities(procedure: Procedure) -> Procedure:
+def reading_velocities(model: Model) -> Model:
     """The same equations with a term that reads each velocity that they have a name for."""
-    names = [name for stage in procedure.equation_names for name in stage]
+    names = [name for stage in model.equation_names for name in stage]
     added: dict[str, list[Term]] = {}
-    for name, equation in zip(names, procedure.equations, strict=True):
+    for name, equation in zip(names, model.equations, strict=True):
         moving = [t for t in equation.terms if isinstance(t, Term) and isinstance(t.of, str)]
         velocities = {t.measured[0] for t in moving if t.measured}
         added[name] = [Term(f"{name} {v}", odd(v, 2)) for v in sorted(velocities)]
-    return procedure.with_terms(added)
+    return model.with_terms(added)
 
 
 def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:

@@ -269,6 +269,10 @@ class AbstractBasis(eqx.Module):
         """Every function at every sample."""
         raise NotImplementedError
 
+    def interpolate(self, values: Float[Array, " functions"], x: Float[Array, " n"]) -> Array:
+        """`sum values_i f_i(x)`, which some know without forming their functions."""
+        return values @ self(x)
+
 
 class RoofFunctions(AbstractBasis):
     """Piecewise linear roof functions R_i on break points, eq. (22) and Fig. 6.

@@ -35,7 +35,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.equations.term import constant
 from riecjax.estimation.parameters import ParameterPlan
 from riecjax.findings import Finding
@@ -67,13 +67,13 @@ Rows = Float[np.ndarray, " rows"]
 
 # Values too large to be squared are for the fit to refuse.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def constant_targets(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> list[Finding]:
+def constant_targets(model: Model, plan: ParameterPlan, summary: Summary) -> list[Finding]:
     """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
     **Arguments:** `summary`, with a constant beside all equations.
     """
     findings = []
-    for seen in _averaged(procedure, plan, summary):
+    for seen in _averaged(model, plan, summary):
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
@@ -85,24 +85,22 @@ def constant_targets(procedure: Procedure, plan: ParameterPlan, summary: Summary
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def wrong_zeros(procedure: Procedure, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
+def wrong_zeros(model: Model, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
     """`wrong_zero` of equations that motion explains, and a fit with the means does not.
 
     Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
     are left out that read what an earlier stage finds.
     """
-    for seen in _averaged(procedure, plan, summary):
+    for seen in _averaged(model, plan, summary):
         for one in seen:
             if {*plan.sharing.everywhere(one.equation.parameters)} <= {*one.names, *plan.given}:
                 yield from _wrong_zero(one)
 
 
-def _averaged(
-    procedure: Procedure, plan: ParameterPlan, summary: Summary
-) -> Iterator[list["_Averaged"]]:
+def _averaged(model: Model, plan: ParameterPlan, summary: Summary) -> Iterator[list["_Averaged"]]:
     """The equations of each stage."""
     settled = set(plan.given)
-    for number, stage in enumerate(procedure.stages):
+    for number, stage in enumerate(model.stages):
         sums = zip(*(recording.stages[number] for recording in summary.recordings))
         yield [_Averaged(e, plan, summary, of, settled) for e, of in zip(stage, sums)]
         settled |= {name for e in stage for name in plan.sharing.everywhere(e.parameters)}

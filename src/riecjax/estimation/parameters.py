@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import ModelError, require
 from riecjax.leaves import is_concrete, is_number
 from riecjax.summaries.task import require_key
@@ -113,7 +113,7 @@ class ParameterPlan(NamedTuple):
 
 
 def plan_parameters(
-    procedure: Procedure,
+    model: Model,
     record_count: int,
     known: Mapping[str, float | Array] | None,
     per_record: Sequence[str],
@@ -123,19 +123,19 @@ def plan_parameters(
     **Raises:** `ModelError` as [`identify`][].
     """
     require_settings(None, known, per_record)
-    sharing = Sharing(procedure.parameters, per_record, record_count)
+    sharing = Sharing(model.parameter_names, per_record, record_count)
     # Values held fixed, by name over all records: the equations' own and the user's.
-    names = {*procedure.parameters, *sharing.parameters}
+    names = {*model.parameter_names, *sharing.parameters}
     if unknown := [name for name in known or {} if name not in names]:
         listed = ", ".join(sharing.parameters)
         raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
     require_numbers(known or {})
-    held = {**sharing.values(procedure.known), **sharing.values(known or {})}
+    held = {**sharing.values(model.known), **sharing.values(known or {})}
     given = {name: jnp.asarray(value, jnp.result_type(float)) for name, value in held.items()}
     # A stage finds what no record has been given, and no earlier stage has found.
     stages = [
         (label, tuple(name for name in sharing.everywhere(names) if name not in given))
-        for label, names in procedure.plan(sharing.settled(given))
+        for label, names in model.plan(sharing.settled(given))
     ]
     if not any(unknown for _, unknown in stages):
         raise ModelError("every parameter is known; nothing is left to identify.")

@@ -119,7 +119,7 @@ def _row(
 ) -> Row:
     """The row of a recording, of which only windows with these starts may count."""
     summary = summarise(
-        order.procedure,
+        order.model,
         recording,
         order.criterion,
         bins=order.edges,
@@ -128,7 +128,7 @@ def _row(
     )
     (sums,), (digest,) = summary.recordings, summary.digests
     samples = int(sums.samples)
-    findings = recording_findings(order.procedure, recording, order.criterion)
+    findings = recording_findings(order.model, recording, order.criterion)
     return Row(
         piece.identity,
         piece.source.name,

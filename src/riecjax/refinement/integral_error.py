@@ -40,7 +40,7 @@ from jaxtyping import Array, Bool, Float, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip, told_apart
+from riecjax.equations.model import Model, require_no_slip, told_apart
 from riecjax.equations.term import AbstractTerm, Term, both_present
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import Sharing
@@ -230,14 +230,7 @@ class ParametricBalance(eqx.Module):
         return levels, present
 
 
-Balances = (
-    Equation
-    | Procedure
-    | HasProcedure
-    | AbstractBalance
-    | AbstractParametric
-    | Sequence["Balances"]
-)
+Balances = Equation | Model | AbstractBalance | AbstractParametric | Sequence["Balances"]
 """What equation errors can be formed of: one equation of motion or several."""
 
 
@@ -252,7 +245,7 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
         return (ParametricBalance(ByFields(model)),)
     if isinstance(model, Equation | AbstractParametric):
         return (ParametricBalance(model),)
-    if isinstance(model, Procedure):
+    if isinstance(model, Model):
         if model.has_hidden:
             raise ModelError(
                 "hidden modes and springs have states of their own, which no integral of the "
@@ -261,11 +254,9 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
         return tuple(ParametricBalance(e) for stage in model.stages for e in stage)
     if isinstance(model, Sequence):
         return tuple(balance for part in model for balance in as_balances(part))
-    if hasattr(model, "build_procedure"):
-        return as_balances(model.build_procedure())
     raise ModelError(
         f"a {type(model).__name__} has no equation of motion to integrate; give an Equation, a "
-        f"Procedure, a Model, an AbstractBalance, or several of them."
+        f"Model, an AbstractBalance, or several of them."
     )
 
 
@@ -333,7 +324,7 @@ class IntegralMisfit(AbstractMisfit):
                 for record, own in zip(self.records, of_record)
             ]
             (equations,) = all_normal_equations(
-                Procedure(((expanded[0][0],),)),
+                Model(stages=((expanded[0][0],),)),
                 self.sharing,
                 [record for _, record in expanded],
                 self.criterion,

@@ -207,11 +207,11 @@ def held_out_figure(held: HeldOut, about: str = "") -> Chart:
 
 def _fit_figure(result: Assessment) -> Chart:
     """Each stage's rows, measured against explained, and what is left of them."""
-    estimate, procedure = result.estimate, result.procedure
+    estimate, model = result.estimate, result.model
     rows = list(_surveyed_rows(result))
     above, beneath = [], []
     for stage, name in zip(estimate.stages, estimate.stage_names):
-        held = estimate.criterion.row_unit(procedure.stages[stage.stage][0].unit)
+        held = estimate.criterion.row_unit(model.stages[stage.stage][0].unit)
         unit = f" / ({held})" if held else ""
         of_stage = [arrays for place, *arrays in rows if place == stage.stage]
         measured, explained, start = (np.concatenate(arrays) for arrays in zip(*of_stage))
@@ -243,7 +243,7 @@ def _surveyed_rows(
     what known terms give), what is explained of it, and when the rows' windows start."""
     estimate = result.estimate
     assert estimate.summary is not None
-    summary = linearised(result.procedure, estimate.summary, estimate.known)
+    summary = linearised(result.model, estimate.summary, estimate.known)
     given = {name: float(value) for name, value in estimate.known.items()}
     found = {name: float(estimate[name]) for name in estimate.parameters}
     for i, recording in enumerate(summary.recordings):
@@ -288,7 +288,7 @@ def identified_curves(result: Assessment) -> list[IdentifiedCurve]:
     found: dict[str, IdentifiedCurve] = {}
     record = result.recordings[0].record
     for stage in result.estimate.stages:
-        for equation in result.procedure.stages[stage.stage]:
+        for equation in result.model.stages[stage.stage]:
             for term in equation.terms:
                 shared = all(name in result.estimate for name in term.parameters)
                 if isinstance(term, Terms) and shared and term.prefix not in found:

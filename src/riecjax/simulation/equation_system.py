@@ -24,12 +24,6 @@ where an expression reads unknowns J is its forward derivative, exact for any th
 linearly, where a difference quotient would round. An equation with one unknown left is a division,
 which orders most mechanisms; what stays coupled is solved together.
 
-Hidden modes attached to a system that was written by hand.
-
-Where the body's acceleration is coupled to no other, as in m v' = F(x, u), a force f that is taken
-from the body changes v' by f / m and nothing else: the system need not be known from the inside.
-Whether that is so, its equations tell.
-
 Hidden modes written out for a simulation: two more states each, and their force on the body.
 
 With velocity v of the body, w of the mass, and deflection d,
@@ -70,7 +64,7 @@ from riecjax.equations.hidden_elements import (
     inertia_sign,
     stiffness_name,
 )
-from riecjax.equations.procedure import Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.equations.term import (
     AbstractTerm,
     Expression,
@@ -251,7 +245,8 @@ class Structure(NamedTuple):
     **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
     `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
     zero the equations jump; `modes` that are hidden, each two further states; `forces` of elements
-    with a spring in series, each a state; `implicit`, places of terms that are functions of unknowns.
+    with a spring in series, each a state; `implicit`, places of terms that are functions of
+    unknowns; `listed`, signals in the model's order.
     """
 
     motions: tuple[Motion, ...]
@@ -262,13 +257,20 @@ class Structure(NamedTuple):
     modes: tuple[ModeStates, ...] = ()
     forces: tuple[str, ...] = ()
     implicit: frozenset[tuple[int, int]] = frozenset()
+    listed: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Signals and derivatives below the leading one, those with a rate, and hidden ones."""
+        """Signals and derivatives below the leading one, those with a rate, and hidden ones.
+
+        In the order in which the model lists them, if it does.
+        """
         lower = (name for motion in self.motions for name in motion.names[:-1])
         hidden = (name for mode in self.modes for name in (mode.deflection, mode.velocity))
-        return (*lower, *(name for name, _ in self.rates), *hidden, *self.forces)
+        place = {name: i for i, name in enumerate(self.listed)}
+        plain = [*lower, *(name for name, _ in self.rates)]
+        plain.sort(key=lambda name: place.get(name, len(place)))
+        return (*plain, *hidden, *self.forces)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -601,8 +603,8 @@ class EquationSystem(AbstractSystem):
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
         values = [self.values[name] for name in term.parameters]
         if isinstance(term, Terms):
-            functions = term.basis(self._expression(term, signals))[:, 0]
-            return jnp.asarray(term.sign) * jnp.stack(values) @ functions
+            x = self._expression(term, signals)
+            return jnp.asarray(term.sign) * term.basis.interpolate(jnp.stack(values), x)[0]
         assert isinstance(term, Term)
         factor = jnp.asarray(term.number) * (values[0] if values else 1.0)
         return factor * self._expression(term, signals)[0]
@@ -658,7 +660,7 @@ class EquationSystem(AbstractSystem):
 
 
 def equation_system(
-    model: Equation | Procedure,
+    model: Equation | Model,
     values: Mapping[str, Array | float],
     *,
     rates: Mapping[str, Expression] | None = None,
@@ -686,7 +688,7 @@ def equation_system(
     - `values`: value of every coefficient, scalars; for those with a `known` value it may be left
       out. Others are ignored.
     - `rates`: further states by their time derivative, signal name to expression: kinematics such
-      as `{"x2": difference("x3", "x4")}` that no coefficient appears in.
+      as `{"x2": difference("x3", "x4")}` that no coefficient appears in; by default the model's.
     - `inputs`: signals to take as inputs although their derivative appears, as of a base that is
       moved; the derivative is an input too, under its name from `measured`.
     - `units`: signal name to unit.
@@ -696,24 +698,27 @@ def equation_system(
     third order or of an expression of inputs; or, with values that can be looked at, if the
     leading coefficient is zero or the unknowns do not enter linearly.
     """
-    procedure = as_procedure(model)
-    equations = tuple(equation for stage in procedure.stages for equation in stage)
+    model = as_model(model)
+    equations, listed = model.equations, (*model.signals, *model.inputs)
     label = " + ".join(equation.name for equation in equations)
-    known: dict[str, Any] = {**procedure.known, **values}
-    names = procedure.parameters
+    known: dict[str, Any] = {**model.known, **values}
+    names = model.parameter_names
     if missing := [name for name in names if name not in known]:
         raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
     numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
     for name, number in numbers.items():
         if number.shape != ():
             raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    equations, elements = with_springs(equations, procedure.springs)
-    equations, modes = with_forces(equations, procedure.modes)
-    rates = {**{one.state: one for one in procedure.memories}, **(rates or {})}
+    equations, elements = with_springs(equations, model.springs)
+    equations, modes = with_forces(equations, model.modes)
+    further = model.rates if rates is None else rates
+    rates = {**{memory.state: memory for memory in model.memories}, **further}
     structure = read_structure(label, equations, rates, frozenset(inputs), modes, elements)
+    structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
     own = {k: v for m in modes for k, v in zip((m.deflection, m.velocity), m.units)}
     own |= {one.state: one.unit for one in elements}
-    named = tuple(sorted((own | dict(units or {})).items()))
+    given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
+    named = tuple(sorted((given | own | dict(units or {})).items()))
     system = EquationSystem(equations, numbers, structure, named, elements)
     if is_concrete(equations, numbers):
         _check_solvable(label, system)
@@ -757,121 +762,3 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
         raise ModelError(
             f"{label} cannot be simulated: {', '.join(unknowns)} must enter its equations linearly."
         )
-
-
-class Attachment(NamedTuple):
-    """How a mode of a procedure is attached: its states, and the body's mass, named or known, by
-    which the body's acceleration is the force on it divided."""
-
-    states: ModeStates
-    body_mass: str | float
-
-
-class WithModes(AbstractSystem):
-    """A system some of whose bodies carry hidden modes.
-
-    Exact where a body's acceleration is coupled to no other. Outputs are those of the system
-    without modes: forces that depend on its states, not accelerations.
-
-    **Fields:** `inner`, the system; `modes`; `values` of these and of their bodies' masses.
-    """
-
-    inner: AbstractSystem
-    modes: tuple[Attachment, ...] = eqx.field(static=True)
-    values: dict[str, Leaf]
-
-    @property
-    def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's, then deflection and velocity of each mode."""
-        names = [n for m in self.modes for n in (m.states.deflection, m.states.velocity)]
-        units = [unit for mode in self.modes for unit in mode.states.units]
-        return (*self.inner.states, *zip(names, units))
-
-    @property
-    def inputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's."""
-        return self.inner.inputs
-
-    @property
-    def outputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's."""
-        return self.inner.outputs
-
-    @property
-    def reversing(self) -> tuple[str, ...]:
-        """The system's."""
-        return self.inner.reversing
-
-    @property
-    def velocity_of(self) -> Mapping[str, str]:
-        """The system's."""
-        return self.inner.velocity_of
-
-    @property
-    def carried(self) -> Mapping[str, str]:
-        """The modes' states."""
-        return {**self.inner.carried, **carried_states(mode.states for mode in self.modes)}
-
-    def derivative(self, state: State, inputs: Inputs) -> State:
-        """Time derivative of the state, each body's less what its modes take."""
-        count = len(self.inner.states)
-        flow = self.inner.derivative(state[:count], inputs)
-        signals = dict(zip(self.state_names, state))
-        rates = []
-        for names, body_mass in self.modes:
-            own = names.rates(signals, self.values)
-            body = self.values[body_mass] if isinstance(body_mass, str) else body_mass
-            taken = self.values[names.parameters.mass] * own[names.velocity] / body
-            flow = flow.at[self.inner.state_names.index(names.body)].add(-taken)
-            rates += [own[names.deflection], own[names.velocity]]
-        return jnp.concatenate([flow, jnp.stack(rates)])
-
-    def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
-        """The system's."""
-        return self.inner.output(state[: len(self.inner.states)], inputs)
-
-
-def attachments(procedure: Procedure, inner: AbstractSystem) -> tuple[Attachment, ...] | None:
-    """How modes of a procedure are attached to the system that it is of.
-
-    **Returns:** `None` where the body's velocity is no state of the system, or where the equations
-    say that its acceleration is coupled to others. Of equations that cannot be simulated, it is
-    taken for granted that it is not.
-    """
-    equations = [equation for stage in procedure.stages for equation in stage]
-    found = []
-    for number, mode in enumerate(procedure.modes):
-        states = ModeStates.of(number, mode, equations)
-        inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
-        mass = abs(float(inertia.number)) if inertia.name is None else inertia.name
-        if states.body not in inner.state_names:
-            return None
-        found.append(Attachment(states, mass))
-    generic = np.random.default_rng(0).uniform(0.5, 1.5, len(procedure.parameters))
-    values = dict(zip(procedure.parameters, generic))
-    try:
-        system = equation_system(procedure, values)
-    except ModelError:
-        return tuple(found)
-    return tuple(found) if all(_uncoupled(system, one, values) for one in found) else None
-
-
-def _uncoupled(system: EquationSystem, one: Attachment, values: Mapping[str, float]) -> bool:
-    """Whether a mode's spring accelerates its body by force over mass, and changes nothing else."""
-    unknowns = system.structure.unknowns
-    state = np.random.default_rng(1).uniform(0.2, 0.9, len(system.states))
-    level = jnp.asarray(np.linspace(0.3, 0.7, len(system.inputs)))
-    none = jnp.zeros(len(unknowns))
-    stretched = state + (np.array(system.state_names) == one.states.deflection)
-    before, slopes, _ = system.probed(jnp.asarray(state), level, none)
-    after, _, _ = system.probed(jnp.asarray(stretched), level, none)
-    change = -np.linalg.solve(np.asarray(slopes), np.asarray(after - before))
-    bodies = [motion for motion in system.structure.motions if one.states.body in motion.names]
-    if not bodies:
-        return False
-    mass = values[one.body_mass] if isinstance(one.body_mass, str) else one.body_mass
-    expected = np.zeros(len(unknowns))
-    stiffness = values[one.states.parameters.stiffness]
-    expected[unknowns.index(bodies[0].names[-1])] = -stiffness / mass
-    rounding = 1e3 * np.finfo(change.dtype).eps
-    return bool(np.allclose(change, expected, rtol=rounding, atol=rounding * np.max(abs(expected))))

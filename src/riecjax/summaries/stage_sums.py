@@ -1,4 +1,4 @@
-"""What a procedure's equations make of records: sums of its equations, or of its stages.
+"""What a model's equations make of records: sums of its equations, or of its stages.
 
 Equations of a stage, records and blocks of time add up, so that one table of moments for each
 equation, record and short block is all that needs to be kept.
@@ -16,8 +16,8 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.noise_moments import NoiseMoments
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
+from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns
-from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations, short_blocks
 from riecjax.summaries.sums import EquationSums, RecordingSums
@@ -25,7 +25,7 @@ from riecjax.summaries.sums import EquationSums, RecordingSums
 
 @eqx.filter_jit
 def stage_normal_equations(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -38,10 +38,10 @@ def stage_normal_equations(
     `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
     length one.
     """
-    parts = _of_equations(procedure, record, criterion, key, blocks)
+    parts = _of_equations(model, record, criterion, key, blocks)
     return [
         sum_of_equations([equations for equations, _ in stage], names)
-        for stage, names in zip(parts, procedure.stage_parameters)
+        for stage, names in zip(parts, model.stage_parameters)
     ]
 
 
@@ -54,7 +54,7 @@ def sum_of_equations(equations: list[NormalEquations], names: tuple[str, ...]) -
 
 
 def traced_sums(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -64,7 +64,7 @@ def traced_sums(
 
     `apart`: windows of each length by themselves, where the test function asks for that.
     """
-    parts = _of_equations_compiled(procedure, record, criterion, key, True, apart)
+    parts = _of_equations_compiled(model, record, criterion, key, True, apart)
 
     def in_bins(leaf: Array) -> Array:
         return leaf if apart else leaf[None]
@@ -98,7 +98,7 @@ def traced_sums(
 
 
 def _of_equations(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -121,7 +121,7 @@ def _of_equations(
         total = None if noise is None else noise.total
         return NormalEquations(moments, number, names, total), noise
 
-    return [[of(equation) for equation in stage] for stage in procedure.stages]
+    return [[of(equation) for equation in stage] for stage in model.stages]
 
 
 def moments_of_drawn(

@@ -15,13 +15,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
-from riecjax.equations.procedure import (
-    AtRest,
-    HasProcedure,
-    Procedure,
-    as_procedure,
-    with_rests,
-)
+from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.equations.term import Terms
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
@@ -38,7 +32,7 @@ LARGEST = 1e150
 
 
 def default_criterion(
-    model: Equation | Procedure | HasProcedure, records: Records, noise: GivenNoise = "auto"
+    model: Equation | Model, records: Records, noise: GivenNoise = "auto"
 ) -> AbstractCriterion:
     """What [`identify`][] takes where no criterion is given.
 
@@ -48,25 +42,25 @@ def default_criterion(
 
     **Raises:** `DataError` for a missing signal.
     """
-    procedure = as_procedure(model)
-    recordings = [each.record for each in ready(procedure, records, noise)]
-    return suited(procedure, getattr(model, "band", None), recordings)
+    model = as_model(model)
+    recordings = [each.record for each in ready(model, records, noise)]
+    return suited(model, getattr(model, "band", None), recordings)
 
 
 class Task(NamedTuple):
-    """What is to be summed: a procedure's equations on records, by a criterion fitted to them.
+    """What is to be summed: a model's equations on records, by a criterion fitted to them.
 
     `keys`: what each record's random windows are drawn with.
     """
 
-    procedure: Procedure
+    model: Model
     records: list[Record]
     criterion: AbstractCriterion
     keys: list[Key[Array, ""] | None]
 
 
 def task(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records,
     criterion: "AbstractCriterion | Fit | None",
     key: Key[Array, ""] | None,
@@ -81,12 +75,12 @@ def task(
 
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
-    procedure = with_rests(as_procedure(model), at_rest)
+    model = with_rests(as_model(model), at_rest)
     # No sums tell of springs in series with maps.
     if maps := [
         f"'{spring.of}'"
-        for spring in procedure.springs
-        if any(isinstance(spring.element(e), Terms) for e in procedure.equations)
+        for spring in model.springs
+        if any(isinstance(spring.element(e), Terms) for e in model.equations)
     ]:
         raise ModelError(
             f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
@@ -94,29 +88,29 @@ def task(
             f"refine it from there, in Python: rx.refine(model, record, "
             f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
         )
-    recordings = ready(procedure, records, noise)
+    recordings = ready(model, records, noise)
     band = getattr(model, "band", None)
     sampled = [each.record for each in recordings]
-    criterion = criterion_for(criterion, procedure, band, sampled)
-    _require_derivatives(procedure, criterion)
+    criterion = criterion_for(criterion, model, band, sampled)
+    _require_derivatives(model, criterion)
     require_key(key)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for recording in recordings:
         with recording.explaining_errors():
             criterion.check(recording.record)
-            _require_squares(procedure, recording.record, criterion)
+            _require_squares(model, recording.record, criterion)
     plain = [recording.record for recording in recordings]
-    return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
+    return Task(model, plain, criterion.fitted(plain), record_keys(key, len(plain)))
 
 
-def _require_squares(procedure: Procedure, record: Record, criterion: AbstractCriterion) -> None:
+def _require_squares(model: Model, record: Record, criterion: AbstractCriterion) -> None:
     """Raise `DataError` for a signal that is read and has a value too large to be squared."""
     if not is_concrete(record.arrays):
         return
     sizes = {name: float(np.max(np.abs(values))) for name, values in record.arrays.items()}
     huge = [name for name, size in sizes.items() if size > LARGEST]
-    for name in huge and signals_read(procedure, record, criterion):
+    for name in huge and signals_read(model, record, criterion):
         if name in huge:
             place = int(np.argmax(np.abs(record.arrays[name])))
             raise DataError(
@@ -127,11 +121,11 @@ def _require_squares(procedure: Procedure, record: Record, criterion: AbstractCr
             )
 
 
-def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> None:
+def _require_derivatives(model: Model, criterion: AbstractCriterion) -> None:
     """Raise `ModelError` unless a criterion takes off what hidden elements put before terms."""
-    if not procedure.has_hidden:
+    if not model.has_hidden:
         return
-    most = max(t.derivative for stage in procedure.linear.stages for e in stage for t in e.terms)
+    most = max(t.derivative for stage in model.linear.stages for e in stage for t in e.terms)
     if criterion.smoothness < most or not criterion.in_closed_form:
         raise ModelError(
             f"hidden modes and springs need all windows of a test function that takes {most} "
@@ -142,16 +136,16 @@ def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> 
         )
 
 
-def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
+def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
     """Recordings with the velocities that only functions read, and with their noise judged."""
 
     def of(recording: Recording) -> Recording:
         with recording.explaining_errors():
-            record, steps = with_velocities(procedure, recording.record)
+            record, steps = with_velocities(model, recording.record)
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
-            record, found = without_computed(record, procedure.derivatives, known)
-            record = with_memories(record, procedure.memories)
+            record, found = without_computed(record, model.derivatives, known)
+            record = with_memories(record, model.memories)
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
@@ -176,9 +170,9 @@ def require_key(key: object) -> None:
 
 
 def signals_read(
-    procedure: Procedure, record: Record, criterion: AbstractCriterion, summed: bool = False
+    model: Model, record: Record, criterion: AbstractCriterion, summed: bool = False
 ) -> tuple[str, ...]:
-    """Names of the record's signals that a criterion reads for a procedure's equations.
+    """Names of the record's signals that a criterion reads for a model's equations.
 
     Raises what `identify` would raise of this one record, before any arithmetic; where it was
     `summed`, that raised it.
@@ -186,10 +180,10 @@ def signals_read(
     **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
     for an expression that fails, and for windows that hidden elements cannot have.
     """
-    _require_derivatives(procedure, criterion)
+    _require_derivatives(model, criterion)
     criterion.check(record)
     read: set[str] = set()
-    for stage in procedure.stages:
+    for stage in model.stages:
         for equation in stage:
             with _saying_whose_derivative(equation):
                 read |= equation.signals_read(record, criterion.smoothness)

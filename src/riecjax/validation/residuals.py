@@ -44,7 +44,7 @@ from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
 from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths, with_memories
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, told_apart
+from riecjax.equations.model import Model, as_model, told_apart
 from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
@@ -954,7 +954,7 @@ LARGEST_LAG_SHARE = 10
 class ResidualTests(Drawn, eqx.Module):
     """What every equation of a model leaves unexplained; see [`residual_tests`][].
 
-    **Fields:** `equations`, in the order of the procedure's stages; `faults` of sensors that
+    **Fields:** `equations`, in the order of the model's stages; `faults` of sensors that
     explain what some of them leave.
     """
 
@@ -974,7 +974,7 @@ class ResidualTests(Drawn, eqx.Module):
 
 
 def residual_tests(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records,
     estimate: Estimate | Mapping[str, float | Array],
     *,
@@ -997,8 +997,8 @@ def residual_tests(
     **Raises:** `ModelError` for a parameter without a value; `DataError` for a missing signal,
     records of unequal time steps or too short ones.
     """
-    procedure = as_procedure(model)
-    recordings = [with_memories(record, procedure.memories) for record in as_records(records)]
+    model = as_model(model)
+    recordings = [with_memories(record, model.memories) for record in as_records(records)]
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     if windows is None and isinstance(estimate, Estimate):
         windows = estimate.criterion.windows
@@ -1011,18 +1011,18 @@ def residual_tests(
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
     first = recordings[0]
-    reads = [e.signals_read(first, of[0].span) for e, of in zip(procedure.equations, errors)]
-    pairs = (pair for equation in procedure.equations for pair in equation.derivatives)
+    reads = [e.signals_read(first, of[0].span) for e, of in zip(model.equations, errors)]
+    pairs = (pair for equation in model.equations for pair in equation.derivatives)
     named = {name for pair in pairs for name in pair}.union(*reads)
     faulty = {name for fault in faults for name in fault.signals}
-    found, parts = [], zip(names, errors, procedure.equations, reads, strict=True)
+    found, parts = [], zip(names, errors, model.equations, reads, strict=True)
     for name, of_equation, equation, read in parts:
         residual = _residual(name, of_equation, recordings, windows, lags)
         is_notable = residual.averaged_size >= NOTABLE_SIZE
         count = round(residual.averaged / float(recordings[0].time_step))
         # Where the equation could hide something.
-        sprung = {spring.of for spring in procedure.springs}
-        elements = force_elements(procedure.equations, [equation])
+        sprung = {spring.of for spring in model.springs}
+        elements = force_elements(model.equations, [equation])
         free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         loop = None
         if is_notable:  # hysteresis, or a signal of no name that changes a force
@@ -1035,7 +1035,7 @@ def residual_tests(
             loop = loop_of(of_equation, recordings, motions, unread, count)
         residual = residual._replace(
             bodies=accelerated(equation),
-            carrying=tuple(m.on for m in procedure.modes if m.inertia(equation) is not None),
+            carrying=tuple(m.on for m in model.modes if m.inertia(equation) is not None),
             dampers=tuple(name for name, term in free.items() if isinstance(term, Term)),
             maps=tuple(name for name, term in free.items() if not isinstance(term, Term)),
             loop=loop,

@@ -17,7 +17,7 @@ from riecjax import tails
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
@@ -225,7 +225,7 @@ for show motions that the model was never meant for, and nearly every model fail
 
 
 def window_sweep(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records | Summary,
     criterion: AbstractCriterion | None = None,
     *,
@@ -251,22 +251,22 @@ def window_sweep(
 
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
     """
-    procedure = as_procedure(model)
+    model = as_model(model)
     if isinstance(records, Summary):
         summary = records
-        summary.require_model(procedure)
+        summary.require_model(model)
     else:
         require(
             "the criterion", criterion, RIEC, "rx.RIEC(rx.AllWindows(0.05, 0.5)), which has windows"
         )
         assert isinstance(criterion, RIEC)
-        asked = task(procedure, records, criterion.every, key)
+        asked = task(model, records, criterion.every, key)
         edges = sweep_edges(
             asked.records, criterion, shortest=shortest, longest=longest, bands=bands
         )
         summary = summed(asked, bins=edges)
-    plan = plan_parameters(procedure, len(summary.recordings), known, per_record)
-    return _sweep(procedure, summary, plan, _bands(summary, shortest, longest))
+    plan = plan_parameters(model, len(summary.recordings), known, per_record)
+    return _sweep(model, summary, plan, _bands(summary, shortest, longest))
 
 
 def sweep_edges(
@@ -345,7 +345,7 @@ def _bands(
 
 
 def _sweep(
-    procedure: Procedure, summary: Summary, plan: ParameterPlan, bands: list[tuple[int, int]]
+    model: Model, summary: Summary, plan: ParameterPlan, bands: list[tuple[int, int]]
 ) -> WindowSweep:
     ends = np.array([summary.lengths_of(band) for band in bands])
     short = summary.short_blocks
@@ -364,7 +364,7 @@ def _sweep(
         noise_rms=noise,
         block_count=namespace(used).sum(used),
         parameters=tuple(name for _, names in stages for name in names),
-        units=tuple(plan.sharing.values(procedure.units).items()),
+        units=tuple(plan.sharing.values(model.units).items()),
         stage_names=tuple(label for label, _ in stages),
     )
 
