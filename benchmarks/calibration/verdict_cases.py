@@ -257,7 +257,7 @@ def cases(kind: Kind, fault: str, seed: int, systems: int) -> list[Case]:
     values = draw(kind, rng, systems)
     motion = simulate(values, rng, fault == "disturbed")
     model = kind.model
-    parameters = model.parameters
+    parameters = model.parameter_names
     signals = ("x", "v", "u", *(("x2", "v2") if kind.name == "coupled" else ()))
     if fault == "position only" and kind.name in ("friction", "drag", "coupled"):
         fault = "none"  # these equations read the velocity

@@ -138,4 +138,4 @@ def test_dampers_are_taken_however_they_are_written():
     ]
     for damper in taken:
         body = equation(rx.Term("m", "v", derivative=1), damper)
-        assert body.with_series_springs(rx.SeriesSpring("c")).parameters[-1] == "K_series"
+        assert body.with_series_springs(rx.SeriesSpring("c")).parameter_names[-1] == "K_series"

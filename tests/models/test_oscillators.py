@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from riecjax.models.catalogue import built_in_model
+from riecjax.simulation.system import AbstractSystem
 
 PARAMETERS = {
     "duffing": {"m": 2.0, "d": 0.7, "k1": 30.0, "k2": -40.0, "k3": 900.0},

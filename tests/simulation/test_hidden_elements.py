@@ -13,7 +13,7 @@ import riecjax as rx
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import difference
-from riecjax.refinement.objective import ByCoefficients
+from riecjax.refinement.objective import ByCoefficients, as_parametric_system
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.linearisation import linearise
 
@@ -320,7 +320,7 @@ def test_what_cannot_be_asked():
     ):
         sprung = rx.staged(body(damper)).with_series_springs(rx.SeriesSpring(of))
         with pytest.raises(rx.ModelError, match=message):
-            rx.equation_system(sprung, dict.fromkeys(sprung.parameters, 1.0), rates={"x": "v"})
+            rx.equation_system(sprung, dict.fromkeys(sprung.parameter_names, 1.0), rates={"x": "v"})
     other = rx.Equation(
         rx.Term("n", "w", derivative=1), rx.Term("c", difference("w", "v")), name="other"
     )
