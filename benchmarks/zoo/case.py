@@ -175,11 +175,9 @@ def difference(record: Record, truth: Truth, one: Case) -> str:
     for name, expected in truth.items():
         if name not in record.arrays:
             return f"no {name}; there are {', '.join(record.arrays)}"
-        got = np.array(record.arrays[name])
+        got = record.signal(name).with_nan
         if got.shape != expected.shape:
             return f"{name} has {got.size} samples of {expected.size}"
-        if name in record.missing:
-            got[np.asarray(record.missing[name])] = np.nan
         if not np.allclose(
             got, expected, rtol=1e-9, atol=1e-12 * np.nanmax(abs(expected)), equal_nan=True
         ):

@@ -63,6 +63,7 @@ from .records.recording import Recording as Recording
 from .records.recording import read_record as read_record
 from .records.recording import read_recording as read_recording
 from .records.recording import read_recordings as read_recordings
+from .records.signal import Signal as Signal
 from .records.writing import write_record as write_record
 from .refinement.integral_error import IntegralError as IntegralError
 from .refinement.optimum import Prior as Prior

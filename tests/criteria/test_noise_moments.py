@@ -66,12 +66,13 @@ def white(seed=0, n=N):
     return {name: std * rng.normal(size=(PAIRS, n)) for name, std in STD.items()}
 
 
-def moments(equation, criterion, noise, arrays, missing=None):
+def moments(equation, criterion, noise, arrays, present=None):
     """Of records along the leading axis: corrected, and not; their mean over mirror images."""
     key = jax.random.key(2) if criterion.needs_key else None
 
     def of(arrays):
-        record = rx.Record(arrays, STEP, missing=missing).with_noise(noise)
+        signals = {n: rx.Signal(v, (present or {}).get(n)) for n, v in arrays.items()}
+        record = rx.Record(signals, STEP).with_noise(noise)
         found = stage_normal_equations(as_model(equation), record, criterion, key)
         return found[0].total().clean, found[0].total().moments
 
@@ -83,17 +84,17 @@ def mirrored(added):
     return {name: CLEAN[name] + np.concatenate([added[name], -added[name]]) for name in CLEAN}
 
 
-def truth_of(equation, criterion, missing=None):
+def truth_of(equation, criterion, present=None):
     arrays = {name: np.broadcast_to(wave, (PAIRS, N)) for name, wave in CLEAN.items()}
-    return moments(equation, criterion, NONE, arrays, missing)[1][0]
+    return moments(equation, criterion, NONE, arrays, present)[1][0]
 
 
-def left_over(equation, criterion, noise, added, missing=None):
+def left_over(equation, criterion, noise, added, present=None):
     """In standard errors of the mean over draws, what the corrected moments leave of noise, and
     what there was."""
-    found = moments(equation, criterion, noise, mirrored(added), missing)
+    found = moments(equation, criterion, noise, mirrored(added), present)
     error = found[0].std(0) / np.sqrt(PAIRS)
-    truth = truth_of(equation, criterion, missing)
+    truth = truth_of(equation, criterion, present)
     corrected, plain = (np.abs(m.mean(0) - truth) / error for m in found)
     return corrected.max(), plain.max()
 
@@ -135,12 +136,12 @@ def test_a_missing_stretch_and_a_shared_source():
     raw = np.stack([added[name] / STD[name] for name in names], axis=-1)
     mixed = raw @ np.linalg.cholesky(matrix).T
     added |= {name: STD[name] * mixed[..., i] for i, name in enumerate(names)}
-    missing = {"x": np.isin(np.arange(N), [80, *range(150, 170)])}
+    present = {"x": ~np.isin(np.arange(N), [80, *range(150, 170)])}
     noise = rx.Noise.given(STD, correlation)
-    corrected, plain = left_over(LINEAR, CRITERIA["hat"], noise, added, missing)
+    corrected, plain = left_over(LINEAR, CRITERIA["hat"], noise, added, present)
     assert corrected < 4 < 20 < plain
     # Taken for independent, the sources would leave their products.
-    alone, _ = left_over(LINEAR, CRITERIA["hat"], rx.Noise.given(STD), added, missing)
+    alone, _ = left_over(LINEAR, CRITERIA["hat"], rx.Noise.given(STD), added, present)
     assert alone > 10
 
 
@@ -155,7 +156,8 @@ def coloured(kind):
     made = np.stack([np.convolve(row, taps, "same") for row in raw[of]])
     inner = slice(reach, reach + N)
     added = {k: values[:, inner] for k, values in raw.items()} | {name: made[:, inner]}
-    return noise.filtered(of, taps, name), added
+    made_of = {**{k: noise[k] for k in STD}, name: noise[of].convolved(taps)}
+    return rx.Noise.of(made_of), added
 
 
 @pytest.mark.parametrize("criterion", ["boxcar", *nightly(["hat"])])

@@ -181,7 +181,7 @@ def test_a_gap_filled_with_nonsense_does_not_move_the_estimate(criterion):
     signals = {name: np.where(bad, np.nan, record[name]) for name in ("x", "dx", "ddx", "u")}
     gappy = rx.Record.from_samples(signals, time=t)
     # What stands in the gap is held; made worse, it must not matter.
-    worse = gappy.with_signals({"u": jnp.where(bad, 1e9, gappy["u"])}, missing=gappy.missing)
+    worse = gappy.with_signals({"u": rx.Signal(jnp.where(bad, 1e9, gappy["u"]), ~bad)})
     estimate = fit(EQUATION, worse, criterion, key=jax.random.key(0))
     for name, value in TRUTH.items():
         assert float(estimate[name]) == pytest.approx(value, rel=1e-5)

@@ -76,7 +76,7 @@ def test_a_unit_that_loggers_write_is_named_and_no_other(name, factor, unit):
     signals = motion(1)
     signals[name] = factor * signals[name]
     units = {"x": "m", "v": "m/s"}
-    record = Record.from_samples(signals, time_step=STEP).with_signals({}, units)
+    record = Record.from_samples(signals, time_step=STEP, units=units)
     (finding,) = check_derivatives(record, [("x", "v")])
     assert finding.remedy == (("--unit", f"{name}={unit}") if unit else ())
     assert (f"{name} is in " in finding.message) == bool(unit)
@@ -90,8 +90,8 @@ def test_no_unit_is_named_of_signals_that_do_not_belong_together():
     assert lag is not None
     for unit in (1e3, 100.0):  # as of mm, of cm
         signals = {"x": strangers["x"] * unit / lag.gain, "v": strangers["v"]}
-        record = Record.from_samples(signals, time_step=STEP)
-        record = record.with_signals({}, {"x": "m", "v": "m/s"})
+        units = {"x": "m", "v": "m/s"}
+        record = Record.from_samples(signals, time_step=STEP, units=units)
         (finding,) = check_derivatives(record, [("x", "v")])
         assert "does not move with x" in finding.message
         assert finding.remedy == ()

@@ -5,6 +5,7 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.records.record import Record, stack_records
+from riecjax.records.signal import Signal
 
 
 def ramp(count=5):
@@ -119,7 +120,7 @@ def test_a_part_beyond_the_record_is_refused(start, stop):
 
 def test_added_signals_keep_the_rest_and_selected_ones_drop_it():
     record = Record.from_samples({"x": ramp()}, time=3 + ramp(), units={"x": "m"})
-    both = record.with_signals({"y": jnp.ones(5)}, {"y": "N"})
+    both = record.with_signals({"y": Signal(jnp.ones(5), unit="N")})
     assert set(both.signals) == {"x", "y"}
     assert dict(both.units) == {"x": "m", "y": "N"}
     alone = both.select("y")
@@ -137,8 +138,7 @@ def test_a_record_passes_through_jit_and_vmap():
 def test_missing_samples_are_marked_and_hold_the_last_value():
     record = Record.from_samples({"x": [np.nan, 1, np.nan, np.nan, 4], "y": ramp()}, time_step=1.0)
     np.testing.assert_array_equal(record["x"], [1, 1, 1, 1, 4])
-    np.testing.assert_array_equal(record.missing["x"], [True, False, True, True, False])
-    assert set(record.missing) == {"x"}
+    np.testing.assert_array_equal(record.signal("x").with_nan, [np.nan, 1, np.nan, np.nan, 4])
     assert record.present(["y"]) is None
     np.testing.assert_array_equal(record.present(["x", "y"]), [0, 1, 0, 0, 1])
     assert record.segments(["x"]) == [slice(1, 2), slice(4, 5)]

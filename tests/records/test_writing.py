@@ -15,6 +15,7 @@ from riecjax.errors import DataError
 from riecjax.records import writing
 from riecjax.records.record import Record
 from riecjax.records.recording import read_record
+from riecjax.records.signal import Signal
 from riecjax.records.writing import check_writable, write_record
 
 ENDINGS = (".csv", ".npz", ".mat", ".parquet")
@@ -69,9 +70,8 @@ def samples(record: Record) -> tuple[list[list[int]], list[bool]]:
     How many samples an empty stretch beside a pause takes tells nothing.
     """
     names = sorted(record.arrays)
-    masks = [np.asarray(record.missing.get(n, np.zeros(record.sample_count, bool))) for n in names]
-    columns = [np.where(mask, np.nan, np.asarray(record[n])) for n, mask in zip(names, masks)]
-    filled = np.flatnonzero(~np.all(masks, axis=0))
+    columns = [record.signal(name).with_nan for name in names]
+    filled = np.flatnonzero(~np.all(np.isnan(columns), axis=0))
     rows = np.stack([np.asarray(record.time), *columns], axis=1)[filled]
     return [bits(row) for row in rows], (np.diff(filled) > 1).tolist()
 
@@ -86,7 +86,7 @@ def test_missing_samples_are_written_as_others_read_them(tmp_path):
 
 
 def test_parquet_keeps_units(tmp_path):
-    record = Record({"x": TIME, "y": TIME}, 0.1, units={"x": "m/s"})
+    record = Record({"x": Signal(TIME, unit="m/s"), "y": TIME}, 0.1)
     write_record(tmp_path / "a.parquet", record)
     assert dict(read_record(tmp_path / "a.parquet").units) == {"x": "m/s"}
 

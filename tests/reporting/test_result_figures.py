@@ -121,7 +121,7 @@ def test_curves_pass_through_their_break_points_and_leave_the_hysteresis():
     t = np.arange(3000) * 0.01
     v, force = damper(t)
     lag = 0.8 * np.sign(np.gradient(v))
-    record = rx.Record({"v": v, "F": force + lag}, 0.01, units={"v": "m/s"})
+    record = rx.Record({"v": rx.Signal(v, unit="m/s"), "F": force + lag}, 0.01)
     points = [-2.0, -0.5, 0.5, 2.0]
     equation = rx.Equation(
         -rx.Terms("F_d", rx.roof(points), "v", unit="N"), rx.Term(1.0, "F"), unit="N"
@@ -156,7 +156,7 @@ def recording() -> tuple[rx.Equation, rx.Record]:
     phase = np.cumsum(0.1 * rng.normal(size=n))
     force = 4 * motion + np.sin(2 * np.pi * 12 * time + phase) + 0.01 * rng.normal(size=n)
     gap = np.arange(n) == 1000
-    record = rx.Record({"x": motion, "F": force}, step, missing={"F": gap})
+    record = rx.Record({"x": motion, "F": rx.Signal(force, ~gap)}, step)
     return rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "F"), name="spring", unit="N"), record
 
 

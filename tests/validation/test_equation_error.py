@@ -11,6 +11,7 @@ from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.equations.term import Term, constant
 from riecjax.errors import DataError, ModelError
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 from riecjax.validation.equation_errors import equation_error, errors_over_records, joined
 
 STEP, W = 0.01, 2 * np.pi * 3
@@ -113,7 +114,7 @@ def test_missing_samples_are_not_present_and_touch_no_other():
     gap = np.zeros(400, bool)
     gap[100:103] = True
     whole = oscillation()
-    record = whole.with_signals({"F": whole["F"]}, missing={"F": jnp.asarray(gap)})
+    record = whole.with_signals({"F": Signal(whole["F"], ~gap)})
     values = {"m": 2.0, "c": 3.0}
     (found,) = equation_error(velocity_equation(), record, values)
     (intact,) = equation_error(velocity_equation(), whole, values)

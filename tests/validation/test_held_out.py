@@ -11,6 +11,7 @@ from riecjax.models.oscillators import (
     two_mass_equation,
 )
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
@@ -33,7 +34,7 @@ def drive(count: int = COUNT) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def truth() -> Record:
-    inputs = Record({"u": drive()}, STEP, 2.0, {"u": "N"})
+    inputs = Record({"u": Signal(drive(), unit="N")}, STEP, 2.0)
     return simulate(duffing(), inputs, initial_state={"y": 0.1, "dy": -0.4}).checked().record
 
 
@@ -102,7 +103,9 @@ def test_each_stretch_restarts_from_its_measured_state(truth):
     assert found.stretches == ((0, 500), (530, COUNT))
     assert float(found.record["y"][530]) == float(truth["y"][530])
     assert found.signals["y"].samples == COUNT - 30
-    assert np.array_equal(np.flatnonzero(found.record.missing["y"]), np.arange(500, 530))
+    assert np.array_equal(
+        np.flatnonzero(np.isnan(found.record.signal("y").with_nan)), np.arange(500, 530)
+    )
     for start, stop in found.stretches:
         alone = simulate(
             wrong,

@@ -20,8 +20,7 @@ from riecjax.estimation.parameters import values_of_record
 from riecjax.findings import Finding
 from riecjax.records import leave_out, shift
 from riecjax.records.faults.derivative_pairs import Pair, Relation, compare, relations
-from riecjax.records.preparation.filtering import with_gaps
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.simulation.linearisation import growth
 from riecjax.simulation.system import AbstractSystem
@@ -200,6 +199,4 @@ def _mended(record: Record, pair: Pair, code: str) -> Record:
         name, size = pair.zeroed
         course = np.arange(record.sample_count) / record.sample_count - 0.5
         zero = size * (pair.offset + pair.drift * course)
-    noise = record.noise.filtered(name, np.array([factor])) if factor != 1 else record.noise
-    values = factor * samples_with_nan(record, name) - zero
-    return with_gaps(record, {name: values}, noise=noise)
+    return record.with_signals({name: factor * record.signal(name) - zero})

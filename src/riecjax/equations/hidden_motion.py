@@ -25,6 +25,7 @@ from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm, Term, evaluate
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 FORGOTTEN = 0.01
 """Share to which what is not known of a mass's start must have decayed."""
@@ -41,26 +42,24 @@ def with_hidden_motion(
 
     **Raises:** `ModelError` for a spring in series with a map.
     """
-    added = _Added(record, {}, {})
+    added = _Added(record, {})
     stages = tuple(
         tuple(_without_hidden(equation, model, added, values) for equation in stage)
         for stage in model.stages
     )
-    return Model(stages=stages), record.with_signals(added.signals, missing=added.missing)
+    return Model(stages=stages), record.with_signals(added.signals)
 
 
 class _Added(NamedTuple):
-    """Signals that are made of a record's, and where they are not known."""
+    """Signals that are made of a record's."""
 
     record: Record
-    signals: dict[str, Array]
-    missing: dict[str, Array]
+    signals: dict[str, Signal]
 
     def add(self, name: str, samples: Array, present: Array | None, shape: Shape) -> None:
         """What follows some samples by this shape."""
         if name not in self.signals:
-            self.signals[name], there = filtered(samples, present, self.record.time_step, shape)
-            self.missing[name] = ~there
+            self.signals[name] = Signal(*filtered(samples, present, self.record.time_step, shape))
 
 
 def _without_hidden(

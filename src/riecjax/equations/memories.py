@@ -16,15 +16,15 @@ on the way back to zero, z = z_0 + dx / width, and as Dahl's from there on.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.errors import ModelError
-from riecjax.records.noise import Noise
-from riecjax.records.record import Record, Signals, samples_with_nan
+from riecjax.records.noise import SignalNoise
+from riecjax.records.record import Record, Signals
+from riecjax.records.signal import Signal
 
 TURNS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Widths within which hysteresis turns round, in strokes."""
@@ -135,7 +135,7 @@ class Elapsed(Memory):
 
 def pieces_of_way(velocity: str, record: Record) -> Float[np.ndarray, " n-1"]:
     """What is covered from each sample to the next."""
-    v = np.nan_to_num(samples_with_nan(record, velocity))
+    v = np.nan_to_num(record.signal(velocity).with_nan)
     return 0.5 * (v[1:] + v[:-1]) * float(record.time_step)
 
 
@@ -160,5 +160,6 @@ def with_memories(record: Record, memories: Iterable[Memory]) -> Record:
     missing = {one.state: one for one in memories if one.state not in record.arrays}
     if not missing:
         return record
-    made: dict[str, Any] = {name: one.course(record) for name, one in missing.items()}
-    return record.with_signals(made, noise=Noise({name: {} for name in made}))
+    return record.with_signals(
+        {name: Signal(one.course(record), noise=SignalNoise()) for name, one in missing.items()}
+    )

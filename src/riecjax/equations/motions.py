@@ -13,7 +13,7 @@ import numpy as np
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.equations.term import Polynomial, Term, Terms, odd
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 
 POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")
 
@@ -77,9 +77,9 @@ def motions_and_unread(
     motions = []
     for motion in dict.fromkeys(found.values()):
         if motion.velocity and not motion.position:
-            v = samples_with_nan(record, motion.velocity)[1:-1]
+            v = record.signal(motion.velocity).with_nan[1:-1]
             for name in unread:
-                x = samples_with_nan(record, name)
+                x = record.signal(name).with_nan
                 slope = x[2:] - x[:-2]
                 both = np.isfinite(v) & np.isfinite(slope)
                 moves = both.sum() > FEWEST and np.ptp(slope[both]) > 0 and np.ptp(v[both]) > 0

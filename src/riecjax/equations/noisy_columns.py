@@ -31,6 +31,7 @@ r with each source, and what is left at one sample is a sum of three squares,
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -341,5 +342,7 @@ def _curved(
 
 
 def _moved(record: Record, direction: Direction, step: Array) -> Record:
-    moved = {name: record.arrays[name] + step * size for name, size in direction.items()}
-    return record.with_signals(moved, missing=record.missing)
+    signals = {name: record.signal(name) for name in direction}
+    return record.with_signals(
+        {n: replace(s, values=s.values + step * direction[n]) for n, s in signals.items()}
+    )

@@ -6,6 +6,7 @@ sensor's own, white and independent, it biases every estimate.
 """
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from riecjax.leaves import is_concrete
 from riecjax.records.faults.derivative_pairs import Pairs, Relation
 from riecjax.records.faults.sampled_signal import ENOUGH
 from riecjax.records.preparation import with_local_derivative
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.records.remembered import remembered
 
 HALVES = (1, 2, 5, 10, 30)
@@ -54,19 +55,20 @@ def without_computed(
     if not is_concrete(record):
         return record, []
     computed = []
-    noise = record.noise
+    judging = record
     for pair in pairs:
         if isinstance(pair, Relation) or pair[1] in known:
             continue
         signal, derivative = pair
+        noise = judging.noise
         if not noise.kernels.get(signal) or {signal, derivative} - {*record.arrays}:
             continue
         if noise.is_made_of(derivative, signal):  # by a step of preparation
             continue
-        one, other = (samples_with_nan(record, name) for name in pair)
-        taps = filter_between(one, other, float(noise.std(signal)))
+        position, rate = (record.signal(name).with_nan for name in pair)
+        taps = filter_between(position, rate, float(noise.std(signal)))
         if taps is not None:
-            noise = noise.filtered(signal, taps, derivative)
+            judging = _with_noise_of(judging, signal, derivative, taps)
             computed.append((signal, derivative, taps))
     words = []
     for signal, derivative, taps in computed:
@@ -75,9 +77,15 @@ def without_computed(
             record, width = with_local_derivative(record, signal, derivative)
             said = f"{said}; in its place slopes of local polynomials, {width:.3g} s to each side"
         except DataError:  # too short for them
-            record = record.with_noise(record.noise.filtered(signal, taps, derivative))
+            record = _with_noise_of(record, signal, derivative, taps)
         words.append(said)
     return record, words
+
+
+def _with_noise_of(record: Record, signal: str, derivative: str, taps: np.ndarray) -> Record:
+    """The record, of whose derivative the noise is the signal's through these taps."""
+    noise = record.signal(signal).through_taps(taps)
+    return record.with_signals({derivative: replace(record.signal(derivative), noise=noise)})
 
 
 @remembered(lambda signal, other, noise: (signal, other, noise))

@@ -21,7 +21,7 @@ from riecjax.records.faults.derivative_pairs import (
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise import noise_level
 from riecjax.records.reading.units import readings
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.records.remembered import remembered
 
 SHORTEST, LONGEST_SHARE = 4, 8
@@ -89,7 +89,7 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
     lambda record, signal, derivative: (
         signal,
         derivative,
-        *(samples_with_nan(record, name) for name in (signal, derivative)),
+        *(record.signal(name).with_nan for name in (signal, derivative)),
         *(dict(record.units).get(name, "") for name in (signal, derivative)),
         float(record.time_step),
     ),
@@ -97,7 +97,7 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
 @np.errstate(over="ignore", invalid="ignore")
 def disagreement(record: Record, signal: str, derivative: str) -> Finding | None:
     """`not_its_derivative` of a signal and what is read as its derivative, if they do not fit."""
-    values, rates = samples_with_nan(record, signal), samples_with_nan(record, derivative)
+    values, rates = record.signal(signal).with_nan, record.signal(derivative).with_nan
     best = _best_lag(values, rates, float(record.time_step))
     if best is None:
         return None
@@ -153,8 +153,8 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
 
 def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
     """Whether one of the other signals is the recorded derivative of this one."""
-    values, step = samples_with_nan(record, signal), float(record.time_step)
-    lags = (_best_lag(values, samples_with_nan(record, other), step) for other in others)
+    values, step = record.signal(signal).with_nan, float(record.time_step)
+    lags = (_best_lag(values, record.signal(other).with_nan, step) for other in others)
     return any(lag and lag.correlation > ALIKE and abs(lag.gain - 1) < GROSS for lag in lags)
 
 

@@ -10,7 +10,8 @@ deviation. A velocity differentiated from it shares the source, and has the taps
 so covariances between signals, and between samples of one, all follow from the kernels.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -38,6 +39,81 @@ LONGEST_KERNEL = 4001
 """Taps, past which a kernel's ends are cut off in any case."""
 
 
+class SignalNoise(eqx.Module):
+    """What is known of the noise on one signal; without any source it has none.
+
+    **Fields:**
+
+    - `kernels`: source to taps, an odd number of them.
+    - `freedom`: source to degrees of freedom of its variance, which was estimated; infinite where
+      it was given.
+    """
+
+    # NumPy's numbers leave arithmetic with noise to its own.
+    __array_ufunc__ = None
+
+    kernels: dict[str, Float[Leaf, "*batch taps"]]
+    freedom: dict[str, Float[Leaf, "*batch"]]
+
+    def __init__(
+        self,
+        kernels: Mapping[str, Float[Leaf, "*batch taps"]] | None = None,
+        freedom: Mapping[str, Float[Leaf, "*batch"]] | None = None,
+    ):
+        self.kernels = dict(kernels or {})
+        known = dict(freedom or {})
+        self.freedom = {source: known.get(source, np.asarray(np.inf)) for source in self.kernels}
+
+    @property
+    def std(self) -> Float[Leaf, ""]:
+        """Standard deviation of the noise."""
+        taps = list(self.kernels.values())
+        xp = namespace(taps)
+        return xp.sqrt(sum((xp.sum(xp.asarray(t) ** 2, axis=-1) for t in taps), np.zeros(())))
+
+    def __mul__(self, factor: Any) -> "SignalNoise":
+        return SignalNoise({s: factor * taps for s, taps in self.kernels.items()}, self.freedom)
+
+    __rmul__ = __mul__
+
+    def __add__(self, other: "SignalNoise") -> "SignalNoise":
+        kernels = dict(self.kernels)
+        for source, taps in other.kernels.items():
+            kernels[source] = _sum(kernels[source], taps) if source in kernels else taps
+        return SignalNoise(kernels, {**self.freedom, **other.freedom})
+
+    def convolved(self, taps: Float[np.ndarray, " taps"]) -> "SignalNoise":
+        """The noise behind a filter of an odd number of taps, centred on the same sample."""
+        kernels = {s: shortened(np.convolve(k, taps)) for s, k in self.kernels.items()}
+        return SignalNoise(kernels, self.freedom)
+
+    def thinned(self, count: int, wide: Collection[str]) -> "SignalNoise":
+        """The noise of every `count`-th sample.
+
+        A source of several taps becomes `count` of them, one for each of its samples that lie
+        between two that stay: white each, and independent of each other.
+
+        **Arguments:** `wide`, the sources that have several taps on any signal of the record.
+        """
+        if count == 1:
+            return self
+        kernels, freedom = {}, {}
+        for source, taps in self.kernels.items():
+            half = taps.shape[-1] // 2
+            if source not in wide:
+                kernels[source], freedom[source] = taps, self.freedom[source]
+                continue
+            # Of w[n count - i] with i = m count + r, the source of phase r has tap m.
+            reach = -(-half // count)
+            room = reach * count - half, (reach + 1) * count - half - 1
+            padded = namespace(taps).pad(taps, [(0, 0)] * (taps.ndim - 1) + [room])
+            apart = padded.reshape(*taps.shape[:-1], 2 * reach + 1, count)
+            for phase in sorted({i % count for i in range(-half, half + 1)}):
+                kernels[f"{source}#{phase}"] = apart[..., phase]
+                freedom[f"{source}#{phase}"] = self.freedom[source]
+        return SignalNoise(kernels, freedom)
+
+
 class Noise(eqx.Module):
     """What is known of the noise on a record's signals; see the module for how it is made up.
 
@@ -57,10 +133,19 @@ class Noise(eqx.Module):
         kernels: Mapping[str, Mapping[str, Float[Leaf, " taps"]]] | None = None,
         freedom: Mapping[str, Float[Leaf, ""]] | None = None,
     ):
-        self.kernels = {name: dict(of) for name, of in (kernels or {}).items()}
-        used = {source for of in self.kernels.values() for source in of}
-        given = {source: np.asarray(np.inf) for source in used} | dict(freedom or {})
-        self.freedom = {source: given[source] for source in sorted(used)}
+        self.kernels = {name: dict(sources) for name, sources in (kernels or {}).items()}
+        used = {source for sources in self.kernels.values() for source in sources}
+        known = {source: np.asarray(np.inf) for source in used} | dict(freedom or {})
+        self.freedom = {source: known[source] for source in sorted(used)}
+
+    @classmethod
+    def of(cls, signals: Mapping[str, SignalNoise]) -> "Noise":
+        """What is known of each of these signals."""
+        freedom = {s: f for noise in signals.values() for s, f in noise.freedom.items()}
+        return cls({name: noise.kernels for name, noise in signals.items()}, freedom)
+
+    def __getitem__(self, signal: str) -> SignalNoise:
+        return SignalNoise(self.kernels[signal], self.freedom)
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -118,83 +203,19 @@ class Noise(eqx.Module):
             kernels[name] = {other: (levels[name] * share)[..., None] for other, share in shares}
         return cls(kernels, {name: np.asarray(np.inf) for name in names})
 
+    def combined(self, name: str, weights: Mapping[str, float]) -> "Noise":
+        """What is known of all signals, and of a new one that is so many times each of these."""
+        made = sum((weight * self[n] for n, weight in weights.items()), SignalNoise())
+        return Noise({**self.kernels, name: made.kernels}, self.freedom)
+
     def std(self, signal: str) -> Float[Leaf, ""]:
         """Standard deviation of a signal's noise, 0 if nothing is known of it."""
-        taps = list(self.kernels.get(signal, {}).values())
-        xp = namespace(taps)
-        return xp.sqrt(sum((xp.sum(xp.asarray(t) ** 2, axis=-1) for t in taps), np.zeros(())))
+        return SignalNoise(self.kernels.get(signal)).std
 
     def is_made_of(self, signal: str, other: str) -> bool:
         """Whether a signal's noise is all that of another signal, of which it must be made."""
         sources = set(self.kernels.get(signal, ()))
         return bool(sources) and sources <= set(self.kernels.get(other, ()))
-
-    def of(self, *signals: str) -> "Noise":
-        """What is known of these signals only."""
-        kept = {name: of for name, of in self.kernels.items() if name in signals}
-        return Noise(kept, self.freedom)
-
-    def without(self, *signals: str) -> "Noise":
-        """What is known of all other signals."""
-        return self.of(*(name for name in self.kernels if name not in signals))
-
-    def joined(self, other: "Noise") -> "Noise":
-        """What is known of the signals of both; of those that both name, what `other` says."""
-        return Noise({**self.kernels, **other.kernels}, {**self.freedom, **other.freedom})
-
-    def filtered(
-        self, signal: str, taps: Float[np.ndarray, " taps"], name: str | None = None
-    ) -> "Noise":
-        """What is known of all signals, and of a signal through a filter of an odd number of taps.
-
-        **Arguments:** `taps`, the middle one for the same sample; `name` of what the filter makes
-        of the signal, if it has another.
-        """
-        if signal not in self.kernels:
-            return self
-        of = {s: shortened(np.convolve(k, taps)) for s, k in self.kernels[signal].items()}
-        return self.joined(Noise({name or signal: of}, self.freedom))
-
-    def combined(self, name: str, weights: Mapping[str, float]) -> "Noise":
-        """What is known of all signals, and of a new one that is so many times each of these.
-
-        Nothing is known of it if nothing is of one of them.
-        """
-        if any(signal not in self.kernels for signal in weights):
-            return self
-        of: dict[str, Leaf] = {}
-        for signal, weight in weights.items():
-            for source, taps in self.kernels[signal].items():
-                of[source] = _sum(of[source], weight * taps) if source in of else weight * taps
-        return self.joined(Noise({name: of}, self.freedom))
-
-    def thinned(self, count: int) -> "Noise":
-        """What is known of every `count`-th sample.
-
-        A source of several taps becomes `count` of them, one for each of its samples that lie
-        between two that stay: white each, and independent of each other.
-        """
-        wide = {s for of in self.kernels.values() for s, taps in of.items() if taps.shape[-1] > 1}
-        freedom = dict(self.freedom)
-
-        def phases(source: str, taps: Leaf) -> dict[str, Leaf]:
-            if source not in wide or count == 1:
-                return {source: taps}
-            half = taps.shape[-1] // 2
-            # Of w[n count - i] with i = m count + r, the source of phase r has tap m.
-            reach = -(-half // count)
-            room = reach * count - half, (reach + 1) * count - half - 1
-            padded = namespace(taps).pad(taps, [(0, 0)] * (taps.ndim - 1) + [room])
-            apart = padded.reshape(*taps.shape[:-1], 2 * reach + 1, count)
-            there = sorted({i % count for i in range(-half, half + 1)})
-            freedom.update({f"{source}#{r}": freedom[source] for r in there if source in freedom})
-            return {f"{source}#{r}": apart[..., r] for r in there}
-
-        kernels = {
-            name: {new: k for source, taps in of.items() for new, k in phases(source, taps).items()}
-            for name, of in self.kernels.items()
-        }
-        return Noise(kernels, freedom)
 
 
 def _sum(one: Leaf, other: Leaf) -> Leaf:

@@ -12,7 +12,7 @@ which other signals then have in common, while noise of sensors is coherent with
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -28,6 +28,7 @@ from riecjax.records.noise import (
     STRETCH,
     STRETCHES,
     Noise,
+    SignalNoise,
     noise_level,
     shortened,
 )
@@ -265,20 +266,20 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
 
     **Raises:** `DataError` for a signal that the record lacks, or an impossible noise.
     """
-    known = record.noise.joined(given_noise(given, record.arrays))
-    for name in [
-        n for n in names or record.arrays if n not in known.kernels and n in record.arrays
-    ]:
-        samples: Any = record[name]
-        missing = record.missing.get(name)
-        xp = namespace(samples, missing)
-        samples = np.asarray(samples) if xp is np else samples
-        present = None if missing is None else ~xp.asarray(missing)
+    known = record.with_noise(given_noise(given, record.arrays))
+    found = {}
+    for name in names or record.arrays:
+        if name not in record.arrays or known.by_name[name].noise is not None:
+            continue
+        samples, present = record.by_name[name].values, record.by_name[name].present
+        if namespace(samples, present) is np:
+            samples = np.asarray(samples)
+            present = None if present is None else np.asarray(present)
         others = [values for other, values in record.arrays.items() if other != name]
         with np.errstate(all="ignore"):
-            found = noise_of_level(name, noise_level(samples, present), samples, present, others)
-        known = known.joined(found)
-    return record.with_noise(known)
+            level = noise_level(samples, present)
+            found[name] = noise_of_level(name, level, samples, present, others)
+    return known.with_noise(Noise.of(found))
 
 
 def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:
@@ -310,7 +311,7 @@ def noise_of_level(
     samples: Float[Leaf, "*batch n"],
     present: Bool[Leaf, "*batch n"] | None = None,
     others: Sequence[Leaf] = (),
-) -> Noise:
+) -> SignalNoise:
     """The noise on a signal, by its differences' level and by which values it takes.
 
     **Arguments:** `others`, the record's other signals.
@@ -323,9 +324,9 @@ def noise_of_level(
         there = None if present is None else np.asarray(present)
         known = _by_values(np.asarray(samples), there, np.asarray(level), freedom, others)
         if known is None:
-            return Noise({name: {}})
-        return Noise({name: {name: known.taps}}, {name: known.freedom})
-    return Noise({name: {name: xp.asarray(level)[..., None]}}, {name: freedom})
+            return SignalNoise()
+        return SignalNoise({name: known.taps}, {name: known.freedom})
+    return SignalNoise({name: xp.asarray(level)[..., None]}, {name: freedom})
 
 
 def _by_values(

@@ -15,8 +15,9 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError, require
-from riecjax.leaves import is_concrete, namespace
-from riecjax.records.noise import Noise
+from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.records.noise import Noise, SignalNoise
+from riecjax.records.signal import Signal, both
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
 
@@ -44,59 +45,46 @@ class Record(Drawn, eqx.Module):
     A record is a pytree: its arrays trace, vmap and differentiate. Build one from user data with
     [`Record.from_samples`][], which checks everything once; code downstream trusts a record.
 
-    Samples that are not there (a NaN in the file, a pause of the logger) are marked in `missing`
-    and hold the last value before them, so that every array is finite. No window and no filter
-    reaches across them. A pause, however long, takes one sample.
+    No window and no filter reaches across samples that are missing. A pause, however long, takes
+    one sample.
 
     **Fields:**
 
-    - `arrays`: signal name to its samples, shape `(n,)`, all of one length.
+    - `by_name`: signal name to the [`Signal`][riecjax.Signal], all of one length.
     - `time_step`: seconds between samples, scalar.
     - `start_time`: time of the first sample in seconds, scalar.
-    - `units`: (signal name, unit) pairs for those signals whose unit is known.
-    - `missing`: signal name to a mask, True where its sample is missing; only signals that lack
-      some are named.
     - `stamps`: time of each sample in seconds where the record has pauses, else `None`.
     - `skipped`: seconds of the recording that were cut off before the first sample, scalar.
-    - `noise`: what is known of the signals' noise; what made one signal of another says how that
-      changed it.
     """
 
-    arrays: dict[str, Float[Array, " n"]]
+    by_name: dict[str, Signal]
     time_step: Float[Array, ""]
     start_time: Float[Array, ""]
-    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    missing: dict[str, Bool[Array, " n"]]
     stamps: Float[Array, " n"] | None
     skipped: Float[Array, ""]
-    noise: Noise
 
     def __init__(
         self,
-        arrays: Mapping[str, ArrayLike | Array],
+        by_name: Mapping[str, Signal | ArrayLike | Array],
         time_step: ArrayLike | Array,
         start_time: ArrayLike | Array = 0.0,
-        units: Mapping[str, str] | tuple[tuple[str, str], ...] = (),
-        missing: Mapping[str, ArrayLike | Array] | None = None,
         stamps: ArrayLike | Array | None = None,
         skipped: ArrayLike | Array = 0.0,
-        noise: Noise | None = None,
     ):
-        require("what a record is made of", arrays, Mapping, WRITE_RECORD, DataError)
+        require("what a record is made of", by_name, Mapping, WRITE_RECORD, DataError)
         dtype = jnp.result_type(float)
-        self.arrays = {name: _owned(_numbers(name, v), dtype) for name, v in arrays.items()}
+        self.by_name = {}
+        for name, given in by_name.items():
+            signal = given if isinstance(given, Signal) else Signal(_numbers(name, given))
+            values = _owned(_numbers(name, signal.values), dtype)
+            present = None if signal.present is None else _owned(signal.present, bool)
+            self.by_name[name] = Signal(values, present, signal.unit, signal.noise)
         # Of a batch of records, signals and time steps have the batch's axes in front.
         axes = max((values.ndim for values in self.arrays.values()), default=1) - 1
         self.time_step = jnp.asarray(_checked_step(time_step, axes), dtype)
         self.start_time = jnp.asarray(start_time, dtype)
-        pairs = units.items() if isinstance(units, Mapping) else units
-        self.units = tuple(sorted((name, unit) for name, unit in pairs if name in arrays))
-        self.missing = {
-            name: _owned(mask, bool) for name, mask in (missing or {}).items() if name in arrays
-        }
         self.stamps = None if stamps is None else _owned(stamps, dtype)
         self.skipped = jnp.asarray(skipped, dtype)
-        self.noise = (noise or Noise()).of(*self.arrays)
 
     def __check_init__(self):
         lengths = {name: values.shape for name, values in self.arrays.items()}
@@ -153,8 +141,36 @@ class Record(Drawn, eqx.Module):
         step = float(_checked_step(step, 0))
         if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
-        filled = {name: hold(values) for name, values in arrays.items()}
-        return cls(filled, step, start, units or {}, gaps(arrays), stamps)
+        known = units or {}
+        by_name = {name: Signal.of(v, known.get(name, "")) for name, v in arrays.items()}
+        return cls(by_name, step, start, stamps)
+
+    @property
+    def arrays(self) -> dict[str, Float[Array, " n"]]:
+        """The samples of each signal by name."""
+        arrays: Any = {name: signal.values for name, signal in self.by_name.items()}
+        return arrays
+
+    @property
+    def units(self) -> tuple[tuple[str, str], ...]:
+        """(signal name, unit) pairs for those signals whose unit is known, by name."""
+        return tuple(
+            (name, self.by_name[name].unit)
+            for name in sorted(self.by_name)
+            if self.by_name[name].unit
+        )
+
+    @property
+    def noise(self) -> Noise:
+        """What is known of the signals' noise."""
+        known = {name: signal.noise for name, signal in self.by_name.items()}
+        return Noise.of({name: noise for name, noise in known.items() if noise is not None})
+
+    def signal(self, name: str) -> Signal:
+        """A signal; of a missing one, an error that says which ones exist."""
+        if name not in self.by_name:
+            raise MissingSignalError(name, tuple(self.by_name))
+        return self.by_name[name]
 
     @property
     def signals(self) -> Signals:
@@ -162,12 +178,13 @@ class Record(Drawn, eqx.Module):
         return Signals(self.arrays)
 
     def __getitem__(self, name: str) -> Float[Array, " n"]:
-        return self.signals[name]
+        samples: Any = self.signal(name).values
+        return samples
 
     @property
     def sample_count(self) -> int:
         """Number of samples n."""
-        return next(iter(self.arrays.values())).shape[-1]
+        return next(iter(self.by_name.values())).values.shape[-1]
 
     @property
     def duration(self) -> Float[Array, ""]:
@@ -203,36 +220,47 @@ class Record(Drawn, eqx.Module):
 
     def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
         """True where none of these signals lacks its sample; `None` where none ever does."""
-        masks = [self.missing[name] for name in sorted(set(names)) if name in self.missing]
-        return ~functools.reduce(jnp.logical_or, masks) if masks else None
+        known = [name for name in sorted(set(names)) if name in self.by_name]
+        mask: Any = functools.reduce(both, (self.by_name[name].present for name in known), None)
+        return mask
 
-    def with_signals(
-        self,
-        signals: Mapping[str, ArrayLike | Array],
-        units: Mapping[str, str] | None = None,
-        missing: Mapping[str, ArrayLike | Array] | None = None,
-        noise: Noise | None = None,
-    ) -> "Record":
-        """A record with these signals added or replaced, `missing` where they have no sample.
+    def with_signals(self, signals: Mapping[str, Signal | ArrayLike | Array]) -> "Record":
+        """A record with these signals added or replaced.
 
-        Nothing is known of their noise but what `noise` says.
+        Of bare arrays, all samples are present and nothing is known of their noise; a signal that
+        they replace leaves them its unit.
         """
-        others = {name: mask for name, mask in self.missing.items() if name not in signals}
-        return dataclasses.replace(
-            self,
-            arrays={**self.arrays, **signals},
-            units={**dict(self.units), **(units or {})},
-            missing={**others, **(missing or {})},
-            noise=self.noise.without(*signals).joined(noise or Noise()),
-        )
+        units = {name: signal.unit for name, signal in self.by_name.items()}
+        given = {
+            name: signal
+            if isinstance(signal, Signal)
+            else Signal(_numbers(name, signal), unit=units.get(name, ""))
+            for name, signal in signals.items()
+        }
+        return dataclasses.replace(self, by_name={**self.by_name, **given})
+
+    def with_samples(self, columns: Mapping[str, ArrayLike | Array]) -> "Record":
+        """A record with other samples of these signals, NaN where they are missing."""
+        return self.with_signals({n: self.signal(n).with_samples(v) for n, v in columns.items()})
 
     def with_noise(self, noise: Noise) -> "Record":
-        """The same samples, of whose noise this is known."""
-        return dataclasses.replace(self, noise=noise)
+        """The same samples; of the noise of the signals that it names, this is known."""
+
+        def known(name: str, signal: Signal) -> SignalNoise | None:
+            if name in noise.kernels:
+                return noise[name]
+            # A source that is said anew is so for all that is made of it.
+            if signal.noise is None:
+                return None
+            return SignalNoise(signal.noise.kernels, {**signal.noise.freedom, **noise.freedom})
+
+        return self.with_signals(
+            {n: dataclasses.replace(s, noise=known(n, s)) for n, s in self.by_name.items()}
+        )
 
     def select(self, *names: str) -> "Record":
         """A record of only these signals, in this order."""
-        return dataclasses.replace(self, arrays={name: self[name] for name in names})
+        return dataclasses.replace(self, by_name={name: self.signal(name) for name in names})
 
     def part(self, start: int, stop: int) -> "Record":
         """The samples from `start` up to, not including, `stop`."""
@@ -262,8 +290,9 @@ class Record(Drawn, eqx.Module):
 
         # Thinning must not lose a gap between two samples that stay: a gap then widens to one.
         def thin(mask: Array) -> Array:
-            padded = jnp.pad(mask, [(0, 0)] * (mask.ndim - 1) + [(0, -mask.shape[-1] % count)])
-            return padded.reshape(*mask.shape[:-1], -1, count).any(-1)
+            room = [(0, 0)] * (mask.ndim - 1) + [(0, -mask.shape[-1] % count)]
+            padded = jnp.pad(mask, room, constant_values=True)
+            return padded.reshape(*mask.shape[:-1], -1, count).all(-1)
 
         return self._rows(lambda values: values[..., ::count], 0, count, thin)
 
@@ -279,23 +308,32 @@ class Record(Drawn, eqx.Module):
 
     def _rows(
         self,
-        cut: Callable[[Array], Array],
+        cut: Callable[[Any], Array],
         first: int | Int[Array, ""],
         count: int = 1,
-        thin: Callable[[Array], Array] | None = None,
+        thin: Callable[[Any], Array] | None = None,
     ) -> "Record":
         """What `cut` leaves, from the row `first` on, so many steps apart; `thin` of masks."""
         stamps = None if self.stamps is None else cut(self.stamps)
         earlier = first * self.time_step
+        known = [signal.noise for signal in self.by_name.values() if signal.noise is not None]
+        wide = {s for noise in known for s, taps in noise.kernels.items() if taps.shape[-1] > 1}
+
+        def rows(signal: Signal) -> Signal:
+            values, present, noise = signal.values, signal.present, signal.noise
+            return Signal(
+                cut(values),
+                None if present is None else (thin or cut)(present),
+                signal.unit,
+                None if noise is None else noise.thinned(count, wide),
+            )
+
         return Record(
-            {name: cut(values) for name, values in self.arrays.items()},
+            {name: rows(signal) for name, signal in self.by_name.items()},
             self.time_step * count,
             self.start_time + earlier if stamps is None else stamps[..., 0],
-            self.units,
-            {name: (thin or cut)(mask) for name, mask in self.missing.items()},
             stamps,
             self.skipped + earlier if stamps is None else self.elapsed[first],
-            self.noise.thinned(count),
         )
 
 
@@ -419,40 +457,12 @@ def _samples(name: str, values: ArrayLike) -> np.ndarray:
     return samples
 
 
-def samples_with_nan(record: Record, name: str) -> np.ndarray:
-    """A signal's samples, shape `(n,)`, NaN where they are missing."""
-    values = np.array(record[name], float)
-    if name in record.missing:
-        values[np.asarray(record.missing[name])] = np.nan
-    return values
-
-
 def runs(mask: np.ndarray) -> np.ndarray:
     """First samples of all stretches in which a mask, shape `(n,)`, is True, and their ends.
 
     Shape `(2, stretches)`; an end is the sample behind the last.
     """
     return np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).T
-
-
-def gaps(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Masks, shape `(n,)`, True where a column is NaN; only of columns that hold a NaN."""
-    masks = {name: np.isnan(values) for name, values in columns.items()}
-    return {name: mask for name, mask in masks.items() if mask.any()}
-
-
-def hold(values: np.ndarray) -> np.ndarray:
-    """NaN replaced by the last value before it, at the start by the first after, else by 0.
-
-    Shapes `(n,)`.
-    """
-    present = ~np.isnan(values)
-    if present.all():
-        return values
-    if not present.any():
-        return np.zeros(values.size)
-    last = np.maximum.accumulate(np.where(present, np.arange(values.size), -1))
-    return values[np.where(last < 0, np.argmax(present), last)]
 
 
 TO_A_DOUBLING = 4
@@ -475,7 +485,7 @@ def filled_up(record: Record, length: int, begin: int = 0, stop: int | None = No
     stop = record.sample_count if stop is None else stop
     behind = length - (stop - begin)
 
-    def filled(values: Array) -> np.ndarray:
+    def filled(values: Leaf) -> np.ndarray:
         part = np.asarray(values)[begin:stop]
         return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
 
@@ -484,11 +494,13 @@ def filled_up(record: Record, length: int, begin: int = 0, stop: int | None = No
     if stamps is not None:
         earlier = float(stamps[begin]) - float(stamps[0])
         stamps = filled(stamps)
-    return Record(
-        {name: filled(values) for name, values in record.arrays.items()},
-        record.time_step,
-        missing={name: filled(mask) for name, mask in record.missing.items()},
-        stamps=stamps,
-        skipped=earlier,
-        noise=record.noise,
-    )
+    # Units would tell apart what is compiled once for all.
+    by_name = {
+        name: Signal(
+            filled(signal.values),
+            None if signal.present is None else filled(signal.present),
+            noise=signal.noise,
+        )
+        for name, signal in record.by_name.items()
+    }
+    return Record(by_name, record.time_step, stamps=stamps, skipped=earlier)

@@ -324,7 +324,9 @@ def _in_model_units(record: Record, model: Any, selection: Select) -> tuple[Reco
                 f"...}} (on the command line: --unit {name}=UNIT), or convert it: --scale "
                 f"{name}=FACTOR."
             )
-    return record.with_signals({}, units), mismatches
+    named = {name: record.by_name[name] for name in units if name in record.arrays}
+    signals = {name: replace(signal, unit=units[name]) for name, signal in named.items()}
+    return record.with_signals(signals), mismatches
 
 
 def common_steps(recordings: Sequence[Recording]) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from riecjax.errors import DataError
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
 from riecjax.whole_files import require_plain, write_file
 
@@ -37,7 +37,7 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     if "t" in record.arrays:
         raise DataError("a signal called 't' would take the place of time; give it another name.")
     # NaN where a sample is missing, without the samples that mark pauses.
-    columns = {name: samples_with_nan(record, name) for name in record.arrays}
+    columns = {name: record.signal(name).with_nan for name in record.arrays}
     columns = {"t": np.asarray(record.time, dtype=float)} | columns
     if record.stamps is not None:
         valid = ~_pauses(columns, float(record.time_step))

@@ -46,7 +46,7 @@ from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import Sharing
 from riecjax.estimation.stages import all_normal_equations
 from riecjax.leaves import Leaf
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,
@@ -170,9 +170,9 @@ class ParametricBalance(eqx.Module):
             for order, slope in slopes.items():
                 arrays[f"~:{order}/{parameter}"] = slope
                 terms.append(Term(parameter, f"~:{order}/{parameter}", derivative=order))
-        missing = {} if present is None else dict.fromkeys(arrays, ~present)
+        signals = {name: Signal(values, present) for name, values in arrays.items()}
         equation = Equation(*terms, name=name, unit=unit, where=where)
-        return equation, record.with_signals(arrays, missing=missing)
+        return equation, record.with_signals(signals)
 
     def label(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
         """Name and unit of the equation, and where it is to be trusted."""

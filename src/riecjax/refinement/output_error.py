@@ -64,7 +64,7 @@ from riecjax.estimation.parameters import Sharing
 from riecjax.leaves import Leaf, held_still, is_concrete, is_number
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.noise_judgement import judged
-from riecjax.records.record import Record, filled_up, shared_length
+from riecjax.records.record import Record, Signal, both, filled_up, shared_length
 from riecjax.refinement.objective import (
     AbstractMisfit,
     AbstractObjective,
@@ -295,8 +295,8 @@ def _filled(record: Record) -> Record:
     """A record of a length that others share, with no sample behind its end."""
     filled = filled_up(record, shared_length(record.sample_count))
     behind = np.arange(filled.sample_count) >= record.sample_count
-    missing = {name: filled.missing.get(name, False) | behind for name in filled.arrays}
-    return Record(filled.arrays, filled.time_step, missing=missing)
+    signals = {n: Signal(s.values, both(s.present, ~behind)) for n, s in filled.by_name.items()}
+    return Record(signals, filled.time_step)
 
 
 @kept_jit

@@ -10,7 +10,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.extensions import require_packages
 from riecjax.leaves import on_host
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.reporting.document import Document
 from riecjax.reporting.estimate import estimate_entries, known_entries, parameter_entries
 from riecjax.reporting.identification import identification_document
@@ -98,7 +98,7 @@ def to_frame(source: Any) -> Any:
     import pandas
 
     if isinstance(source, Record):
-        columns = {name: samples_with_nan(source, name) for name in source.arrays}
+        columns = {name: source.signal(name).with_nan for name in source.arrays}
         return pandas.DataFrame(columns, index=pandas.Index(np.asarray(source.time), name="t"))
     numbers, shape, entries = _columns(source)
     names = list(entries)

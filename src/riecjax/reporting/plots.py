@@ -14,7 +14,7 @@ from riecjax.assessment.assessment import Assessment
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.evidence import ModeEvidence
 from riecjax.leaves import on_host
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.charts.chart import (
     BLUE,
@@ -81,7 +81,7 @@ def _(thing: Record) -> Chart:
     time = np.mean(thing.time_step) * steps if batch else np.asarray(thing.elapsed)
     for name in thing.arrays:
         last = len(rows) == len(thing.arrays) - 1
-        samples = samples_with_nan(thing, name)
+        samples = thing.signal(name).with_nan
         # Of a batch of records, one line each.
         every = samples.reshape(-1, samples.shape[-1])
         times = np.broadcast_to(time, samples.shape).reshape(every.shape)

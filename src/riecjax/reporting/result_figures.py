@@ -19,7 +19,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence
 from riecjax.estimation.mode_windows import linearised
 from riecjax.estimation.parameters import values_of_record
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (
     BLACK,
     BLUE,
@@ -184,8 +184,8 @@ def held_out_figure(held: HeldOut, about: str = "") -> Chart:
     rows = []
     for name in names:
         lines = [
-            Line(time, samples_with_nan(measured, name), "measured", GREY, width=BOLD),
-            Line(time, samples_with_nan(held.record, name), "simulated", RUST, width=THIN),
+            Line(time, measured.signal(name).with_nan, "measured", GREY, width=BOLD),
+            Line(time, held.record.signal(name).with_nan, "simulated", RUST, width=THIN),
         ]
         fit = float(held.signals[name].fit)
         last = name == names[-1]

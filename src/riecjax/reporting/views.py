@@ -16,7 +16,7 @@ from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
 from riecjax.estimation.evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import excitation_entries, excitation_table, share_in_words
@@ -111,7 +111,7 @@ def _(thing: Record) -> View:
     )
     rows = []
     for name in thing.arrays:
-        values = samples_with_nan(thing, name)
+        values = thing.signal(name).with_nan
         missing = int(np.isnan(values).sum())
         kept = values[~np.isnan(values)]
         numbers = [kept.mean(), kept.std(), kept.min(), kept.max()] if kept.size else [np.nan] * 4

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from riecjax.compilation import kept_jit
 from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 from riecjax.simulation.intersample import (
     Intersample,
     bends_of,
@@ -128,15 +129,14 @@ def _simulate(
         **{name: states[:, i] for i, name in enumerate(system.state_names)},
         **outputs,
     }
-    units = dict(system.states) | dict(system.outputs)
-    driving = {name: inputs[name] for name in system.input_names}
-    record = Record(
-        driving | signals,
-        inputs.time_step,
-        inputs.start_time,
-        dict(inputs.units) | units,
-        {name: mask for name, mask in inputs.missing.items() if name in driving},
-        inputs.stamps,
-        inputs.skipped,
-    )
+    units = dict(inputs.units) | dict(system.states) | dict(system.outputs)
+    driving = {name: inputs.signal(name) for name in system.input_names}
+    signals = {name: signal.values for name, signal in driving.items()} | signals
+    made = {
+        name: Signal(
+            values, driving[name].present if name in driving else None, units.get(name, "")
+        )
+        for name, values in signals.items()
+    }
+    record = Record(made, inputs.time_step, inputs.start_time, inputs.stamps, inputs.skipped)
     return Simulation(record, status, reached)

@@ -25,7 +25,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Key
 
-from riecjax import Adaptive, FixedStep, ModelError, Record, simulate
+from riecjax import Adaptive, FixedStep, ModelError, Record, Signal, simulate
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_scaled
 from riecjax.refinement import AbstractParametric, as_parametric_system
@@ -419,7 +419,9 @@ def _best(
     wave, system = waves[best], experiment.system(experiment.values)
     (name,) = problem.sampling.arrays
     return Design(
-        record=Record({name: wave}, problem.sampling.time_step, units=system.inputs),
+        record=Record(
+            {name: Signal(wave, unit=dict(system.inputs).get(name, ""))}, problem.sampling.time_step
+        ),
         frequencies=problem.frequencies,
         amplitudes=amplitudes,
         phases=phases,

@@ -61,7 +61,8 @@ def digest_of(
     versions of Python may tell recordings apart that are the same.
     """
     digest = hashlib.sha256()
-    for arrays in (record.arrays, record.missing):
+    masks = {n: s.present for n, s in record.by_name.items() if s.present is not None}
+    for arrays in (record.arrays, {name: ~np.asarray(mask) for name, mask in masks.items()}):
         for name, values in sorted(arrays.items()):
             digest.update(name.encode())
             digest.update(np.ascontiguousarray(values).data)

@@ -328,8 +328,10 @@ def _disturbed(record: Record) -> Record:
     each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
     sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
     noise = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
-    added = {name: record.arrays[name] + own for name, own in zip(names, noise)}
-    return record.with_signals(added, missing=record.missing)
+    signals = ((name, record.by_name[name]) for name in names)
+    return record.with_signals(
+        {n: dataclasses.replace(s, values=s.values + own) for (n, s), own in zip(signals, noise)}
+    )
 
 
 # A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide

@@ -32,6 +32,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import DataError, SimulationError
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 from riecjax.shows import Drawn
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
@@ -346,10 +347,14 @@ def validate_held_out(
         # Each length compiles; with powers of two there are few.
         length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
         levels = {
-            name: jnp.concatenate([x[start:stop], jnp.full(length - count, x[stop - 1])])
-            for name, x in inputs.arrays.items()
+            name: Signal(
+                jnp.concatenate([inputs[name][start:stop], jnp.full(length - count, last)]),
+                unit=signal.unit,
+            )
+            for name, signal in inputs.by_name.items()
+            for last in (signal.values[stop - 1],)
         }
-        padded = Record(levels, inputs.time_step, units=inputs.units)
+        padded = Record(levels, inputs.time_step)
         simulation = simulate(system, padded, method=method, initial_state=first)
         runs.append(_Run(start, stop, simulation, min(int(simulation.samples_reached), count)))
     record, simulated = _joined(system, measured, runs)
@@ -449,10 +454,11 @@ def _joined(
             arrays[name][part] = values[: run.reached]
             # Missing samples hold the last value before them, as in every record.
             arrays[name][part.stop :] = values[run.reached - 1]
-    units = {n: u for n, u in runs[0].simulation.record.units if u} | dict(measured.units)
-    lacking = {} if simulated.all() else {name: jnp.asarray(~simulated) for name in made}
-    signals = {name: jnp.asarray(values) for name, values in arrays.items()}
-    record = measured.with_signals(signals, units, lacking)
+    units = dict(runs[0].simulation.record.units) | dict(measured.units)
+    present = None if simulated.all() else simulated
+    record = measured.with_signals(
+        {name: Signal(values, present, units.get(name, "")) for name, values in arrays.items()}
+    )
     return record.select(*system.input_names, *made), simulated
 
 

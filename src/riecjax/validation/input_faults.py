@@ -162,8 +162,8 @@ def silent_inputs(
             # In words, that a signal says nothing; values too large to be squared are no silence.
             with np.errstate(over="ignore", invalid="ignore"):
                 values = np.asarray(record[name], float)
-                missing = record.missing.get(name)
-                present = np.ones(values.size, bool) if missing is None else ~np.asarray(missing)
+                there = record.signal(name).present
+                present = np.ones(values.size, bool) if there is None else np.asarray(there)
                 spread = float(np.std(values[present]))
                 said = ""
                 if not spread > 1e-12 * float(np.max(np.abs(values))):

@@ -656,11 +656,8 @@ def advanced(record: Record, signals: Sequence[str], shift: float, reach: int) -
     """A record without `reach` samples at either end, some signals advanced by whole samples."""
     shift = round(shift)
     n = record.sample_count
-    here, there = slice(reach, n - reach), slice(reach + shift, n - reach + shift)
-    inner = record.part(here.start, here.stop)
-    moved = {name: record.arrays[name][there] for name in signals}
-    missing = {n: record.missing[n][there] for n in signals if n in record.missing}
-    return inner.with_signals(moved, missing=missing, noise=record.noise.of(*signals))
+    moved = record.select(*signals).part(reach + shift, n - reach + shift)
+    return record.part(reach, n - reach).with_signals(moved.by_name)
 
 
 def unfiltered(record: Record, signals: Sequence[str], lag: float, reach: int) -> Record:

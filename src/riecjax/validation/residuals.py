@@ -48,7 +48,7 @@ from riecjax.equations.model import Model, as_model, told_apart
 from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
-from riecjax.records.record import Record, Records, as_records, samples_with_nan
+from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined, with_pads
 
@@ -751,7 +751,7 @@ def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
 
 
 def _each(records: Sequence[Record], name: str) -> Series:
-    return _of_order_one([np.nan_to_num(samples_with_nan(record, name)) for record in records])
+    return _of_order_one([np.nan_to_num(record.signal(name).with_nan) for record in records])
 
 
 NOTABLE_SIZE = 0.02
@@ -1096,9 +1096,9 @@ def _follows(
         # At the times of the joined errors, with a mask of its samples that are present.
         values, masks = [], []
         for part, record in zip(errors, records):
-            missing = record.missing.get(name)
+            there = record.signal(name).present
             values.append(np.asarray(part.centred(record[name])))
-            gone = np.zeros(values[-1].size) if missing is None else part.centred(missing * 1.0)
+            gone = np.zeros(values[-1].size) if there is None else part.centred(~there * 1.0)
             masks.append(np.asarray(gone) == 0)
         series = with_pads(_of_order_one(values), lags)
         signal, valid = moving_average(series, with_pads(masks, lags), count)

@@ -111,7 +111,7 @@ def test_a_notch_beside_a_gap_loses_nothing():
     notched = notch(record, 50.0)
     left = np.asarray(notched["u"]) - clean["u"]
     there = ~np.isnan(u)
-    assert np.array_equal(~np.asarray(notched.missing["u"]), there)
+    assert np.array_equal(np.asarray(notched.signal("u").present), there)
     assert np.std(left[there]) < 0.01 * clean["u"].std()
 
 

@@ -99,7 +99,7 @@ def test_a_record_is_told_of_and_repaired():
     assert check_signals(repaired, ["x", "dx"]) == []
     assert np.max(np.abs(repaired["x"] - CLEAN["x"])) < 5 * size_of(0.05, "x")
     missing = repair_outliers(record, "x", how="missing")
-    np.testing.assert_array_equal(np.flatnonzero(missing.missing["x"]), where)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(missing.signal("x").with_nan)), where)
     assert repair_outliers(record, how="keep") is record
     with pytest.raises(DataError, match="got 'drop'"):
         repair_outliers(record, how="drop")  # pyright: ignore
@@ -141,6 +141,8 @@ def test_a_file_is_repaired_before_anything_is_made_of_it(tmp_path):
     with pytest.raises(DataError, match=r"a.csv: x is 1e\+300 at 12 s, .*--outliers repair"):
         identify(drag_oscillator_equation(), kept)
     missing = read_recording(file, outliers="missing").record
-    np.testing.assert_array_equal(np.flatnonzero(missing.missing["x"]), [300, there])
+    np.testing.assert_array_equal(
+        np.flatnonzero(np.isnan(missing.signal("x").with_nan)), [300, there]
+    )
     even = read_recording(write(tmp_path / "b.csv", values, time), resample=50.0)
     assert float(np.max(np.abs(even.record["x"]))) < 2 * np.max(np.abs(CLEAN["x"]))

@@ -106,7 +106,9 @@ def test_the_second_copy_counts_as_missing(lag):
     left, (found,) = without_repetitions(record)
     assert "from 8 s on, for 0.4 s" in found.message
     for name in "uxv":
-        np.testing.assert_array_equal(np.flatnonzero(left.missing[name]), np.arange(800, 840))
+        np.testing.assert_array_equal(
+            np.flatnonzero(np.isnan(left.signal(name).with_nan)), np.arange(800, 840)
+        )
 
 
 def test_missing_samples_are_rows_of_their_own():

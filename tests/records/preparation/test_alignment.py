@@ -5,7 +5,7 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.records.preparation.alignment import align, set_clocks
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 
 STEP = 0.005
 TIME = STEP * np.arange(4000)
@@ -36,7 +36,7 @@ def test_a_signal_of_another_clock_is_brought_to_the_records(ppm):
     # What was cut off before counts: clocks part from the recording's first sample on.
     for start in (0, 700):
         set_ = set_clocks(record.part(start, TIME.size), {"q": ppm})
-        values, time = samples_with_nan(set_, "q"), np.asarray(set_.elapsed)
+        values, time = set_.signal("q").with_nan, np.asarray(set_.elapsed)
         there = ~np.isnan(values)
         # Of the advance itself, by millionths of the time, 1e-3 of a per mille is left.
         exact = motion(time[there] * (1 - (1e-6 * ppm) ** 2))

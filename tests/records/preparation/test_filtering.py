@@ -15,6 +15,7 @@ from riecjax.records.preparation.filtering import (
     with_local_derivative,
 )
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE
@@ -45,7 +46,7 @@ def with_missing(values: np.ndarray, *gaps: slice, **others: np.ndarray) -> Reco
 
 def test_low_pass_loses_five_periods_of_a_signals_own_cut_off_beside_its_gaps():
     broken = with_missing(TIME, slice(2000, 2001))
-    both = broken.with_signals({"p": broken["q"]}, missing={"p": broken.missing["q"]})
+    both = broken.with_signals({"p": broken.signal("q")})
     filtered = low_pass(both, {"q": 100.0, "p": 20.0})
     np.testing.assert_allclose(filtered.time[0], 0.25)
     assert filtered.segments(["p"]) == [slice(0, 1500), slice(2001, 3500)]
@@ -78,7 +79,7 @@ def test_drift_is_a_line_in_true_time_through_pauses(start):
 
 def test_differences_are_exact_for_parabolas_at_the_ends_too():
     values = 3 - 2 * TIME + 5 * TIME**2
-    derived = differentiate(Record({"q": values}, 1 / RATE, units={"q": "m"}), "q", "dq")
+    derived = differentiate(Record({"q": Signal(values, unit="m")}, 1 / RATE), "q", "dq")
     np.testing.assert_allclose(derived["dq"], -2 + 10 * TIME, rtol=0, atol=1e-10)
     assert dict(derived.units)["dq"] == "m/s"
 
@@ -111,7 +112,7 @@ SLOPE = (
 
 def noisy(level, seed=0):
     white = np.random.default_rng(seed).normal(size=FINE_TIME.size)
-    return Record({"x": MOTION + level * white}, FINE_STEP, units={"x": "m"})
+    return Record({"x": Signal(MOTION + level * white, unit="m")}, FINE_STEP)
 
 
 @pytest.mark.parametrize("count", [3, 8, 25])

@@ -82,8 +82,9 @@ def test_a_derivative_shares_its_source():
 def test_what_is_thinned_keeps_all_covariances():
     taps = {"x": [0.3, 1.0, 0.5, 0.2, 0.7], "v": [-1.0, 0.4, 1.0]}
     noise = Noise({name: {"x": np.array(of)} for name, of in taps.items()}, {"x": np.array(9.0)})
+    record = Record({name: np.zeros(20) for name in taps}, STEP).with_noise(noise)
     for count in (1, 2, 3, 7):
-        thinned = noise.thinned(count)
+        thinned = record.every(count).noise
         for one, other in (("x", "x"), ("x", "v"), ("v", "x"), ("v", "v")):
             for lag in range(4):
                 np.testing.assert_allclose(

@@ -7,6 +7,7 @@ import scipy.interpolate
 from riecjax.errors import DataError
 from riecjax.records.preparation.resampling import on_grid, resample, upsample
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 UP_REACH, DOWN_REACH = 44, 26
 """Samples of the slower rate that are lost, as the docstrings say."""
@@ -18,7 +19,7 @@ def wave(time, share: float, rate: float = 1.0, phase: float = 0.4) -> np.ndarra
 
 
 def waves(count: int, share: float, phase: float = 0.4) -> Record:
-    return Record({"a": wave(np.arange(count), share, 1.0, phase)}, 1.0, units={"a": "m"})
+    return Record({"a": Signal(wave(np.arange(count), share, 1.0, phase), unit="m")}, 1.0)
 
 
 @pytest.mark.parametrize("factor", [2, 7, 8])
@@ -32,13 +33,13 @@ def test_upsampling_errs_by_less_than_1e_6_up_to_0_9_of_half_the_rate(share, fac
 
 def test_upsampling_keeps_recorded_samples_and_loses_its_reach_at_the_ends():
     values = np.random.default_rng(0).normal(size=500)
-    finer = upsample(Record({"a": values}, 0.1, 3.0, {"a": "V"}), 6)
+    finer = upsample(Record({"a": Signal(values, unit="V")}, 0.1, 3.0), 6)
     assert finer.sample_count == (500 - 1 - 2 * UP_REACH) * 6 + 1
     assert float(finer.time_step) == pytest.approx(0.1 / 6, rel=1e-14)
     assert float(finer.start_time) == pytest.approx(3.0 + 0.1 * UP_REACH, rel=1e-14)
     np.testing.assert_allclose(finer["a"][::6], values[UP_REACH:-UP_REACH], rtol=0, atol=1e-13)
     assert dict(finer.units) == {"a": "V"}
-    assert not finer.missing
+    assert finer.present(["a"]) is None
     assert finer.stamps is None
 
 

@@ -19,7 +19,7 @@ from riecjax.records.preparation import (
     upsample,
     with_local_derivative,
 )
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 
 STEP, COUNT = 0.005, 4000
 OMEGA = 2 * np.pi * np.array([0.31, 0.83, 1.7, 2.9])
@@ -72,7 +72,7 @@ def test_a_step_works_within_stretches_and_keeps_time_and_other_signals(name, pa
     q[gone] = np.nan
     made = apply(Record.from_samples({"q": q, "p": time, "w": np.cos(9 * time)}, time=time))
     elapsed, signal = np.asarray(made.elapsed), "v" if "v" in made.arrays else "q"
-    values = samples_with_nan(made, signal)
+    values = made.signal(signal).with_nan
     there, ends = ~np.isnan(values), (time[0], time[1699], time[gone.stop], time[-1])
     lost = reach * STEP + 1e-6
     inside = (elapsed >= ends[0] + lost) & (elapsed <= ends[1] - lost)
@@ -86,7 +86,7 @@ def test_a_step_works_within_stretches_and_keeps_time_and_other_signals(name, pa
     off = values - expected(elapsed) - lifted
     np.testing.assert_allclose(off[there], 0, atol=atol)
     np.testing.assert_allclose(made.time[0] - elapsed[0], 0, atol=1e-9)
-    others = samples_with_nan(made, "p")
+    others = made.signal("p").with_nan
     np.testing.assert_allclose((others - elapsed)[~np.isnan(others)], 0, atol=1e-3)
 
 

@@ -83,7 +83,7 @@ def test_derived_signals_of_a_file(tmp_path):
         derive={"force": "35 * vir - mean(vir)", "power": "force * q * t", "q": "-q"},
         units={"force": "N", "power": "kW"},
     )
-    assert np.asarray(record.missing["force"]).tolist() == [False, True, False]
+    assert np.asarray(record.present(["force"])).tolist() == [True, False, True]
     np.testing.assert_allclose(record["force"][np.array([0, 2])], [33.0, 103.0])
     np.testing.assert_allclose(record["power"][2], 1e3 * 103 * 0.03)
     np.testing.assert_allclose(record["q"], [-0.01, -0.02, -0.03])

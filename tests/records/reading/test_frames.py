@@ -55,8 +55,8 @@ def test_frames_with_all_kinds_of_columns():
     )
     assert set(record.arrays) == {"x", "flag", "count", "arrow", "y"}
     np.testing.assert_allclose(record["y"], 2 * X)
-    assert np.flatnonzero(record.missing["count"]).tolist() == [0]
-    assert np.flatnonzero(record.missing["arrow"]).tolist() == [N - 1]
+    assert np.flatnonzero(np.isnan(record.signal("count").with_nan)).tolist() == [0]
+    assert np.flatnonzero(np.isnan(record.signal("arrow").with_nan)).tolist() == [N - 1]
     assert dict(record.units) == {"y": "m"}
 
 

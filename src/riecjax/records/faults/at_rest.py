@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riecjax.records.record import Record, runs, samples_with_nan
+from riecjax.records.record import Record, runs
 
 NOISES, MOVES = 3.0, 1.0
 """What is about zero: so many standard deviations of noise, or usual changes over a sample."""
@@ -40,7 +40,7 @@ class Rest(NamedTuple):
 
 def rest_of(record: Record, name: str) -> Rest | None:
     """Rest in a signal, `None` where there is none, or nothing else (not under jit)."""
-    values = samples_with_nan(record, name)
+    values = record.signal(name).with_nan
     with np.errstate(all="ignore"):
         change = np.abs(np.diff(values))
         moving = change[change > 0]

@@ -37,7 +37,7 @@ from jaxtyping import Bool, Complex, Float
 
 from riecjax.findings import option_for
 from riecjax.records.noise import noise_level
-from riecjax.records.record import Record, gaps, hold, runs, samples_with_nan
+from riecjax.records.record import Record, runs
 from riecjax.records.remembered import remembered
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -522,10 +522,8 @@ def with_sum(record: Record, relation: Relation) -> tuple[Record, str, str]:
     if relation.is_plain:
         return record, relation.signal, relation.terms[0]
     label = summed(relation.of)
-    columns = [c * samples_with_nan(record, name) for name, c in relation.of]
-    total = {label: np.sum(columns, axis=0)}
-    added = record.with_signals({label: hold(total[label])}, missing=gaps(total))
-    return added, relation.signal, label
+    total = sum(c * record.signal(name) for name, c in relation.of)
+    return record.with_signals({label: total}), relation.signal, label
 
 
 def summed(terms: Iterable[tuple[str, float]]) -> str:
@@ -665,7 +663,7 @@ class Pair(NamedTuple):
 @remembered(
     lambda record, relation: (
         relation,
-        *(samples_with_nan(record, name) for name in relation.names),
+        *(record.signal(name).with_nan for name in relation.names),
         np.asarray(record.elapsed),
         float(record.time_step),
     ),
@@ -680,8 +678,8 @@ def compare(record: Record, relation: Relation) -> Pair | None:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    x = samples_with_nan(record, relation.signal)
-    terms = {name: samples_with_nan(record, name) for name in relation.terms}
+    x = record.signal(relation.signal).with_nan
+    terms = {name: record.signal(name).with_nan for name in relation.terms}
     step, count = float(record.time_step), x.size
     # What is too fast has an integral that depends on what it does between samples.
     rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in terms.values())

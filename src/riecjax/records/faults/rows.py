@@ -28,8 +28,7 @@ from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
 from riecjax.records.noise import NORMAL
-from riecjax.records.preparation.filtering import with_gaps
-from riecjax.records.record import HasRecord, Record, samples_with_nan
+from riecjax.records.record import HasRecord, Record
 
 ROUNDED = 1e-3
 """Share of a standard deviation by which rounding may part a sample from its copy."""
@@ -115,7 +114,7 @@ def repetitions(columns: Sequence[Float[np.ndarray, " rows"]]) -> list[Repetitio
 
 def without_repetitions(record: Record) -> tuple[Record, list[Finding]]:
     """The record with rows that stand in it again as missing, and what is said of them."""
-    columns = {name: samples_with_nan(record, name) for name in record.arrays}
+    columns = {name: record.signal(name).with_nan for name in record.arrays}
     repeated = repetitions([*columns.values()])
     if not repeated:
         return record, []
@@ -131,7 +130,7 @@ def without_repetitions(record: Record) -> tuple[Record, list[Finding]]:
         f"they showed from {time[first.first]:.6g} s on, to the last digit{more}: the logger wrote "
         f"those rows again. What stood there is lost; they count as missing. Check the logger.",
     )
-    return with_gaps(record, columns, noise=record.noise), [said]
+    return record.with_samples(columns), [said]
 
 
 def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
@@ -304,7 +303,7 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    x, v = samples_with_nan(record, signal), samples_with_nan(record, derivative)
+    x, v = record.signal(signal).with_nan, record.signal(derivative).with_nan
     step, size = float(record.time_step), float(np.nanstd(x))
     if x.size < 4 * SIDES[1] or not (np.isfinite(size) and size > 0):
         return None

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 
 MOST_OUTLIERS = 0.01
 """Share of samples; more of them are how the signal is."""
@@ -121,7 +121,7 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    values = samples_with_nan(record, name)
+    values = record.signal(name).with_nan
     known = values[~np.isnan(values)]
     rounding = rounding_of(known)
     levels, counts = levels_of(known, rounding)

@@ -20,9 +20,10 @@ from riecjax.records.faults.derivative_pairs import (
 )
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation.filtering import longest_stretch, through, with_gaps
+from riecjax.records.preparation.filtering import longest_stretch, through
 from riecjax.records.preparation.resampling import SAME_TIME, band_limited, reach_beyond, response
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 POINTS = np.arange(-3, 5)
 """Samples around a place that a polynomial of degree 7 goes through."""
@@ -53,9 +54,10 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, a time that is no number, or a
     record or stretches too short for it.
     """
-    columns, before, after = {}, 0, 0
+    moved, before, after = {}, 0, 0
+    record = judged(record, "auto", *seconds)
     for name, late in seconds.items():
-        record.signals[name]  # an error that helps, if there is none
+        signal = record.signal(name)
         by = late / float(record.time_step)
         if not abs(by) < record.sample_count / 2:
             raise DataError(
@@ -65,15 +67,14 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
         reach = reach_beyond(1.0)
         wide = longest_stretch(record, name) >= 2 * MOST_LOST * reach
         taps, first = _taps(by, reach if wide else 0)
-        columns[name] = through(record, name, taps, first)
         before, after = max(before, -first), max(after, first + taps.size - 1)
-        record = judged(record, "auto", name)
         # A shift between samples leaves white noise nearly white, but a little less of it.
-        record = record.with_noise(record.noise.filtered(name, np.array([np.linalg.norm(taps)])))
-    for name, values in columns.items():
-        if np.isnan(values).all():
+        noise = signal.through_taps(np.array([np.linalg.norm(taps)]))
+        moved[name] = Signal.of(through(record, name, taps, first), signal.unit, noise)
+    for name, signal in moved.items():
+        if np.isnan(signal.with_nan).all():
             raise DataError(f"no stretch of '{name}' is long enough to be shifted.")
-    result = with_gaps(record, columns, noise=record.noise)
+    result = record.with_signals(moved)
     return result.part(max(before, 0), record.sample_count - max(after, 0))
 
 
@@ -89,29 +90,29 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, a clock that is off by more than
     10 %, or stretches too short for it.
     """
-    reach, columns, lost = reach_beyond(1.0), {}, 0
+    reach, moved, lost = reach_beyond(1.0), {}, 0
+    record = judged(record, "auto", *ppm)
     elapsed = np.asarray(record.elapsed) / float(record.time_step)
     # The interpolator's gain of white noise, over all places between two samples.
     phases = response(np.arange(1 - reach, reach + 1) - np.linspace(0, 1, 21)[:, None], 1.0)
     white = np.sqrt(np.mean(np.sum(phases**2, axis=1)))
     for name, rate in ppm.items():
-        samples = np.asarray(record.signals[name])
+        signal = record.signal(name)
+        samples = np.asarray(signal.values)
         if not abs(rate) < MOST_PPM:
             raise DataError(
                 f"the clock of '{name}' is off by {rate:g} ppm, which is no clock. Give millionths "
                 f"of the time, less than {MOST_PPM:g}."
             )
-        late, columns[name] = PPM * rate * elapsed, np.full(samples.size, np.nan)
+        late, values = PPM * rate * elapsed, np.full(samples.size, np.nan)
         for part in record.segments([name]):
             own = np.arange(part.stop - part.start)
-            columns[name][part] = band_limited(samples[part], own + late[part], 1.0)
-        if np.isnan(columns[name]).all():
+            values[part] = band_limited(samples[part], own + late[part], 1.0)
+        if np.isnan(values).all():
             raise DataError(f"no stretch of '{name}' is long enough for another clock.")
-        record = judged(record, "auto", name)
-        record = record.with_noise(record.noise.filtered(name, np.array([white])))
+        moved[name] = Signal.of(values, signal.unit, signal.through_taps(np.array([white])))
         lost = max(lost, reach + int(np.ceil(np.max(np.abs(late[[0, -1]])))))
-    result = with_gaps(record, columns, noise=record.noise)
-    return result.part(lost, record.sample_count - lost)
+    return record.with_signals(moved).part(lost, record.sample_count - lost)
 
 
 def _taps(by: float, reach: int) -> tuple[Float[np.ndarray, " taps"], int]:

@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
-from riecjax.records.noise import Noise
 from riecjax.records.noise_judgement import blackman_harris, judged
-from riecjax.records.record import Record, gaps, hold, samples_with_nan
+from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 FILTER_ORDER = 4
 FILTER_PADDING = 16
@@ -50,20 +50,20 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
             f"samples are lost at each end. Raise the cut-off, or record for longer."
         )
     record = judged(record, "auto", *cutoffs)
-    noise = record.noise
-    columns = {}
+    filtered = {}
     for name, cutoff in cutoffs.items():
         sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         impulse = np.zeros(4 * lost[name] + FILTER_PADDING + 1)
         impulse[impulse.size // 2] = 1.0
-        noise = noise.filtered(name, scipy.signal.sosfiltfilt(sections, impulse))
-        columns[name] = np.full(record.sample_count, np.nan)
+        signal, values = record.signal(name), np.full(record.sample_count, np.nan)
         for stretch in record.segments([name]):
             if stretch.stop - stretch.start > _shortest(lost[name]):
                 inner = slice(stretch.start + lost[name], stretch.stop - lost[name])
-                samples = scipy.signal.sosfiltfilt(sections, np.asarray(record[name])[stretch])
-                columns[name][inner] = samples[lost[name] : -lost[name]]
-    result = with_gaps(record, columns, noise=noise).part(cut, record.sample_count - cut)
+                samples = scipy.signal.sosfiltfilt(sections, np.asarray(signal.values)[stretch])
+                values[inner] = samples[lost[name] : -lost[name]]
+        noise = signal.through_taps(scipy.signal.sosfiltfilt(sections, impulse))
+        filtered[name] = Signal.of(values, signal.unit, noise)
+    result = record.with_signals(filtered).part(cut, record.sample_count - cut)
     for name, cutoff in cutoffs.items():
         if not result.segments([name]):
             raise DataError(
@@ -97,18 +97,16 @@ def unfilter(record: Record, lags: Mapping[str, float]) -> Record:
 
 def lead(record: Record, seconds: Mapping[str, float]) -> Record:
     """As [`unfilter`][], of any time constant, one that is not positive too."""
-    columns, half = {}, SLOPE.size // 2
+    led, half = {}, SLOPE.size // 2
+    record = judged(record, "auto", *seconds)
     for name, tau in seconds.items():
         taps = tau / float(record.time_step) * SLOPE
         taps[half] += 1.0
-
-        columns[name] = through(record, name, taps[::-1], -half)
-        if np.isnan(columns[name]).all():
+        values, signal = through(record, name, taps[::-1], -half), record.signal(name)
+        if np.isnan(values).all():
             raise DataError(f"no stretch of '{name}' is long enough for its low-pass to be undone.")
-        record = judged(record, "auto", name)
-        record = record.with_noise(record.noise.filtered(name, taps))
-    result = with_gaps(record, columns, noise=record.noise)
-    return result.part(half, record.sample_count - half)
+        led[name] = Signal.of(values, signal.unit, signal.through_taps(taps))
+    return record.with_signals(led).part(half, record.sample_count - half)
 
 
 def remove_offset(record: Record, *signals: str) -> Record:
@@ -140,14 +138,14 @@ def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -
     time = np.asarray(record.time)
     columns = {}
     for name in signals:
-        values = samples_with_nan(record, name)
+        values = record.signal(name).with_nan
         there = ~np.isnan(values)
         # `fit` maps time to [-1, 1], so that seconds since 1970 lose no digits.
         trend = np.polynomial.Polynomial.fit(
             time[there], values[there], min(degree, there.sum() - 1)
         )
         columns[name] = values - trend(time)
-    return with_gaps(record, columns, noise=record.noise)
+    return record.with_samples(columns)
 
 
 def _shortest(lost: int) -> int:
@@ -171,8 +169,6 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
             f"'{signal}' has no derivative: nowhere are two of its samples next to each other. "
             f"Repair the gaps, or resample to a lower rate."
         )
-    unit = dict(record.units).get(signal)
-    units = {} if unit is None else {name: f"{unit}/s"}
     samples = np.asarray(record[signal])
     derivative = np.full(record.sample_count, np.nan)
     for stretch in record.segments([signal]):
@@ -182,7 +178,16 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
             derivative[stretch] = np.gradient(samples[stretch], step, edge_order=order)
     taps = np.array([0.5, 0.0, -0.5]) / float(record.time_step)
     record = judged(record, "auto", signal)
-    return with_gaps(record, {name: derivative}, units, record.noise.filtered(signal, taps, name))
+    return _with_rate(record, signal, name, derivative, taps)
+
+
+def _with_rate(
+    record: Record, signal: str, name: str, rate: np.ndarray, taps: np.ndarray
+) -> Record:
+    """The record with a signal's derivative, which these taps make of it."""
+    of = record.signal(signal)
+    unit = f"{of.unit}/s" if of.unit else dict(record.units).get(name, "")
+    return record.with_signals({name: Signal.of(rate, unit, of.through_taps(taps))})
 
 
 def through(
@@ -198,17 +203,6 @@ def through(
             there = (places >= stretch.start) & (places < stretch.stop)
             result[places[there]] = sums[there]
     return result
-
-
-def with_gaps(
-    record: Record,
-    columns: Mapping[str, np.ndarray],
-    units: Mapping[str, str] | None = None,
-    noise: Noise | None = None,
-) -> Record:
-    """A record with these signals added or replaced, missing where they are NaN."""
-    held = {name: hold(values) for name, values in columns.items()}
-    return record.with_signals(held, units, gaps(columns), noise)
 
 
 def longest_stretch(record: Record, signal: str) -> int:
@@ -260,10 +254,8 @@ def with_local_derivative(record: Record, signal: str, name: str) -> tuple[Recor
             f"in succession, and its longest stretch has {longest}. Repair the gaps."
         )
     taps = derivative_taps(count, step)
-    unit = dict(record.units).get(signal)
-    units = {} if unit is None else {name: f"{unit}/s"}
-    noise = record.noise.filtered(signal, taps, name)
-    added = with_gaps(record, {name: through(record, signal, taps[::-1], -count)}, units, noise)
+    slopes = through(record, signal, taps[::-1], -count)
+    added = _with_rate(record, signal, name, slopes, taps)
     return added.part(count, record.sample_count - count), count * step
 
 

@@ -12,8 +12,7 @@ from riecjax.records.faults.sampled_signal import (
     SampledSignal,
     percent,
 )
-from riecjax.records.preparation.filtering import with_gaps
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 
 MAINS = (50.0, 60.0, 50 / 3)
 """Hz of grids of countries and of railways."""
@@ -265,7 +264,7 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
         raise DataError(f"the frequency to notch is a positive number of Hz; got {frequency}.")
     step, columns = float(record.time_step), {}
     for name in record.arrays:
-        values = samples_with_nan(record, name)
+        values = record.signal(name).with_nan
         spectrum = spectrum_of(values, step)
         if spectrum is None:
             continue
@@ -282,7 +281,7 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
             lines = [exact, *(line for line in lines if line.nominal > frequency)]
         if lines:
             columns[name] = without_lines(values, step, [line.seen for line in lines])
-    return with_gaps(record, columns, noise=record.noise) if columns else record
+    return record.with_samples(columns) if columns else record
 
 
 def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[float]) -> np.ndarray:

@@ -20,8 +20,7 @@ from riecjax.records.faults.spikes import (
     finding_of,
     too_many,
 )
-from riecjax.records.preparation.filtering import with_gaps
-from riecjax.records.record import Record, samples_with_nan
+from riecjax.records.record import Record
 from riecjax.records.time_base import SHORTEST_PAUSE
 
 TURNS = (2 * np.pi, 360.0)
@@ -102,11 +101,11 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
 
     **Raises:** `DataError` for a signal that the record lacks, or another treatment.
     """
-    columns = {n: samples_with_nan(record, n) for n in {**dict.fromkeys(signals), **record.arrays}}
+    columns = {n: record.signal(n).with_nan for n in {**dict.fromkeys(signals), **record.arrays}}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
     treated = _treated(signals or tuple(columns), columns, times, how)
     changed = {n: one.values for n, one in treated.items() if one.spikes and not one.acted}
-    return with_gaps(record, changed, noise=record.noise.of(*changed)) if changed else record
+    return record.with_samples(changed) if changed else record
 
 
 def leave_out(record: Record, *signals: str) -> Record:
@@ -135,7 +134,7 @@ def leave_out(record: Record, *signals: str) -> Record:
             raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
         if not np.array_equal(values, signal.values, equal_nan=True):
             columns[name] = values
-    return with_gaps(record, columns, noise=record.noise)
+    return record.with_samples(columns)
 
 
 def treat_all(

@@ -24,10 +24,19 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.memory import in_gigabytes, require_memory
-from riecjax.records.noise import DIFFERENCE_ORDER, STRETCH, STRETCHES, Noise, shortened, usual_size
+from riecjax.records.noise import (
+    DIFFERENCE_ORDER,
+    STRETCH,
+    STRETCHES,
+    Noise,
+    SignalNoise,
+    shortened,
+    usual_size,
+)
 from riecjax.records.noise_judgement import judged, noise_of_level
 from riecjax.records.preparation.filtering import longest_stretch
-from riecjax.records.record import Record, gaps, hold, runs
+from riecjax.records.record import Record, runs
+from riecjax.records.signal import Signal
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""
@@ -178,19 +187,22 @@ def on_grid_noise(
 
     **Arguments:** `given`, what is known of the channels as measured; the others are judged.
     """
-    found = given.of(*channels)
+    on_grid = {}
     for name, (time, values) in channels.items():
-        if name not in found.kernels:
-            level, known = uneven_level(time, values), ~np.isnan(values)
-            found = found.joined(noise_of_level(name, level, hold(values), known))
+        signal = Signal.of(values)
+        if name in given.kernels:
+            noise = given[name]
+        else:
+            level = uneven_level(time, values)
+            noise = noise_of_level(name, level, signal.values, ~np.isnan(values))
         channel = _channel(name, time, values)
         taps = (
             resampled_taps(np.ones(1), 1 / (rate * channel.step))
             if channel.step * rate < 1 - SAME_RATE
             else spline_taps(np.interp(grid, time, np.arange(time.size)))
         )
-        found = found.filtered(name, taps)
-    return found
+        on_grid[name] = noise.convolved(taps)
+    return Noise.of(on_grid)
 
 
 class _Channel(NamedTuple):
@@ -302,19 +314,15 @@ def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
     return _weights(offsets, spacing) / _weights(np.arange(-reach, reach + 1), spacing).sum()
 
 
-def resampled_noise(noise: Noise, spacing: float) -> Noise:
-    """The noise of a record whose samples are `spacing` of the old ones apart.
+def resampled_noise(noise: SignalNoise, spacing: float) -> SignalNoise:
+    """The noise of a signal whose samples are `spacing` of the old ones apart.
 
     With h the response of the resampler, w of unit size on the old samples, gives
     e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
     rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
     """
-
-    kernels = {
-        name: {source: resampled_taps(np.asarray(kernel), spacing) for source, kernel in of.items()}
-        for name, of in noise.kernels.items()
-    }
-    return Noise(kernels, noise.freedom)
+    kernels = {s: resampled_taps(np.asarray(taps), spacing) for s, taps in noise.kernels.items()}
+    return SignalNoise(kernels, noise.freedom)
 
 
 def resampled_taps(
@@ -422,8 +430,10 @@ def _resampled(record: Record, step: float, spacing: float) -> Record:
         "Choose a lower rate or factor, or a part of the record.",
     )
     # Stretches of one even grid lie between pauses, which no signal spans.
-    masks = [np.asarray(record.missing.get(name, np.zeros(count, bool))) for name in record.arrays]
-    some = ~np.all(masks, axis=0) if record.stamps is not None else np.ones(count, bool)
+    some = np.ones(count, bool)
+    if record.stamps is not None:
+        columns = [signal.with_nan for signal in record.by_name.values()]
+        some = np.any(~np.isnan(columns), axis=0, keepdims=True)[0]
     pieces = [_piece(record, slice(*run), step, spacing) for run in runs(some).T.tolist()]
     pieces = [piece for piece in pieces if piece is not None]
     for name in record.arrays:
@@ -443,16 +453,13 @@ def _resampled(record: Record, step: float, spacing: float) -> Record:
     stamps = joined([time for time, _ in pieces])
     pauses = np.flatnonzero(np.isnan(stamps))
     stamps[pauses] = 0.5 * (stamps[pauses - 1] + stamps[pauses + 1])
-    return Record(
-        {name: hold(values) for name, values in columns.items()},
-        step,
-        stamps[0],
-        record.units,
-        gaps(columns),
-        stamps if len(pieces) > 1 else None,
-        record.skipped + (stamps[0] - record.time[0]),
-        resampled_noise(judged(record).noise, spacing),
-    )
+    noise = judged(record).noise
+    signals = {
+        name: Signal.of(values, record.signal(name).unit, resampled_noise(noise[name], spacing))
+        for name, values in columns.items()
+    }
+    skipped = record.skipped + (stamps[0] - record.time[0])
+    return Record(signals, step, stamps[0], stamps if len(pieces) > 1 else None, skipped)
 
 
 def _piece(

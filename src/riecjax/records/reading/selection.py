@@ -406,11 +406,11 @@ def _with_noise(record: Record, selection: Select, columns: Mapping[str, np.ndar
 
     What is said of a signal goes before what its samples and formulas tell.
     """
-    given = given_noise(selection.noise, record.arrays)
-    noise = given.joined(record.noise)
-    formulas = {k: f for k, f in selection.derive.items() if k not in noise.kernels}
+    known = record.noise
+    record = record.with_noise(given_noise(selection.noise, record.arrays)).with_noise(known)
+    formulas = {k: f for k, f in selection.derive.items() if k not in record.noise.kernels}
     measured = [name for name in record.arrays if name not in formulas]
-    noise = judged(record.with_noise(noise).select(*measured)).noise if measured else noise
+    noise = judged(record.select(*measured)).noise if measured else record.noise
     for name, formula in formulas.items():
         from riecjax.records.derived import sensitivities
 
