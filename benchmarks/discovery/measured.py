@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
-from benchmarks.measured.emps_axis import RisingAxis
+from benchmarks.measured.emps_axis import Axis
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.model import as_model
 from riecjax.equations.term import AbstractShape
@@ -35,7 +35,7 @@ MR_TRAIN = 1000
 """Samples of the damper's 1501 that the search reads."""
 
 
-class LimitedAxis(RisingAxis):
+class LimitedAxis(Axis):
     """An axis whose dry friction grows with the speed up to a limit.
 
     **Fields:** those of an axis, `slope` in N s/m up to the speed `limit` in m/s.

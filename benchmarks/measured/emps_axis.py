@@ -118,30 +118,20 @@ class Axis(rx.simulation.AbstractSystem):
     inputs: ClassVar = (("force", "N"),)
     reversing: ClassVar = ("dq",)
 
+    def levels(self, velocity: Array) -> tuple[Array, Array]:
+        """The Coulomb levels in both directions at a velocity."""
+        return self.Fc_pos, self.Fc_neg
+
     def derivative(self, state: Array, inputs: Array) -> Array:
         """Velocity and acceleration."""
         velocity = state[1]
-        forward = self.Fv_pos * velocity + self.Fc_pos
-        backward = self.Fv_neg * velocity - self.Fc_neg
+        ahead, back = self.levels(velocity)
+        forward, backward = self.Fv_pos * velocity + ahead, self.Fv_neg * velocity - back
         friction = jnp.where(velocity > 0, forward, jnp.where(velocity < 0, backward, 0.0))
         return jnp.stack([velocity, (inputs[0] - self.offset - friction) / self.M])
 
 
-class RisingAxis(Axis):
-    """An axis whose friction's level changes with the speed."""
-
-    def levels(self, velocity: Array) -> tuple[Array, Array]:
-        """The Coulomb levels in both directions at a velocity."""
-        raise NotImplementedError
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        """Velocity and acceleration."""
-        positive, negative = self.levels(state[1])
-        steady = Axis(self.M, self.Fv_pos, positive, self.Fv_neg, negative, self.offset)
-        return steady.derivative(state, inputs)
-
-
-class StribeckAxis(RisingAxis):
+class StribeckAxis(Axis):
     """An axis whose Coulomb friction is higher near rest.
 
     **Fields:** those of `Axis`, `excess` of static over Coulomb friction, and `vs` in m/s.
