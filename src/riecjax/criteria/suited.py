@@ -165,7 +165,7 @@ def with_velocities(model: Model, record: Record) -> tuple[Record, list[str]]:
     **Returns:** the record, and what was added, in words.
     """
     steps = []
-    for equation in (e for stage in model.stages for e in stage):
+    for equation in model.equations:
         below = {name: of for of, name in equation.derivatives}
         while any(name not in record.arrays for name in below):
             try:

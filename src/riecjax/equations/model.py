@@ -104,6 +104,20 @@ OWN = "your own equation"
 Stages = tuple[tuple[Equation, ...], ...]
 
 
+def _in_stages(given: "Stages | Equation | Model") -> Stages:
+    """Stages as they are given: of an equation or a model, its own."""
+    if isinstance(given, Model):
+        if given.has_hidden or given.memories or given.rates:
+            raise ModelError("stages= takes equations: add what else the model has to the new one.")
+        return given.stages
+    if isinstance(given, tuple):
+        return given
+    require(
+        "what is in stages", given, Equation, "stages=rx.Equation(...), or rx.staged(*equations)"
+    )
+    return ((given,),)
+
+
 class Model(Shown, eqx.Module):
     """Equations in stages, what they leave out, and what is known of their signals.
 
@@ -113,8 +127,7 @@ class Model(Shown, eqx.Module):
     **Fields:**
 
     - `name`, `summary`: for listings.
-    - `stages` of equations, see [`staged`][] and [`simultaneous`][]: an `Equation`, or what these
-      return.
+    - `stages` of equations: an `Equation`, or several by [`staged`][] or [`simultaneous`][].
     - `signals`: what identification reads from a record.
     - `derived`: signal to the signal whose time derivative it is, formed by central differences
       if the record lacks it.
@@ -137,7 +150,7 @@ class Model(Shown, eqx.Module):
 
     name: str = eqx.field(static=True, default="")
     summary: str = eqx.field(static=True, default=OWN)
-    stages: Stages = ()
+    stages: Stages = eqx.field(converter=_in_stages, default=())
     signals: tuple[Quantity, ...] = eqx.field(static=True, default=())
     derived: Mapping[str, str] = eqx.field(static=True, default=FrozenDict())
     parameters: tuple[Quantity, ...] = eqx.field(static=True, default=())
@@ -154,16 +167,12 @@ class Model(Shown, eqx.Module):
     at_rest: AtRest = eqx.field(static=True, default="mask")
 
     def __post_init__(self) -> None:
+        # The field's converter comes after, for what stands here is needed first.
+        self.stages = _in_stages(self.stages)
         for field_name in ("signals", "parameters", "own_simulation_parameters", "inputs"):
             for quantity in getattr(self, field_name):
                 write = f"{field_name}=(Quantity('x', 'm', 'position'), ...)"
                 require(f"what is in {field_name}", quantity, Quantity, write)
-        if isinstance(self.stages, Equation):
-            self.stages = ((self.stages,),)
-        elif isinstance(self.stages, Model):
-            self.stages = self.stages.stages
-        for equation in self.equations if isinstance(self.stages, tuple) else (self.stages,):
-            require("what is in stages", equation, Equation, "stages=rx.staged(*equations)")
         self.derived, self.rates = FrozenDict(self.derived), FrozenDict(self.rates)
         for mode in self.modes:
             require("a mode", mode, HiddenMode, "rx.HiddenMode(on='x4')")
@@ -174,8 +183,7 @@ class Model(Shown, eqx.Module):
                 )
         self._require_elements()
         listed, units = {quantity.name for quantity in self.parameters}, self.units
-        meanings = dict.fromkeys(n for e in self.equations for n in e.parameters)
-        meanings = dict.fromkeys(meanings, "")
+        meanings = {name: "" for equation in self.equations for name in equation.parameters}
         for number, mode in enumerate(self.modes):
             for part, parameter in ModeParameters.of(number)._asdict().items():
                 meanings[parameter] = f"{part} of the hidden mode on {mode.on}"

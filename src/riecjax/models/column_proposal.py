@@ -92,7 +92,7 @@ def signals_of(model: "Model") -> "list[Quantity]":
 
     names: list[str] = ["t"]
     zeros = np.zeros(8)
-    equations = [e for stage in model.stages for e in stage]
+    equations = model.equations
     for _ in range(100):
         record = Record.from_samples(dict.fromkeys(names[1:] or ["_"], zeros), time_step=1.0)
         try:

@@ -251,7 +251,7 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
                 "hidden modes and springs have states of their own, which no integral of the "
                 "equations shows: refine by rx.OutputError()."
             )
-        return tuple(ParametricBalance(e) for stage in model.stages for e in stage)
+        return tuple(map(ParametricBalance, model.equations))
     if isinstance(model, Sequence):
         return tuple(balance for part in model for balance in as_balances(part))
     raise ModelError(

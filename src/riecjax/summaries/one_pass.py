@@ -425,7 +425,7 @@ class OnePass:
 
         **Raises:** `ModelError` for an expression that mixes samples of a long recording.
         """
-        equations = [e for stage in self.model.stages for e in stage]
+        equations = self.model.equations
         mixing = mixing_expressions(equations, self.record)
         if mixing and (self.count > PART or self.criterion.in_chunks(self.record)):
             raise ModelError(

@@ -108,7 +108,7 @@ def equation_error(
         from riecjax.equations.hidden_motion import with_hidden_motion
 
         model, record = with_hidden_motion(model, record, given)
-    return tuple(_error_of(equation, record, given) for stage in model.stages for equation in stage)
+    return tuple(_error_of(equation, record, given) for equation in model.equations)
 
 
 def errors_over_records(
