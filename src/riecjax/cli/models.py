@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -12,9 +12,6 @@ from riecjax.equations.quantity import Quantity
 from riecjax.models.catalogue import LISTED, Listing, find_model
 from riecjax.settings import CODE, Document, Settings, setting
 from riecjax.standard_output import answer
-
-if TYPE_CHECKING:
-    from riecjax.equations.model import Model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +27,7 @@ def command(given: Given) -> None:
 
     With a NAME, or path/to/file.py[:object], show that model and its equations.
     """
-    name = given.name
-    shown = list(LISTED.values()) if name is None else [find_model(name)]
+    shown = list(LISTED.values()) if given.name is None else [find_model(given.name)]
     if given.as_json:
         from riecjax.reporting.document import SCHEMA
 
@@ -69,7 +65,7 @@ def _entry(quantity: Quantity) -> dict[str, object]:
     return {"name": quantity.name, "unit": quantity.unit, "meaning": quantity.meaning}
 
 
-def _table(model: "Model | Listing") -> Table:
+def _table(model: Any) -> Table:
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 2))
     table.add_column("role", style="dim")
     table.add_column("name")
