@@ -145,7 +145,7 @@ def by_body(
 def _solved_in_turn(
     stages: list[NormalEquations], known: dict[str, float]
 ) -> Float[Array, " parameters"]:
-    """The paper's model: each stage takes as known what those before it found."""
+    """The paper's stages: each stage takes as known what those before it found."""
     values = {name: jnp.asarray(value) for name, value in known.items()}
     for stage in stages:
         equations = stage.total().fix(values)

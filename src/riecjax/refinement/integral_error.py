@@ -120,7 +120,7 @@ class AbstractBalance(eqx.Module):
 class ParametricBalance(eqx.Module):
     """An equation of motion for every value of its parameters.
 
-    **Fields:** `model`, an `Equation`, or something that builds an `AbstractBalance`.
+    **Fields:** `model`, an `Equation`, or something that builds one or an `AbstractBalance`.
     """
 
     model: Equation | AbstractParametric
@@ -176,19 +176,21 @@ class ParametricBalance(eqx.Module):
 
     def label(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
         """Name and unit of the equation, and where it is to be trusted."""
-        if isinstance(self.model, Equation):
-            return self.model.name, self.model.unit, self.model.where
-        module = self.model.build(values)
-        return module.name, module.unit, type(module).where
+        built = self._built(values)
+        where = built.where if isinstance(built, Equation) else type(built).where
+        return built.name, built.unit, where
+
+    def _built(self, values: Values) -> Equation | AbstractBalance:
+        return self.model if isinstance(self.model, Equation) else self.model.build(values)
 
     def _levels(
         self, record: Record, values: Values, smoothness: int
     ) -> tuple[Levels, Bool[Array, " n"] | None]:
         levels: Levels = {}
-        if not isinstance(self.model, Equation):
+        balance = self._built(values)
+        if not isinstance(balance, Equation):
             timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
             signals = timed.signals
-            balance = self.model.build(values)
             for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
                 with users_code(f"{balance.name}.{part.__name__}"):
                     level = part(signals)
@@ -214,7 +216,7 @@ class ParametricBalance(eqx.Module):
                 )
             return levels, record.present(signals.read)
         present = None
-        for term in self.model.terms:
+        for term in balance.terms:
             # As criteria read it: derivatives that the test function cannot take off are recorded.
             read = max(term.derivative - smoothness, 0)
             sampled = term.samples(record, read)

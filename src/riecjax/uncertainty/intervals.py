@@ -123,7 +123,7 @@ class AbstractIntervals(eqx.Module):
 class BlockBootstrap(AbstractIntervals):
     """Studentized bootstrap over blocks of time (the default).
 
-    Blocks are drawn with replacement within each record, and the whole model is solved again:
+    Blocks are drawn with replacement within each record, and the whole procedure is solved again:
     only p x p matrices are added up. Each replicate is divided by its own standard error, which
     lets the intervals lean to the side that a skewed estimate calls for. Standard errors are the
     jackknife's: each block is left out once, and everything solved again.
