@@ -32,7 +32,10 @@ class ByHand(AbstractSystem):
     values: dict[str, jax.Array]
     states: Any = eqx.field(static=True)
     inputs: Any = eqx.field(static=True)
-    reversing: Any = eqx.field(static=True)
+
+    @property
+    def reversing(self) -> tuple[str, ...]:
+        return ("dq",) if self.name.startswith("emps") else ()
 
     def derivative(self, state: jax.Array, inputs: jax.Array) -> jax.Array:
         return jnp.stack(right_hand_side(self.name, self.values, state, inputs))
@@ -61,7 +64,7 @@ def right_hand_side(name: str, p: dict[str, jax.Array], state: jax.Array, u: jax
 def measured(name: str) -> list[str]:
     """One row of the table."""
     made: Any = rx.find_model(name).build_system({})
-    by_hand = ByHand(name, made.values, made.states, made.inputs, made.reversing)
+    by_hand = ByHand(name=name, values=made.values, states=made.states, inputs=made.inputs)
     rms, start = RMS.get(name, 0.5), {"theta": 3.0} if name == "pendulum" else {}
     wave = band_limited_noise(jax.random.key(0), COUNT, STEP, bandwidth=20.0, rms=rms)
     record = rx.Record(dict.fromkeys(made.input_names, wave), STEP)
