@@ -55,10 +55,10 @@ def right_hand_side(name: str, p: dict[str, jax.Array], state: jax.Array, u: jax
         return [v, (u[0] - (p["r"] + p["r2"] * jnp.abs(v)) * v - p["k"] * x) / p["m"]]
     if name == "pendulum":
         return [v, p["p1"] * jnp.sin(x) - p["p2"] * v + u[0]]
-    ahead = p.get("Fv_pos", p.get("Fv")) * v + p.get("Fc_pos", p.get("Fc"))
-    back = p.get("Fv_neg", p.get("Fv")) * v - p.get("Fc_neg", p.get("Fc"))
+    p = {"offset": jnp.zeros(()), **p} | {k + s: p[k] for k in p for s in ("_pos", "_neg")}
+    ahead, back = p["Fv_pos"] * v + p["Fc_pos"], p["Fv_neg"] * v - p["Fc_neg"]
     friction = jnp.where(v > 0, ahead, jnp.where(v < 0, back, 0.0))
-    return [v, (u[0] - p.get("offset", 0.0) - friction) / p["M"]]
+    return [v, (u[0] - p["offset"] - friction) / p["M"]]
 
 
 def measured(name: str) -> list[str]:

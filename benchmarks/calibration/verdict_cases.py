@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.model import Model, simultaneous
+from riecjax.equations.model import Model, as_model, simultaneous
 from riecjax.equations.term import Term, difference, odd
 from riecjax.records.record import Record
 
@@ -236,7 +236,7 @@ def cases(kind: Kind, fault: str, seed: int, systems: int) -> list[Case]:
     values = draw(kind, rng, systems)
     motion = simulate(values, rng, fault == "disturbed")
     model = kind.model
-    parameters = model.parameter_names
+    parameters = as_model(model).parameter_names
     signals = ("x", "v", "u", *(("x2", "v2") if kind.name == "coupled" else ()))
     if fault == "position only" and kind.name in ("friction", "drag", "coupled"):
         fault = "none"  # these equations read the velocity

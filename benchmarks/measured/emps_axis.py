@@ -116,7 +116,11 @@ class Axis(rx.simulation.AbstractSystem):
     offset: Float[Array, ""]
     states: ClassVar = (("q", "m"), ("dq", "m/s"))
     inputs: ClassVar = (("force", "N"),)
-    reversing: ClassVar = ("dq",)
+
+    @property
+    def reversing(self) -> tuple[str, ...]:
+        """The velocity, with whose sign the friction changes."""
+        return ("dq",)
 
     def levels(self, velocity: Array) -> tuple[Array, Array]:
         """The Coulomb levels in both directions at a velocity."""

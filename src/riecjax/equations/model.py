@@ -450,7 +450,7 @@ class Model(Shown, eqx.Module):
         """Parameters of the simulated system, with defaults."""
         return self.own_simulation_parameters or self.parameters
 
-    def build_system(self, settings: Mapping[str, float]) -> "AbstractSystem":
+    def build_system(self, settings: Mapping[str, Leaf | float]) -> "AbstractSystem":
         """The system to simulate, with its defaults replaced by `settings`.
 
         **Raises:** `ModelError` if its equations cannot be simulated; for a setting that is unknown

@@ -661,7 +661,7 @@ class EquationSystem(AbstractSystem):
 
 def equation_system(
     model: Equation | Model,
-    values: Mapping[str, Array | float],
+    values: Mapping[str, Leaf | float],
     *,
     rates: Mapping[str, Expression] | None = None,
     inputs: Sequence[str] = (),
