@@ -21,7 +21,7 @@ from riecjax.equations.model import as_model
 from riecjax.estimation.excitation import Excitation
 from riecjax.findings import CODES, Finding, code_of, codes_of
 from riecjax.paper.report import road_findings
-from riecjax.paper.study import PaperStudy
+from riecjax.paper.reproduction import PaperStudy
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(riecjax.__file__).parent

@@ -18,7 +18,7 @@ BUDGETS = {
     "src modules": 285,
     "src statements": 25_700,
     "src literals": 1_800,
-    "lines of commands and settings": 2_370,
+    "lines of commands and settings": 2_350,
     "tests lines": 26_000,
     "benchmarks lines": 8_500,
     "README lines": 150,

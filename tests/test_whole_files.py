@@ -9,7 +9,7 @@ import pytest
 
 import riecjax as rx
 from riecjax import whole_files
-from riecjax.cli.job import read_job
+from riecjax.cli.command import read_job
 from riecjax.errors import DataError
 from riecjax.reporting.output import require_folder
 from riecjax.whole_files import Store, is_stamped, stamp, sweep, temporary, write_whole

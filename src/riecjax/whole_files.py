@@ -204,17 +204,13 @@ class Store(NamedTuple):
     def put(self, key: str, content: bytes) -> None:
         """Keep it, where it can be."""
         with contextlib.suppress(OSError):
-            self._make_room(len(content))
+            kept = [(file.stat(), file) for file in self.folder.glob(f"[!.]*{self.suffix}")]
+            excess = sum(told.st_size for told, _ in kept) + len(content) - self.most
+            for told, file in sorted(kept, key=lambda each: each[0].st_mtime):
+                if excess > 0:
+                    file.unlink(missing_ok=True)
+                    excess -= told.st_size
             write_whole(self._file(key), content)
 
     def _file(self, key: str) -> Path:
         return self.folder / (key + self.suffix)
-
-    def _make_room(self, needed: int) -> None:
-        found = [(file.stat(), file) for file in self.folder.glob(f"[!.]*{self.suffix}")]
-        excess = sum(told.st_size for told, _ in found) + needed - self.most
-        for told, file in sorted(found, key=lambda one: one[0].st_mtime):
-            if excess <= 0:
-                return
-            file.unlink(missing_ok=True)
-            excess -= told.st_size

@@ -76,7 +76,7 @@ def test_what_xla_cannot_allocate_is_one_line(capsys, drive, monkeypatch):
     assert "--windows" in error["message"] or "fewer windows" in error["message"]
 
 
-def test_on_a_terminal_a_line_says_what_is_done_and_counts_the_seconds(monkeypatch):
+def test_on_a_terminal_a_line_says_what_is_done_and_elsewhere_each_tenth(monkeypatch, capsys):
     import io
     from types import SimpleNamespace
 
@@ -93,6 +93,15 @@ def test_on_a_terminal_a_line_says_what_is_done_and_counts_the_seconds(monkeypat
     line.refining(0.25)
     clock[0] = 113.6
     console.print(line)
-    first, second = text.getvalue().splitlines()
+    for clock[0], done in ((120.0, 0), (124.0, 3)):
+        line.count("summing", done, 10, 4_000_000 * bool(done))
+    console.print(line)
+    first, second, third = text.getvalue().splitlines()
     assert first == "reading, and compiling what was not compiled before: 12 s"
     assert second == "refining: step 1, sum of squares 0.25: 14 s"
+    assert third == "summing: 3 of 10, 1,000 thousand samples/s, 9 s left: 24 s"
+    plain = progress.Progress(lines=True)
+    for clock[0], done in ((130.0, 0), (131.0, 1), (132.0, 2), (150.0, 20)):
+        plain.count("summing", done, 20)
+    lines = ("0 of 20", "2 of 20, 18 s left", "20 of 20")
+    assert capsys.readouterr().err == "".join(f"riecjax: summing: {line}\n" for line in lines)

@@ -17,7 +17,7 @@ from test_job_files import context
 from riecjax import whole_files
 from riecjax.cli import command
 from riecjax.cli import main as entry
-from riecjax.cli.job import read_job
+from riecjax.cli.command import read_job
 from riecjax.reporting.verdict import as_typed
 
 ODD = "Weg β"

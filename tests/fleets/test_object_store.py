@@ -12,10 +12,9 @@ from tests.machines import drag_fleet as drives
 
 from nightly import nightly
 from riecjax.errors import DataError
-from riecjax.fleets import sums
+from riecjax.fleets import order
 from riecjax.fleets.fleet import fleet
 from riecjax.fleets.report import Fleet
-from riecjax.fleets.sums import rows_of
 from riecjax.models.catalogue import find_model
 from riecjax.records.writing import write_record
 
@@ -71,9 +70,9 @@ def test_recordings_of_an_object_store_are_summed(folder, client, tmp_path, monk
     assert "broken.parquet" in failed.name
     # What the store says of a file tells whether it has changed since.
     client.upload_file(str(folder / "vehicle=1/0.parquet"), "garage", "vehicle=0/0.parquet")
-    read = []
+    read, rows_of = [], order.rows_of
     monkeypatch.setattr(
-        sums, "rows_of", lambda o, p: [read.append(p.source.name), *rows_of(o, p)][1:]
+        order, "rows_of", lambda o, p: [read.append(p.source.name), *rows_of(o, p)][1:]
     )
     again = fleet(MODEL, "s3://garage/**/*.parquet", by="vehicle", workers=0, out=out)
     assert sorted(read) == ["vehicle=0/0.parquet", "vehicle=1/broken.parquet"]

@@ -15,7 +15,6 @@ from riecjax.fleets.sources import (
     at_hand,
     find_sources,
     recordings_of,
-    rows_at_hand,
     stretches,
 )
 
@@ -76,7 +75,7 @@ def test_a_store_is_looked_at_and_a_file_of_it_brought_here():
         found = find_sources(["memory://bench"])
         assert named(found) == ["vehicle=7/a.csv", "vehicle=8/b.csv"]
         assert found[0].keys == (("vehicle", "7"),)
-        with at_hand(found[1], {}) as file:
+        with at_hand(Piece(found[1]), (0, 0), {}) as file:
             assert file.name == "b.csv"
             assert file.read_bytes() == b"t,x\n0,2\n"
         assert not file.exists()
@@ -88,7 +87,7 @@ def test_rows_of_a_data_set_are_taken_across_its_files(folder):
     (week,) = find_sources([folder / "week.parquet"])
     (whole,) = recordings_of(week, [], {})
     for low, high in ((0, 12), (3, 5), (7, 9), (4, 8), (11, 12)):
-        with rows_at_hand(whole, low, high, {}) as file:
+        with at_hand(whole, (low, high), {}) as file:
             found = parquet.read_table(file)["x"].to_numpy()
         np.testing.assert_array_equal(found, (np.arange(12) % 4)[low:high])
 
@@ -135,7 +134,7 @@ def test_a_stretch_takes_along_only_the_files_that_it_reads(tmp_path):
     for piece in every:
         low, high = piece.reach(50)
         assert (low, high) == (max(piece.first - 1024, 0), min(piece.stop + 1074, rows))
-        with rows_at_hand(piece, low, high, {}) as file:
+        with at_hand(piece, (low, high), {}) as file:
             found = parquet.read_table(file)["x"].to_numpy()
         np.testing.assert_array_equal(found, values[low:high])
 

@@ -7,13 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.test_functions import Boxcar
-from riecjax.criteria.windows import AllWindows
-from riecjax.estimation.identify import identify
+from riecjax import RIEC, AllWindows, Boxcar, Naive, Record, identify, simulate
 from riecjax.models.oscillators import two_mass_system
 from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.paper import reproduction
 from riecjax.paper.claims import (
     STATEMENTS,
     Claim,
@@ -22,22 +20,6 @@ from riecjax.paper.claims import (
     window_errors,
     window_lengths,
 )
-from riecjax.paper.reproduction import (
-    PAIRS,
-    PARAMETERS,
-    RATE,
-    SECOND_MASS,
-    Demonstration,
-    WindowErrorMoments,
-    demonstrate,
-    estimates_over_lengths,
-    identification_record,
-    road_keys,
-)
-from riecjax.paper.variations import BANDWIDTHS, Hysteresis, RoadVariations, VariedStudy
-from riecjax.records.record import Record
-from riecjax.simulation.simulate import simulate
-from riecjax.uncertainty.intervals import Naive
 
 ROADS = 12
 BANDS = np.array([0.5, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0])
@@ -64,21 +46,23 @@ def holds(evidence: Iterable[Evidence]) -> bool:
     return all(each.holds for each in evidence)
 
 
-def demonstration() -> Demonstration:
-    return jax.vmap(demonstrate)(jax.random.split(jax.random.key(0), 12))
+def demonstration() -> reproduction.Demonstration:
+    return jax.vmap(reproduction.demonstrate)(jax.random.split(jax.random.key(0), 12))
 
 
 def test_the_error_s_impulse_is_the_second_mass_s_relative_momentum():
     # Closed form: the error is -m2 d'', so its integral is -m2 (d'(t) - d'(0)).
-    found = demonstrate(jax.random.key(1))
+    found = reproduction.demonstrate(jax.random.key(1))
     force = jax.random.normal(jax.random.split(jax.random.key(1))[0], (found.error.size,))
     published = {"m1": 10.0, "m2": 1.0, "omega_n": 100.0, "zeta": 0.5}
     masses = two_mass_system({name: jnp.asarray(value) for name, value in published.items()})
-    relative = simulate(masses, Record({"F": force}, 1 / RATE)).record["dd"]
+    relative = simulate(masses, Record({"F": force}, 1 / reproduction.RATE)).record["dd"]
     size = float(jnp.max(jnp.abs(relative)))
     # By trapezoids of samples a thousandth of a second apart.
     np.testing.assert_allclose(
-        found.error_integral, -SECOND_MASS * relative, atol=0.02 * SECOND_MASS * size
+        found.error_integral,
+        -reproduction.SECOND_MASS * relative,
+        atol=0.02 * reproduction.SECOND_MASS * size,
     )
 
 
@@ -89,15 +73,15 @@ def test_demonstration_holds_and_fails_with_noise_in_place_of_the_error():
     )
     np.testing.assert_allclose(noise_rms, error_rms, rtol=1e-12)
     assert holds(bounded_impulse(found))
-    swapped = Demonstration(
+    swapped = reproduction.Demonstration(
         found.error, found.noise, found.error_integral, found.noise_integral, found.bound
     )
     failing = [each.what for each in bounded_impulse(swapped) if not each.holds]
     assert "growth of the error's impulse, power of time" in failing
 
 
-def moments(by_start: np.ndarray, correlation: float) -> WindowErrorMoments:
-    return WindowErrorMoments(
+def moments(by_start: np.ndarray, correlation: float) -> reproduction.WindowErrorMoments:
+    return reproduction.WindowErrorMoments(
         jnp.asarray(by_start + 0.01 * RNG.normal(size=(ROADS, 8))),
         jnp.asarray(correlation + 0.001 * RNG.normal(size=ROADS)),
     )
@@ -111,7 +95,7 @@ def test_window_errors_of_one_size_and_unrelated():
 
 def lengths(bias: float, narrow: float) -> np.ndarray:
     """Parameters of one, but for short windows and for narrow ranges of lengths."""
-    alpha, beta = PAIRS.T
+    alpha, beta = reproduction.PAIRS.T
     theta = np.ones(alpha.size) + 0.01 * (alpha > 0.1)
     theta[(beta <= 0.05) & (alpha < 0.05)] += bias
     theta[(beta < 1.5 * alpha) & (alpha >= 0.05)] += narrow
@@ -130,30 +114,35 @@ def test_estimates_over_lengths_are_those_of_identify():
     source = quarter_car_source(reconstructed())
     key = jax.random.key(2)
     pairs = [(0.05, 0.5), (0.1, 0.15)]
-    found = estimates_over_lengths(key, source, jnp.array(pairs))
-    record = identification_record(source, road_keys(key).training).record
+    found = reproduction.estimates_over_lengths(key, source, jnp.array(pairs))
+    record = reproduction.identification_record(source, reproduction.road_keys(key).training).record
     for i, pair in enumerate(pairs):
         windows = AllWindows(*pair, longest_samples=101)
         # Trapezoids, and noise not judged, as the paper has it.
         by = RIEC(windows, Boxcar(2))
         expected = identify(quarter_car_by_body(), record, by, intervals=Naive(), noise="none")
-        np.testing.assert_allclose(found[i], [expected[n] for n in PARAMETERS], rtol=1e-7)
+        np.testing.assert_allclose(
+            found[i], [expected[n] for n in reproduction.PARAMETERS], rtol=1e-7
+        )
 
 
-def varied(riec: tuple, dols: tuple) -> RoadVariations:
+def varied(riec: tuple, dols: tuple) -> reproduction.RoadVariations:
     """By each method, a wander and a drift over bandwidth, a factor on all, and the error."""
     swing, fall = np.sin(BANDS / 3), np.maximum(BANDS - 9, 0) / 21
     parameters, errors = [], []
     for wander, drift, base, error in (dols, riec):
         steady = base * (1 + wander * swing)
-        values = {name: steady for name in PARAMETERS} | {"M_s": 300 * steady, "K_s": 2e4 * steady}
+        values = {name: steady for name in reproduction.PARAMETERS} | {
+            "M_s": 300 * steady,
+            "K_s": 2e4 * steady,
+        }
         for i, sign in enumerate((-1, -1, 1, 1), 1):
             values[f"F_{i}"] = sign * 1000 * (1 - drift * fall)
-        parameters.append(np.stack([values[name] for name in PARAMETERS], axis=-1))
+        parameters.append(np.stack([values[name] for name in reproduction.PARAMETERS], axis=-1))
         errors.append(np.broadcast_to(error[:, None, None] / 4, (BANDS.size, 2, 4)))
     # Roads scatter by 0.1 %.
     scatter = 1 + 1e-3 * RNG.normal(size=(2, ROADS, 1, 1, 8))
-    return RoadVariations(
+    return reproduction.RoadVariations(
         scatter[0] * np.stack(parameters, axis=1),
         scatter[1, ..., :1, None] * np.stack(errors, axis=1),
         np.ones((ROADS, BANDS.size, 2), bool),
@@ -169,11 +158,13 @@ def section_6(exchanged: bool = False) -> dict[int, bool]:
         good = (0.01 * size, 0.0, 1.0, falling)
         poor = (0.1 * size, 0.2, 0.9 if case == "included-mode" else 1.0, rising)
         cases[case] = varied(*((poor, good) if exchanged else (good, poor)))
-    by_dols = np.ones((ROADS, 2, len(BANDWIDTHS), 8))
+    by_dols = np.ones((ROADS, 2, len(reproduction.BANDWIDTHS), 8))
     by_dols[:, 0, -1] = 0.9
-    width = np.ones((ROADS, 2, len(BANDWIDTHS))) * np.array([0.1, 0.2, 0.3])
-    damper = Hysteresis(jnp.zeros(1), jnp.zeros(1), jnp.asarray(width), jnp.asarray(by_dols))
-    parts = {"variations": VariedStudy(BANDS, cases), "damper": damper}
+    width = np.ones((ROADS, 2, len(reproduction.BANDWIDTHS))) * np.array([0.1, 0.2, 0.3])
+    damper = reproduction.Hysteresis(
+        jnp.zeros(1), jnp.zeros(1), jnp.asarray(width), jnp.asarray(by_dols)
+    )
+    parts = {"variations": reproduction.VariedStudy(BANDS, cases), "damper": damper}
     return {
         id: holds(numbers(*(parts[name] for name in names)))
         for id, (numbers, names) in STATEMENTS.items()

@@ -14,15 +14,8 @@ from riecjax.models.quarter_car.identification import (
 )
 from riecjax.models.quarter_car.reconstruction import Pothole, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
+from riecjax.paper import reproduction
 from riecjax.paper.published import CRITERIA, INPUTS, TABLE_2, VARIANTS
-from riecjax.paper.reproduction import (
-    PARAMETERS,
-    RoadResult,
-    identification_record,
-    identify_variants,
-    paper_criteria,
-    run_road,
-)
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import pothole
 from riecjax.simulation.method import FixedStep
@@ -49,12 +42,12 @@ def source() -> QuarterCarSource:
 @pytest.fixture(scope="module")
 def training() -> Record:
     record_key = jax.random.split(KEY, 3)[0]
-    return identification_record(source(), record_key, method=METHOD).checked().record
+    return reproduction.identification_record(source(), record_key, method=METHOD).checked().record
 
 
 @pytest.fixture(scope="module")
-def alone() -> RoadResult:
-    return eqx.filter_jit(run_road)(KEY, source(), SHAPES, method=METHOD)
+def alone() -> reproduction.RoadResult:
+    return eqx.filter_jit(reproduction.run_road)(KEY, source(), SHAPES, method=METHOD)
 
 
 def test_identification_record_is_the_white_road_of_table_2(training):
@@ -73,13 +66,18 @@ def test_identification_record_is_the_white_road_of_table_2(training):
 )
 def test_variants_equal_identify_with_its_equation_and_known_masses(criterion, variant, training):
     key = jax.random.key(9)
-    made = paper_criteria()[criterion]
-    found = dict(zip(PARAMETERS, identify_variants(training, made, key)[VARIANTS.index(variant)]))
+    made = reproduction.paper_criteria()[criterion]
+    found = dict(
+        zip(
+            reproduction.PARAMETERS,
+            reproduction.identify_variants(training, made, key)[VARIANTS.index(variant)],
+        )
+    )
     model = quarter_car_by_wheel() if variant.startswith("W") else quarter_car_by_body()
     known = {"M_us": 30.0, "M_s": 300.0} if variant.endswith("true") else {}
     settings = {"known": known, "intervals": Naive(), "noise": "none"}
     expected = identify(model, training, made, key=key, **settings)
-    for name in PARAMETERS:
+    for name in reproduction.PARAMETERS:
         # The same normal equations, but in one block here and in many there.
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-8, err_msg=name)
     if known:
@@ -94,7 +92,7 @@ def test_pothole_errors_are_those_of_the_identified_model_against_the_source(var
     inputs = Record({"v_r": velocity}, step)
     truth = simulate(source(), inputs, method=METHOD).record
     place = CRITERIA.index("DOLS"), VARIANTS.index(variant)
-    model = quarter_car_system(dict(zip(PARAMETERS, alone.parameters[place])))
+    model = quarter_car_system(dict(zip(reproduction.PARAMETERS, alone.parameters[place])))
     predicted = simulate(model, inputs, method=METHOD).record
     expected = [
         100 * np.linalg.norm(predicted[s] - truth[s]) / np.linalg.norm(truth[s])

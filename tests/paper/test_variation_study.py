@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 from riecjax.models.quarter_car.reconstruction import reconstructed
-from riecjax.paper import variations as variation_study
-from riecjax.paper.variations import (
-    RoadVariations,
-    VariedStudy,
-    run_variations,
-    variations_table,
-)
+from riecjax.paper import reproduction
+from riecjax.paper.reproduction import RoadVariations, VariedStudy, run_variations, variations_table
 
 BANDWIDTHS = (5.0, 30.0, 12.0)
 KEY = jax.random.key(3)
@@ -34,7 +29,7 @@ def stand_in(key, mount, bandwidths, shapes, draws):
 
 @pytest.fixture(autouse=True)
 def no_simulation(monkeypatch):
-    monkeypatch.setattr(variation_study, "vary_road", stand_in)
+    monkeypatch.setattr(reproduction, "vary_road", stand_in)
 
 
 def run(folder: Path | None = None, key=KEY, stop: int | None = None) -> VariedStudy:
@@ -54,7 +49,7 @@ def assert_same(study: VariedStudy, expected: VariedStudy) -> None:
 def test_rows_hold_what_the_experiment_found():
     study = run()
     table = variations_table(study).to_pandas()
-    mount = jax.tree.map(jnp.asarray, variation_study.TABLE_6["higher-mode"])
+    mount = jax.tree.map(jnp.asarray, reproduction.TABLE_6["higher-mode"])
     alone = stand_in(jax.random.fold_in(KEY, 4), mount, jnp.array(BANDWIDTHS), None, 2)
     chosen = (table["case"] == "higher-mode") & (table["road"] == 4) & (table["method"] == "RIEC")
     rows = table[chosen & (table["draw"] == 1)].set_index("bandwidth [Hz]")

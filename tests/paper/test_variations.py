@@ -7,14 +7,8 @@ import numpy as np
 import pytest
 
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.paper import reproduction
 from riecjax.paper.published import CRITERIA, TABLE_2, TABLE_6, VARIANTS
-from riecjax.paper.reproduction import (
-    RoadResult,
-    identification_record,
-    road_keys,
-    run_road,
-)
-from riecjax.paper.variations import BANDWIDTHS, Hysteresis, RoadVariations, hysteresis, vary_road
 from riecjax.simulation.inputs import low_passed
 from riecjax.simulation.method import FixedStep
 
@@ -25,15 +19,17 @@ SHAPES = jax.tree.map(jnp.asarray, reconstructed())
 
 
 @pytest.fixture(scope="module")
-def varied() -> RoadVariations:
+def varied() -> reproduction.RoadVariations:
     mount = jax.tree.map(jnp.asarray, TABLE_6["pathological"])
     bandwidths = jnp.array([12.0, TABLE_2.bandwidth])
-    return eqx.filter_jit(vary_road)(KEY, mount, bandwidths, SHAPES, 2, method=METHOD)
+    return eqx.filter_jit(reproduction.vary_road)(KEY, mount, bandwidths, SHAPES, 2, method=METHOD)
 
 
 @pytest.fixture(scope="module")
-def tables() -> RoadResult:
-    return eqx.filter_jit(run_road)(KEY, quarter_car_source(SHAPES), SHAPES, method=METHOD)
+def tables() -> reproduction.RoadResult:
+    return eqx.filter_jit(reproduction.run_road)(
+        KEY, quarter_car_source(SHAPES), SHAPES, method=METHOD
+    )
 
 
 def test_components_above_the_bandwidth_are_removed_and_the_others_kept():
@@ -53,17 +49,19 @@ def test_at_the_bandwidth_of_table_2_models_are_those_of_the_tables(
 
 
 @pytest.fixture(scope="module")
-def damper() -> Hysteresis:
-    return eqx.filter_jit(hysteresis)(KEY, quarter_car_source(SHAPES))
+def damper() -> reproduction.Hysteresis:
+    return eqx.filter_jit(reproduction.hysteresis)(KEY, quarter_car_source(SHAPES))
 
 
 @pytest.mark.slow
 def test_hysteresis_is_the_damper_s_distance_from_its_curve(damper):
     source = quarter_car_source(SHAPES)
-    record = identification_record(source, road_keys(KEY).training, method=FixedStep(12)).record
+    record = reproduction.identification_record(
+        source, reproduction.road_keys(KEY).training, method=FixedStep(12)
+    ).record
     force = source.damper(record["x7"])
     off = force - source.damper(record["x3"] - record["x4"])
     expected = np.sqrt(np.mean(np.asarray(off) ** 2) / np.mean(np.asarray(force) ** 2))
-    place = BANDWIDTHS.index(TABLE_2.bandwidth)
+    place = reproduction.BANDWIDTHS.index(TABLE_2.bandwidth)
     np.testing.assert_allclose(damper.width[0, place], expected, rtol=1e-6)
     np.testing.assert_allclose(damper.force[place], force, rtol=1e-6, atol=1e-6)

@@ -1,7 +1,9 @@
 """Commands whose options are settings: from words, and a job beside them, to what was given."""
 
+import codecs
 import dataclasses
 import functools
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -11,11 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from riecjax.cli.job import read_job
 from riecjax.settings import Contradiction, Elements, Option, Reading, Settings
 from riecjax.settings.kinds import TEST_FUNCTIONS
 from riecjax.standard_output import keep_for_answers
-from riecjax.whole_files import seen_from
+from riecjax.whole_files import read_plain, seen_from
 
 if TYPE_CHECKING:
     from riecjax.equations.model import Model
@@ -208,20 +209,60 @@ class Given:
         typed = {k: v for k, v in self.typed.items() if k not in ("as_json", "out")}
         for name, further in self.command.typed(words).items():
             option = self.command.options[name]
-            both = option.beside(self.values[name], further)
-            if isinstance(both, dict) and isinstance(further, dict):
-                before = typed.get(name)
-                both = {
-                    **(before if isinstance(before, dict) else {}),
-                    **{k: both[k] for k in further},
-                }
-            typed[name] = both
+            said = option.beside(self.values[name], further)
+            typed[name] = _with_names(typed.get(name), said)
             typed = {k: v for k, v in typed.items() if k not in option.excludes}
         said = [(self.command.options[name], value) for name, value in typed.items()]
         files = [word for option, value in said if not option.flag for word in option.words(value)]
         words = [word for option, value in said if option.flag for word in option.words(value)]
         is_hidden = any(file.startswith("-") for file in files)
         return [str(self.command.name), *([*words, "--", *files] if is_hidden else files + words)]
+
+
+def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The options that a file holds, and digests of their files if it is a results.json.
+
+    **Raises:** `click.UsageError` if it is no job.
+    """
+    try:
+        content = read_plain(file)
+        # PowerShell 5 redirects to UTF-16, which begins with its mark.
+        is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")
+        if file.suffix.lower() != ".json":
+            import tomllib
+
+            return tomllib.loads(text), []
+        document = json.loads(text)
+        if not all(isinstance(document[key], dict) for key in ("job", "provenance")):
+            raise KeyError("job")
+        from riecjax.reporting.document import SCHEMA, is_intact, unread_schema
+
+        why = unread_schema(document.get("schema", SCHEMA))
+        if not why and is_intact(document):
+            files = document["provenance"].get("files", [])
+            recorded = [{key: str(file[key]) for key in ("file", "sha256")} for file in files]
+            return dict(document["job"]), recorded
+        why = why or (
+            "it is damaged or was changed: its checksum differs. Other options stand beside "
+            "--job, or in a TOML file ('riecjax init' prints one)"
+        )
+    except OSError as error:
+        why = f"cannot be read: {error.strerror}"
+    except (KeyError, TypeError, RecursionError):
+        why = "it is no results.json with a job"
+    except UnicodeDecodeError as error:
+        why = f"byte {error.start} is not UTF-8; save the file as UTF-8"
+    except ValueError as error:  # of TOML and JSON
+        toml = "" if file.suffix.lower() == ".json" else ". Words stand in quotes in TOML"
+        why = f"it is not understood: {error}{toml}"
+    raise click.UsageError(f"--job {file}: {why}.")
+
+
+def _with_names(before: Any, value: Any) -> Any:
+    """What is said of some names beside what was said of others; of all else, what is said last."""
+    is_named = isinstance(before, dict) and isinstance(value, dict)
+    return {**before, **value} if is_named else value
 
 
 class SettingsCommand(click.Command):
@@ -253,14 +294,15 @@ class SettingsCommand(click.Command):
             with click.core.augment_usage_errors(ctx):
                 held, recorded = read_job(job)
                 of_job = dict(self._of_job(ctx, held, job))
-            values |= self._not_replaced(of_job, typed)
-        for name, value in typed.items():
-            before = values[name]
-            values[name] = (
-                {**before, **value}
-                if isinstance(before, dict) and isinstance(value, dict)
-                else value
-            )
+            # Without what typed settings stand for: of a band, both its ends.
+            said = {**of_job, **typed}
+            for name, value in of_job.items():
+                others = set(self.options[name].excludes)
+                together = others.union(*(self.options[o].excludes for o in others)) - {name}
+                is_complete = all(said.get(other) is not None for other in together)
+                if name in typed or not (others & typed.keys() and is_complete):
+                    values[name] = value
+        values |= {name: _with_names(values[name], value) for name, value in typed.items()}
         for param in sorted(self.params, key=lambda param: isinstance(param, click.Option)):
             name = str(param.name)
             if self.options[name].required and values[name] in (None, ()):
@@ -306,17 +348,6 @@ class SettingsCommand(click.Command):
         if unused:
             unread = f"{self.name} does not use {', '.join(unused)}"
             click.echo(f"warning: --job {file}: {unread}.", err=True)
-
-    def _not_replaced(
-        self, of_job: Mapping[str, Any], typed: Mapping[str, Any]
-    ) -> Iterator[tuple[str, Any]]:
-        """What a job says without what typed settings stand for: of its band, both its ends."""
-        for name, value in of_job.items():
-            others = set(self.options[name].excludes)
-            together = others.union(*(self.options[other].excludes for other in others)) - {name}
-            is_complete = all(typed.get(other, of_job.get(other)) is not None for other in together)
-            if name in typed or not (others & typed.keys() and is_complete):
-                yield name, value
 
     def invoke(self, ctx: click.Context) -> Any:
         if ctx.params["given"].values.get("as_json"):

@@ -38,14 +38,9 @@ def command(given: Given) -> None:
     if given.band is None:
         band = [float(end) for end in model.band or DEFAULT_BAND]
         notes["band"] = [f"# band = {toml_value(band)}  # taken unless another is given"]
-    click.echo(_as_printed("\n".join(form(given.command.settings, given.shown(), notes))))
-
-
-def _as_printed(job: str) -> str:
-    """The job in TOML's UTF-8, or in ASCII with TOML's escapes where output has another encoding.
-
-    Windows redirects in a code page, in which no reader of TOML takes even a comment.
-    """
-    if codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8":
-        return job
-    return re.sub(r"[^\x00-\x7f]", lambda sign: f"\\U{ord(sign[0]):08x}", job)
+    job = "\n".join(form(given.command.settings, given.shown(), notes))
+    # TOML is UTF-8. Windows redirects in a code page, in which no reader of TOML takes even a
+    # comment: ASCII, with TOML's escapes, is the same in all of them.
+    if codecs.lookup(sys.stdout.encoding or "utf-8").name != "utf-8":
+        job = re.sub(r"[^\x00-\x7f]", lambda sign: f"\\U{ord(sign[0]):08x}", job)
+    click.echo(job)

@@ -40,23 +40,19 @@ class LazyGroup(click.Group):
                 require(f"the command '{cmd_name}'", command, click.Command, "a click.Command")
             return command
         except RiecjaxError as error:
-            # The help of all commands is not to fail by one of them.
-            return _refusing(cmd_name, error)
+            # The help of all commands is not to fail by one of them: called, it says why.
+            why = error
 
+        def refuse() -> None:
+            raise why
 
-def _refusing(name: str, error: RiecjaxError) -> click.Command:
-    """What stands in the place of a command that cannot be loaded: it says why."""
-
-    def refuse() -> None:
-        raise error
-
-    return click.Command(
-        name,
-        {"ignore_unknown_options": True, "allow_extra_args": True},
-        refuse,
-        short_help=str(error),
-        add_help_option=False,
-    )
+        return click.Command(
+            cmd_name,
+            {"ignore_unknown_options": True, "allow_extra_args": True},
+            refuse,
+            short_help=str(why),
+            add_help_option=False,
+        )
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

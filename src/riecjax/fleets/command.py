@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from riecjax import settings
-from riecjax.cli import Given, settings_command
+from riecjax.cli import Given, Progress, settings_command
 from riecjax.fleets.settings import Fleets
 from riecjax.runtime import start_jax
 from riecjax.settings import FOLDER, TEXT, many, setting
@@ -51,8 +51,8 @@ def command(given: Given) -> None:
     require_folder(given.out)
     model = given.model()
     began = time.monotonic()
-    with _Told() as told:
-        asked = replace(asked, out=given.out, progress=told.progress)
+    with Progress(lines=True) as progress:
+        asked = replace(asked, out=given.out, progress=progress.count)
         found = fleet(model, given.files, **vars(asked))
     emit(
         fleet_document(found, given.arguments, time.monotonic() - began),
@@ -63,42 +63,3 @@ def command(given: Given) -> None:
         page=fleet_page,
         beside=(ESTIMATES, SUMMARIES),
     )
-
-
-class _Told:
-    """A bar with rate and time left on a terminal; elsewhere a line for each tenth."""
-
-    def __init__(self) -> None:
-        from rich import progress
-        from rich.console import Console
-
-        self._console = Console(stderr=True)
-        what, rate = map(progress.TextColumn, ("{task.description}", "{task.fields[rate]}"))
-        how_far = (progress.BarColumn(), progress.MofNCompleteColumn())
-        columns = (what, *how_far, rate, progress.TimeRemainingColumn())
-        is_silent = not self._console.is_terminal
-        self._bar = progress.Progress(
-            *columns, console=self._console, transient=True, disable=is_silent
-        )
-        self._task, self._what, self._tenth, self._began = None, "", 0, 0.0
-
-    def __enter__(self) -> "_Told":
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def progress(self, what: str, done: int, total: int, samples: int) -> None:
-        """Show how far it is."""
-        if what != self._what:
-            self._what, self._tenth, self._began = what, -1, time.monotonic()
-            self._task = self._bar.add_task(what, total=total, rate="")
-        passed = max(time.monotonic() - self._began, 1e-3)
-        rate = f"{samples / passed / 1e3:,.0f} thousand samples/s" if samples else ""
-        assert self._task is not None
-        self._bar.update(self._task, completed=done, total=total, rate=rate)
-        if not self._console.is_terminal and total and 10 * done // total > self._tenth:
-            self._tenth = 10 * done // total
-            said = f"riecjax: {what}: {done} of {total}{f', {rate}' if rate else ''}"
-            self._console.print(said, markup=False, highlight=False, soft_wrap=True)

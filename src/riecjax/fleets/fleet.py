@@ -11,22 +11,13 @@ from riecjax import BlockBootstrap, DataError, Equation, Model, Summary
 from riecjax.equations import as_model, with_rests
 from riecjax.errors import require
 from riecjax.extensions import require_packages
+from riecjax.fleets import kept
 from riecjax.fleets.engine import Engine, Lost, engine
 from riecjax.fleets.groups import Entry, estimated, grouped, named
-from riecjax.fleets.kept import (
-    ESTIMATES,
-    SumStore,
-    is_result,
-    is_table,
-    make_folder,
-    read_rows,
-    write_batches,
-)
-from riecjax.fleets.order import Order
+from riecjax.fleets.order import DONE, Order, Row, lost, sum_up
 from riecjax.fleets.report import Fleet
 from riecjax.fleets.settings import Fleets, Progress
 from riecjax.fleets.sources import Piece, Source, find_sources
-from riecjax.fleets.sums import DONE, Row, lost, sum_up
 from riecjax.settings import taking
 
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
@@ -76,19 +67,19 @@ def fleet(
         )
 
         def look() -> list[Source]:
-            return find_sources(listed, asked.storage, lambda path: is_result(folder, path))
+            return find_sources(listed, asked.storage, lambda path: kept.is_result(folder, path))
 
         table, sources = Path(listed[0]), []
-        if has_table := len(listed) == 1 and is_table(table):
-            row = next((row for row in read_rows(table) if row.status == DONE), None)
+        if has_table := len(listed) == 1 and kept.is_table(table):
+            row = next((row for row in kept.read_rows(table) if row.status == DONE), None)
             if row is None:
                 raise DataError(f"{table.name}: no recording of it could be summed.")
             order = asked.of_table(table.name, Summary.from_bytes(row.sums))
         else:
             sources = look()
             order = asked.fitted(sources)
-        make_folder(folder)
-        store = None if has_table else SumStore(folder, order)
+        kept.make_folder(folder)
+        store = None if has_table else kept.SumStore(folder, order)
         runs = stack.enter_context(engine(settings.workers, settings.scheduler))
         changed: list[str] = []
         if store is not None:
@@ -97,11 +88,11 @@ def fleet(
             table = store.finish([piece.identity for piece in pieces])
             later = [piece for piece in order.pieces_of(look()) if piece.identity not in store]
             changed = sorted({piece.source.name for piece in later})
-        rows = (row.without_sums for row in read_rows(table))
+        rows = (row.without_sums for row in kept.read_rows(table))
         pairs = named(rows, settings.keys, settings.allow_duplicates)
-        entries, over_time = _estimate(order, pairs, read_rows(table), runs, tell)
+        entries, over_time = _estimate(order, pairs, kept.read_rows(table), runs, tell)
         if settings.out is not None:
-            write_batches(folder / ESTIMATES, Entry, [[*entries, *over_time]], {})
+            kept.write_batches(folder / kept.ESTIMATES, Entry, [[*entries, *over_time]], {})
     found = Fleet(
         order.model,
         settings.keys,
@@ -117,7 +108,7 @@ def fleet(
 
 
 def _sum(
-    order: Order, pieces: Sequence[Piece], store: SumStore, runs: Engine, tell: Progress
+    order: Order, pieces: Sequence[Piece], store: kept.SumStore, runs: Engine, tell: Progress
 ) -> None:
     """Keep the rows of all pieces, of which those that are kept already are not summed again.
 

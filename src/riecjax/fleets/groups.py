@@ -10,8 +10,7 @@ import numpy as np
 from riecjax import Finding, Summary
 from riecjax.assessment import assess_summary
 from riecjax.errors import DataError, reason_of
-from riecjax.fleets.order import Order, unpacked
-from riecjax.fleets.sums import DONE, Row
+from riecjax.fleets.order import DONE, Order, Row, unpacked
 
 FEW = 8
 """Recordings of a group up to which each keeps its blocks of time; more are summed as one."""

@@ -12,10 +12,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from riecjax.errors import DataError, ModelError, RiecjaxError
+from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
 from riecjax.fleets.engine import batches
-from riecjax.fleets.order import Order
-from riecjax.fleets.sums import DONE, Row
+from riecjax.fleets.order import DONE, Order, Row
 from riecjax.whole_files import no_folder, write_file
 
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
@@ -115,8 +114,7 @@ def _opened(file: str | os.PathLike[str]) -> Iterator[tuple[Any, dict[bytes, byt
         raise
     # A damaged file leads to anything, such as a name that is no text.
     except Exception as error:
-        why = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DataError(f"{name}: no readable table of a fleet: {why}") from None
+        raise DataError(f"{name}: no readable table of a fleet: {reason_of(error)}") from None
 
 
 def _sound(source: Any, metadata: Mapping[bytes, bytes]) -> Iterator[list[Row]]:

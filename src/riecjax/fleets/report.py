@@ -14,8 +14,8 @@ from riecjax import Model
 from riecjax.criteria import AbstractCriterion
 from riecjax.extensions import require_packages
 from riecjax.fleets.groups import Entry
+from riecjax.fleets.order import DONE, Row
 from riecjax.fleets.spread import ALARMS, RATE, Change, Spread, changes, spreads
-from riecjax.fleets.sums import DONE, Row
 from riecjax.reporting import (
     SCHEMA,
     Document,
@@ -23,6 +23,7 @@ from riecjax.reporting import (
     Section,
     Table,
     View,
+    charts,
     finite,
     in_rich,
     number,
@@ -31,21 +32,7 @@ from riecjax.reporting import (
     say,
     versions,
 )
-from riecjax.reporting.charts import (
-    BLUE,
-    GREY,
-    LARGE,
-    RUST,
-    SERIES,
-    Axis,
-    Chart,
-    Dots,
-    Level,
-    Line,
-    Panel,
-    in_rows,
-    labelled,
-)
+from riecjax.reporting.charts import Axis, Chart, Dots, Level, Line, Panel, in_rows, labelled
 from riecjax.shows import Shown
 
 LISTED = 50
@@ -405,16 +392,16 @@ def _over_groups(spread: Spread, entries: Sequence[Entry]) -> Panel:
     out = np.array([e.group in standing for e in ordered], bool)
     few = len(rank) <= LISTED
     marks = [
-        Line(rank, values, "groups", BLUE, width=1.0, markers=few, low=low, high=high),
-        Level(spread.centre, label="what most have", color=GREY, dashes="dashed"),
-        Dots(rank[out], values[out], "differ from the rest", RUST, size=LARGE),
+        Line(rank, values, "groups", charts.BLUE, width=1.0, markers=few, low=low, high=high),
+        Level(spread.centre, label="what most have", color=charts.GREY, dashes="dashed"),
+        Dots(rank[out], values[out], "differ from the rest", charts.RUST, size=charts.LARGE),
     ]
     return Panel(marks, Axis("group, by size"), Axis(labelled(spread.parameter, spread.unit)))
 
 
 def _over_time(found: Fleet, parameter: str, names: Sequence[str]) -> Panel:
     marks, unit = [], ""
-    for name, color in zip(names, SERIES):
+    for name, color in zip(names, charts.SERIES):
         some = [e for e in found.over_time if (e.group, e.parameter) == (name, parameter)]
         unit = next((e.unit for e in some if e.unit), unit)
         middle = [0.5 * (e.start + e.end) for e in some]

@@ -1,7 +1,7 @@
 """Settings of a fleet: what is estimated together, how all recordings are read, and by whom."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,6 @@ from riecjax.errors import ModelError
 from riecjax.settings import (
     POSITIVE,
     TEXT,
-    Contradiction,
     Fit,
     Known,
     Prepare,
@@ -43,15 +42,13 @@ class Groups(Settings):
     strict: bool = flag("--strict")
     """End at the first recording that cannot be summed."""
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.Contradiction]; `ModelError` for no number."""
-        super().require_sense()
+    def contradictions(self) -> Iterator[str]:
+        """Workers of this machine and of a scheduler; raises for names of groups that are none."""
+        yield from super().contradictions()
         if not self.keys or not all(isinstance(key, str) and key for key in self.keys):
             raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
         if self.workers is not None and self.scheduler is not None:
-            raise Contradiction(
-                "{workers} are of this machine, {scheduler} has its own: give one.", self.options()
-            )
+            yield "{workers} are of this machine, {scheduler} has its own: give one."
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -77,11 +74,6 @@ class Fleets(Groups, Seed, Uncertainty, Known, Fit, Prepare, Read):
     out: str | os.PathLike[str] | None = None
     storage: Mapping[str, Any] | None = None
     progress: Progress | None = None
-
-    def require_sense(self) -> None:
-        """**Raises:** as those that it is made of."""
-        Groups.require_sense(self)
-        Fit.require_sense(self)
 
     @property
     def reading(self) -> Reading:

@@ -20,8 +20,8 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from riecjax.errors import DataError, RiecjaxError
-from riecjax.records.reading import endings
+from riecjax.errors import DataError, RiecjaxError, reason_of
+from riecjax.records.reading import endings, foreign_reader
 
 DATA_SET = ".parquet"
 """Ending of a folder whose files are one recording."""
@@ -98,7 +98,10 @@ def find_sources(
         state = hashlib.sha256(repr(states).encode()).hexdigest()[:32]
         name = url.removeprefix(root) or posixpath.basename(url)
         size = sum(int(info.get("size") or 0) for info in infos)
-        return Source(name, tuple(urls), tuple(_keys(url)), state, size)
+        folder = url if url.lower().endswith(DATA_SET) else posixpath.dirname(url)
+        pairs = (part.partition("=") for part in folder.split("/"))
+        keys = tuple((unquote(key), unquote(value)) for key, _, value in pairs if key and value)
+        return Source(name, tuple(urls), keys, state, size)
 
     return sorted(source(url, urls) for url, urls in sets.items())
 
@@ -142,8 +145,7 @@ def _in_words(what: str) -> Iterator[None]:
     except (RiecjaxError, MemoryError):
         raise
     except Exception as error:
-        why = " ".join(str(error).split()) or type(error).__name__
-        raise DataError(f"{what}: {why[:300].rstrip('.')}.") from None
+        raise DataError(f"{what}: {reason_of(error).rstrip('.')}.") from None
 
 
 def _recording_of(url: str) -> str:
@@ -151,33 +153,6 @@ def _recording_of(url: str) -> str:
     folder = posixpath.dirname(url)
     inside = any(part.lower().endswith(DATA_SET) for part in folder.split("/"))
     return folder if inside else url
-
-
-def _keys(url: str) -> Iterator[tuple[str, str]]:
-    for part in (url if url.lower().endswith(DATA_SET) else posixpath.dirname(url)).split("/"):
-        key, _, value = part.partition("=")
-        if key and value:
-            yield unquote(key), unquote(value)
-
-
-@contextlib.contextmanager
-def at_hand(source: Source, storage: Mapping[str, Any]) -> Iterator[Path]:
-    """A source's one file as a file of this machine, brought here if it lies in a store.
-
-    **Raises:** `DataError` where it cannot be.
-    """
-    import fsspec
-
-    (url,) = source.urls
-    if "://" not in url:
-        yield Path(url)
-        return
-    with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
-        here = Path(folder) / posixpath.basename(url)
-        with _in_words(f"'{url}' cannot be read"):
-            fs, path = fsspec.core.url_to_fs(url, **storage)
-            fs.get_file(path, str(here))
-        yield here
 
 
 # Rows of a Parquet source can be read in parts. A stretch holds the starts of its own windows and,
@@ -283,13 +258,28 @@ def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:
 
 
 @contextlib.contextmanager
-def rows_at_hand(piece: Piece, low: int, high: int, storage: Mapping[str, Any]) -> Iterator[Path]:
-    """Rows of a recording as a Parquet file of this machine, of its source's name.
+def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> Iterator[Path]:
+    """A source's one file as a file of this machine, brought here if it lies in a store; of a
+    recording in a Parquet source, some rows, as a file of its source's name.
 
-    **Raises:** `OSError` where it cannot be read or written.
+    **Raises:** `DataError` where it cannot be read; `OSError` where it cannot be written.
     """
+    import fsspec
     from pyarrow import concat_tables, parquet
 
+    if not piece.stop:
+        (url,) = piece.source.urls
+        if "://" not in url:
+            yield Path(url)
+            return
+        with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
+            here = Path(folder) / posixpath.basename(url)
+            with _in_words(f"'{url}' cannot be read"):
+                fs, path = fsspec.core.url_to_fs(url, **storage)
+                fs.get_file(path, str(here))
+            yield here
+        return
+    low, high = rows
     tables: list[Any] = []
     for url, begin, stop in piece.files:
         if begin >= high or stop <= low:
@@ -315,11 +305,9 @@ def _parquet(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
     **Raises:** `DataError` where it cannot be.
     """
     import fsspec
-    from pyarrow import ArrowException, parquet
+    from pyarrow import parquet
 
     with _in_words(f"'{url}' cannot be read"), fsspec.open(url, "rb", **storage) as stream:
-        try:
+        with foreign_reader("Parquet"):
             file = parquet.ParquetFile(stream, page_checksum_verification=True)
-        except ArrowException as error:
-            raise DataError(f"not a readable Parquet file: {str(error).splitlines()[0]}") from None
         yield file

@@ -10,7 +10,7 @@ import scipy.stats
 from jaxtyping import Float
 
 from riecjax.fleets.groups import Entry
-from riecjax.fleets.sums import DONE
+from riecjax.fleets.order import DONE
 
 # Two questions, and two answers. How far do groups differ at all: an estimate is the groups' mean,
 # plus a deviation of the group with variance tau^2, plus the error of its own; tau^2 by Paule and

@@ -5,7 +5,7 @@ Lines of TOML: what is certain stands in them, what is guessed has a comment tha
 
 import contextlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
@@ -25,7 +25,6 @@ def _commented(text: str) -> str:
 
 def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterator[str]:
     """A line for each signal that a model reads: its column, and how it was found."""
-
     given, read = selection.rename, {}
     times = [c for c in channels.columns if is_called_time(c, channels.units)]
     taken = {*given.values(), *times}
@@ -55,17 +54,7 @@ def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterat
             yield _commented(f'# {name} = "COLUMN"  # {signal.name}{unit}, one of: {listed}')
     units = {signal.name: signal.unit for signal in signals}
     read |= {column: units.get(name, "") for name, column in given.items()}
-    yield from _unit_lines(channels, selection, read)
-    try:
-        record_from_channels(channels, selection, units)
-    except DataError as error:
-        yield _commented(f"# as it stands: {error}")
-
-
-def _unit_lines(channels: "Channels", selection: Select, read: Mapping[str, str]) -> Iterator[str]:
-    """The unit of each column, or in which one it is `read` where the file states none."""
-
-    read = dict(read)
+    # The unit of each column, or in which one it is read where the file states none.
     with contextlib.suppress(DataError):
         time = find_time(channels.columns, channels.units, selection.rename.get("t"))
         if time is not None and not time.notes:
@@ -80,6 +69,10 @@ def _unit_lines(channels: "Channels", selection: Select, read: Mapping[str, str]
                 f"# {name} states no unit and is read in {read[column]}; where that is wrong: "
                 f'unit.{quoted_key(column)} = "UNIT"'
             )
+    try:
+        record_from_channels(channels, selection, units)
+    except DataError as error:
+        yield _commented(f"# as it stands: {error}")
 
 
 def signals_of(model: "Model") -> "list[Quantity]":

@@ -16,61 +16,25 @@ from riecjax.models.quarter_car import (
     Reconstruction,
     quarter_car_source,
 )
+from riecjax.paper import reproduction
 from riecjax.paper.claims import BETWEEN, FIXED, SHOWN, TWO
 from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
-from riecjax.paper.reproduction import (
-    DURATION,
-    FORCES,
-    LENGTHS,
-    OF_TABLE_2,
-    PAIRS,
-    PARAMETERS,
-    RATE,
-    Demonstration,
-    RoadResult,
-    Trajectories,
-)
-from riecjax.paper.study import PaperStudy
 from riecjax.paper.tables import number_tables
-from riecjax.paper.variations import BANDWIDTHS, Hysteresis, VariedStudy
-from riecjax.reporting.charts import (
-    BLACK,
-    BLUE,
-    BOLD,
-    DASHES,
-    GREY,
-    LARGE,
-    OCHRE,
-    PALE,
-    RUST,
-    SERIES,
-    SMALL,
-    THIN,
-    USUAL,
-    WIDE,
-    Axis,
-    Chart,
-    Dashes,
-    Dots,
-    HeatMap,
-    Level,
-    Line,
-    Panel,
-    single,
-)
+from riecjax.reporting import charts
+from riecjax.reporting.charts import Axis, Chart, Dashes, Dots, HeatMap, Level, Line, Panel, single
 from riecjax.simulation import pothole
 
 Style = tuple[str, Dashes]
-METHOD_STYLE: dict[str, Style] = {"RIEC": (BLUE, "solid"), "DOLS": (RUST, "dashed")}
-STYLES: tuple[Style, ...] = tuple(zip(SERIES, DASHES))
+METHOD_STYLE: dict[str, Style] = {"RIEC": (charts.BLUE, "solid"), "DOLS": (charts.RUST, "dashed")}
+STYLES: tuple[Style, ...] = tuple(zip(charts.SERIES, charts.DASHES))
 BAND = "Lines are medians over the roads, bands hold 95 % of them."
 VELOCITY, FORCE = "suspension velocity / (m/s)", "damper force / kN"
 
 
-def study_charts(study: PaperStudy, shapes: Reconstruction) -> dict[str, Chart]:
+def study_charts(study: reproduction.PaperStudy, shapes: Reconstruction) -> dict[str, Chart]:
     """The figures that the study has the numbers for, and the map of window lengths."""
     roads, further, source = study.roads, study.further, quarter_car_source(shapes)
-    charts = {
+    figures = {
         "tables": tables_at_a_glance(roads),
         "figure_3": figure_3(),
         "figure_5": figure_5(source),
@@ -79,9 +43,9 @@ def study_charts(study: PaperStudy, shapes: Reconstruction) -> dict[str, Chart]:
         "figure_8": figure_8(shapes),
     }
     if further is None:
-        return charts
+        return figures
     motion = further.trajectories
-    return charts | {
+    return figures | {
         "figure_2": figure_2(further.demonstrations),
         # The road's start holds the transient.
         "figure_9": validation_figure(motion["road"], (20.0, 23.0), "Figure 9", "a Robson road"),
@@ -102,26 +66,26 @@ MOST_DOTS = 4000
 """Samples of a scatter that are drawn."""
 
 
-def figure_2(demonstrations: Demonstration) -> Chart:
+def figure_2(demonstrations: reproduction.Demonstration) -> Chart:
     """White noise and the mechanical error, and their running integrals."""
-    time = np.arange(round(DURATION * RATE)) / RATE
+    time = np.arange(round(reproduction.DURATION * reproduction.RATE)) / reproduction.RATE
     # The size of the force is arbitrary: everything in units of the error's r.m.s.
     size = np.sqrt(np.mean(np.asarray(demonstrations.error) ** 2, axis=1))[:, None]
-    few = slice(0, round(EXCERPT * RATE))
+    few = slice(0, round(EXCERPT * reproduction.RATE))
     thin = np.linspace(0, time.size - 1, MOST).astype(int)
     above, below = [], []
     for name, signal, integral, color in (
-        ("white noise", demonstrations.noise, demonstrations.noise_integral, RUST),
-        ("mechanical error", demonstrations.error, demonstrations.error_integral, BLUE),
+        ("white noise", demonstrations.noise, demonstrations.noise_integral, charts.RUST),
+        ("mechanical error", demonstrations.error, demonstrations.error_integral, charts.BLUE),
     ):
         excerpt, over_time = np.asarray(signal)[0] / size[0], np.asarray(integral) / size
-        line = Line(time[few], excerpt[few], "", color, width=THIN)
+        line = Line(time[few], excerpt[few], "", color, width=charts.THIN)
         above.append(Panel([line], Axis("time / s"), Axis("signal / its r.m.s."), title=name))
         spread = 2 * np.sqrt(np.mean(over_time**2, axis=0))[thin]
         label, zero = "± 2 r.m.s. over realisations", np.zeros(MOST)
         marks = [
-            Line(time[thin], zero, label, GREY, width=1.0, low=-spread, high=spread),
-            Line(time[thin], over_time[0][thin], "one realisation", color, width=THIN),
+            Line(time[thin], zero, label, charts.GREY, width=1.0, low=-spread, high=spread),
+            Line(time[thin], over_time[0][thin], "one realisation", color, width=charts.THIN),
         ]
         unit = Axis("integral / (r.m.s. s)")
         below.append(Panel(marks, Axis("time / s"), unit, title=f"integral of the {name}"))
@@ -142,9 +106,9 @@ def figure_3() -> Chart:
     drawn = Boxcar().mean_gain(frequency, *BETWEEN)
     return single(
         [
-            Line(frequency, fixed, "T = 0.1 s", RUST, width=1.0),
-            Line(frequency, two, "mean of T = 0.1 and 0.33 s", OCHRE, "dashed", width=1.0),
-            Line(frequency, drawn, "mean of T from 0.1 to 1.0 s", BLUE, width=BOLD),
+            Line(frequency, fixed, "T = 0.1 s", charts.RUST, width=1.0),
+            Line(frequency, two, "mean of T = 0.1 and 0.33 s", charts.OCHRE, "dashed", width=1.0),
+            Line(frequency, drawn, "mean of T from 0.1 to 1.0 s", charts.BLUE, width=charts.BOLD),
         ],
         Axis("frequency / Hz", log=True, low=0.2, high=50),
         Axis("gain / s", log=True, low=1e-4, high=1),
@@ -167,7 +131,7 @@ def figure_5(source: QuarterCarSource) -> Chart:
         ("engine mount", source.mount, 8e-3, 1e3, "deflection / mm"),
     ):
         x = np.linspace(-most, most, 301)
-        line = Line(factor * x, sampled(curve, x) / 1e3, width=BOLD)
+        line = Line(factor * x, sampled(curve, x) / 1e3, width=charts.BOLD)
         title = f"{name} (reconstructed)"
         row.append(Panel([line], Axis(label), Axis("force / kN"), title=title))
     return Chart(
@@ -177,15 +141,15 @@ def figure_5(source: QuarterCarSource) -> Chart:
     )
 
 
-def figure_6(roads: RoadResult) -> Chart:
+def figure_6(roads: reproduction.RoadResult) -> Chart:
     """The piecewise linear damper model, and the functions that it is a sum of."""
     velocity = np.linspace(-1.1, 1.1, 441)
     functions = sampled(RoofFunctions(BREAK_POINTS), velocity)
     riec = CRITERIA.index("RIEC")
-    forces = [roads.identified("B_id", name)[:, riec].mean() / 1e3 for name in FORCES]
+    forces = [roads.identified("B_id", name)[:, riec].mean() / 1e3 for name in reproduction.FORCES]
     model = [
         Line(velocity, np.array(forces) @ functions, "sum of F_i R_i"),
-        Dots(BREAK_POINTS, forces, "F_i at v_i", RUST, size=LARGE),
+        Dots(BREAK_POINTS, forces, "F_i at v_i", charts.RUST, size=charts.LARGE),
     ]
     roofs = [
         Line(velocity, function, f"R_{i}", *style)
@@ -203,7 +167,7 @@ def figure_6(roads: RoadResult) -> Chart:
     )
 
 
-def damper_map(forces: np.ndarray, label: str, style: Style, width: float = USUAL) -> Line:
+def damper_map(forces: np.ndarray, label: str, style: Style, width: float = charts.USUAL) -> Line:
     """Means over the roads of F_1 to F_4 at their velocities, with bars that hold 95 % of them.
 
     **Arguments:** `forces` in N, shape `(roads, 4)`.
@@ -212,11 +176,16 @@ def damper_map(forces: np.ndarray, label: str, style: Style, width: float = USUA
     return Line(BREAK_POINTS, mean, label, *style, width=width, markers=True, error=bars)
 
 
-def figure_7(roads: RoadResult, source: QuarterCarSource) -> Chart:
+def figure_7(roads: reproduction.RoadResult, source: QuarterCarSource) -> Chart:
     """Identified damper maps, four variants by each method, over the source's curve."""
     velocity = np.linspace(-1.1, 1.1, 221)
-    curve = Line(velocity, sampled(source.damper, velocity) / 1e3, "source", GREY, width=WIDE)
-    forces = {v: np.stack([roads.identified(v, n) for n in FORCES], axis=-1) for v in VARIANTS}
+    curve = Line(
+        velocity, sampled(source.damper, velocity) / 1e3, "source", charts.GREY, width=charts.WIDE
+    )
+    forces = {
+        v: np.stack([roads.identified(v, n) for n in reproduction.FORCES], axis=-1)
+        for v in VARIANTS
+    }
     row = []
     for i, criterion in enumerate(CRITERIA):
         maps = [damper_map(forces[v][:, i], v, style) for v, style in zip(VARIANTS, STYLES)]
@@ -242,7 +211,7 @@ def figure_8(shapes: Reconstruction) -> Chart:
     velocity = np.asarray(pothole(count, step, **shape, speed=SPEED, start=before))
     distance = SPEED * (step * np.arange(count) - before)
     return single(
-        [Line(distance, -1e3 * step * np.cumsum(velocity), "", BLACK, width=BOLD)],
+        [Line(distance, -1e3 * step * np.cumsum(velocity), "", charts.BLACK, width=charts.BOLD)],
         Axis("distance / m"),
         Axis("road height / mm"),
         f"Figure 8, reconstructed. The pot-hole: {1e3 * depth:.0f} mm deep, {length:.2f} m between "
@@ -250,7 +219,7 @@ def figure_8(shapes: Reconstruction) -> Chart:
     )
 
 
-def tables_at_a_glance(roads: RoadResult) -> Chart:
+def tables_at_a_glance(roads: reproduction.RoadResult) -> Chart:
     """Every number of Tables 3 to 5 relative to its published value."""
     prefixes = {"3": "", "4": "K_s ", "5": "p "}
     cells = {
@@ -265,13 +234,13 @@ def tables_at_a_glance(roads: RoadResult) -> Chart:
     inside = np.array([cell.inside for cell in cells.values()])
     marks: list[Level | Line | Dots] = [Level(0.0, "x")]
     for chosen, label, color in (
-        (inside, "published number inside the range over roads", BLUE),
-        (~inside, "outside", RUST),
+        (inside, "published number inside the range over roads", charts.BLUE),
+        (~inside, "outside", charts.RUST),
     ):
         if chosen.any():
             # A gap after each range.
             ends = np.insert(percent[chosen, :2], 2, np.nan, axis=1).ravel()
-            marks.append(Line(ends, np.repeat(places[chosen], 3), "", color, width=BOLD))
+            marks.append(Line(ends, np.repeat(places[chosen], 3), "", color, width=charts.BOLD))
             marks.append(Dots(percent[chosen, 2], places[chosen], label, color))
     reach = 1.05 * np.abs(percent[:, :2]).max()
     return single(
@@ -309,7 +278,7 @@ QUANTITIES = (
 
 
 def validation_figure(
-    motion: Trajectories, stretch: tuple[float, float], figure: str, where: str
+    motion: reproduction.Trajectories, stretch: tuple[float, float], figure: str, where: str
 ) -> Chart:
     """What identified models predict of the source's motion on one of the inputs.
 
@@ -321,7 +290,7 @@ def validation_figure(
     for i, (title, label, factor) in enumerate(QUANTITIES):
         # Behind the predictions, and wide: where they agree with it they would hide a thin line.
         source = factor * np.asarray(motion.source)[drawn, i]
-        marks = [Line(time[drawn], source, "source", PALE, width=WIDE)]
+        marks = [Line(time[drawn], source, "source", charts.PALE, width=charts.WIDE)]
         for method in reversed(CRITERIA):
             values = factor * predicted[:, CRITERIA.index(method), drawn, i]
             marks.append(banded(time[drawn], values, method, METHOD_STYLE[method]))
@@ -346,7 +315,7 @@ BY_CASE = [(case, method) for case in CASES for method in CRITERIA]
 
 
 def by_case(
-    study: VariedStudy,
+    study: reproduction.VariedStudy,
     values: Mapping[tuple[str, str], np.ndarray],
     y: Axis,
     *,
@@ -368,7 +337,7 @@ def by_case(
     return panels
 
 
-def figure_11(study: VariedStudy) -> Chart:
+def figure_11(study: reproduction.VariedStudy) -> Chart:
     """Masses and stiffness in the three cases of Table 6, by both methods."""
     rows = []
     for name, label, scale, true in (
@@ -387,14 +356,14 @@ def figure_11(study: VariedStudy) -> Chart:
     )
 
 
-def figure_12(study: VariedStudy) -> Chart:
+def figure_12(study: reproduction.VariedStudy) -> Chart:
     """Damper forces in the pathological case."""
     row = []
     for method in reversed(CRITERIA):
-        forces = study.identified("pathological", method, *FORCES) / 1e3
+        forces = study.identified("pathological", method, *reproduction.FORCES) / 1e3
         marks = [
             banded(study.bandwidths, forces[..., i], name, style)
-            for i, (name, style) in enumerate(zip(FORCES, STYLES))
+            for i, (name, style) in enumerate(zip(reproduction.FORCES, STYLES))
         ]
         row.append(Panel(marks, BANDWIDTH, Axis("F_i / kN", low=-1.6, high=1.6), title=method))
     return Chart(
@@ -407,22 +376,28 @@ def figure_12(study: VariedStudy) -> Chart:
     )
 
 
-def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
+def figure_13(damper: reproduction.Hysteresis, study: reproduction.VariedStudy) -> Chart:
     """At the lowest and at the highest of the bandwidths."""
     row = []
     for place in (0, -1):
         velocity, force = (
             np.asarray(a)[0, place, :MOST_DOTS] for a in (damper.velocity, damper.force)
         )
-        source = Dots(velocity, force / 1e3, "source, one road", GREY, size=SMALL, opacity=0.5)
-        band = int(np.argmin(np.abs(study.bandwidths - BANDWIDTHS[place])))
-        forces = {m: study.identified("pathological", m, *FORCES)[:, band] for m in CRITERIA}
+        source = Dots(
+            velocity, force / 1e3, "source, one road", charts.GREY, size=charts.SMALL, opacity=0.5
+        )
+        band = int(np.argmin(np.abs(study.bandwidths - reproduction.BANDWIDTHS[place])))
+        forces = {
+            m: study.identified("pathological", m, *reproduction.FORCES)[:, band] for m in CRITERIA
+        }
         maps = [
-            damper_map(forces[method], method, METHOD_STYLE[method], BOLD)
+            damper_map(forces[method], method, METHOD_STYLE[method], charts.BOLD)
             for method in reversed(CRITERIA)
         ]
         x, y = Axis(VELOCITY, low=-1.2, high=1.2), Axis(FORCE, low=-1.6, high=1.6)
-        row.append(Panel([source, *maps], x, y, title=f"input to {BANDWIDTHS[place]:g} Hz"))
+        row.append(
+            Panel([source, *maps], x, y, title=f"input to {reproduction.BANDWIDTHS[place]:g} Hz")
+        )
     return Chart(
         [row],
         "Figure 13. Identified damper maps (B_id, pathological case; bars hold 95 % of the roads) "
@@ -432,7 +407,7 @@ def figure_13(damper: Hysteresis, study: VariedStudy) -> Chart:
     )
 
 
-def figure_14(study: VariedStudy) -> Chart:
+def figure_14(study: reproduction.VariedStudy) -> Chart:
     """Validation error in the three cases, on both inputs."""
     rows = []
     for where, name, most in (("road", "road", 130.0), ("pothole", "pot-hole", 350.0)):
@@ -452,14 +427,19 @@ def figure_14(study: VariedStudy) -> Chart:
 def length_map_chart(lengths: Float[Array, "roads pairs parameters"]) -> Chart:
     """Estimates over alpha and beta (Section 4), as changes from Table 2's choice."""
     theta = np.asarray(lengths).mean(axis=0)
-    grid, names = np.arange(len(LENGTHS)), tuple(f"{length:g}" for length in LENGTHS)
+    grid, names = (
+        np.arange(len(reproduction.LENGTHS)),
+        tuple(f"{length:g}" for length in reproduction.LENGTHS),
+    )
     # The next length of the grid below one that is a sample longer than alpha is alpha itself.
-    across, up = np.searchsorted(LENGTHS, PAIRS.T + 1e-9, side="right") - 1
+    across, up = (
+        np.searchsorted(reproduction.LENGTHS, reproduction.PAIRS.T + 1e-9, side="right") - 1
+    )
     row = []
     for name in SHOWN:
-        values = theta[:, PARAMETERS.index(name)]
+        values = theta[:, reproduction.PARAMETERS.index(name)]
         change = np.full((grid.size, grid.size), np.nan)
-        change[up, across] = 100 * (values / values[OF_TABLE_2] - 1)
+        change[up, across] = 100 * (values / values[reproduction.OF_TABLE_2] - 1)
         heat = HeatMap(grid, grid, change, "change / %", -20.0, 20.0, diverging=True)
         x, y = Axis("alpha / s", categories=names), Axis("beta / s", categories=names)
         row.append(Panel([heat], x, y, title=name))

@@ -14,22 +14,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax import Boxcar
+from riecjax.paper import reproduction
 from riecjax.paper.published import CRITERIA, INPUTS, VARIANTS
-from riecjax.paper.reproduction import (
-    FORCES,
-    OF_TABLE_2,
-    PAIRS,
-    PARAMETERS,
-    RAMPS,
-    RATE,
-    TRUE_MASSES,
-    Demonstration,
-    RoadResult,
-    WindowErrorMoments,
-)
-from riecjax.paper.study import PaperStudy
 from riecjax.paper.tables import table_1
-from riecjax.paper.variations import BANDWIDTHS, STIFFER, Hysteresis, VariedStudy
 
 RESAMPLES = 500
 SEED = 1999
@@ -109,7 +96,7 @@ def statement(id: int, *parts: str) -> Callable[[Numbers], Numbers]:
     return enter
 
 
-def evaluate_claims(study: PaperStudy) -> list[Claim]:
+def evaluate_claims(study: reproduction.PaperStudy) -> list[Claim]:
     """All statements that the study has the parts for, in the order of their numbers."""
     computed = {"roads": study.roads, "ramps": None}
     if study.further is not None:
@@ -136,7 +123,7 @@ FIXED, TWO, BETWEEN = 0.1, (0.1, 0.33), (0.1, 1.0)
 
 
 @statement(1, "demonstrations")
-def bounded_impulse(demonstrations: Demonstration) -> Iterator[Evidence]:
+def bounded_impulse(demonstrations: reproduction.Demonstration) -> Iterator[Evidence]:
     """The integrated mechanical error is bounded, that of white noise of equal r.m.s. is not.
 
     Growth is the slope of log r.m.s. over realisations against log time; a random walk has one
@@ -144,7 +131,7 @@ def bounded_impulse(demonstrations: Demonstration) -> Iterator[Evidence]:
     """
     whole = np.asarray(demonstrations.error_integral)
     share = np.max(np.abs(whole), axis=1) / np.asarray(demonstrations.bound)
-    places = np.unique(np.geomspace(FROM * RATE, whole.shape[1] - 1, 60).astype(int))
+    places = np.unique(np.geomspace(FROM * reproduction.RATE, whole.shape[1] - 1, 60).astype(int))
     error, noise = whole[:, places], np.asarray(demonstrations.noise_integral)[:, places]
 
     def growth(integrals: np.ndarray) -> float:
@@ -160,7 +147,7 @@ def bounded_impulse(demonstrations: Demonstration) -> Iterator[Evidence]:
 
 
 @statement(2, "demonstrations")
-def drop_outs(_: Demonstration) -> Iterator[Evidence]:
+def drop_outs(_: reproduction.Demonstration) -> Iterator[Evidence]:
     """A fixed T has drop-outs; the average over T ~ U(alpha, beta) has none."""
     frequency = np.linspace(0.5, 50, 4951)
     fixed = Boxcar().gain(frequency, np.array([FIXED]))[:, 0]
@@ -174,7 +161,7 @@ def drop_outs(_: Demonstration) -> Iterator[Evidence]:
 
 
 @statement(3, "window_errors")
-def window_errors(moments: WindowErrorMoments) -> Iterator[Evidence]:
+def window_errors(moments: reproduction.WindowErrorMoments) -> Iterator[Evidence]:
     """Errors of random windows have equal variance and a small, equal cross-correlation (eq. 18).
 
     Of the body's equation in the quarter car. The symmetry is one over roads: on a single record
@@ -196,7 +183,7 @@ def window_errors(moments: WindowErrorMoments) -> Iterator[Evidence]:
 
 
 @statement(4, "roads")
-def eigenstructure(_: RoadResult) -> Iterator[Evidence]:
+def eigenstructure(_: reproduction.RoadResult) -> Iterator[Evidence]:
     """The linearised source model has the eigenstructure of Table 1."""
     share = np.mean([published == reproduced for published, reproduced in table_1()])
     yield Evidence("share of rows that agree in every printed digit", float(share), at_least=1.0)
@@ -211,23 +198,23 @@ ABOUT_A_FIFTH = (-0.3, -0.1)
 
 
 def bias(
-    roads: RoadResult, name: str, criterion: str, low: float | None, high: float | None
+    roads: reproduction.RoadResult, name: str, criterion: str, low: float | None, high: float | None
 ) -> Evidence:
     """Of a parameter of the variant B_id, relative."""
-    true = {"K_t": 180e3, **TRUE_MASSES}[name]
+    true = {"K_t": 180e3, **reproduction.TRUE_MASSES}[name]
     values = roads.identified("B_id", name)[:, CRITERIA.index(criterion)]
     what = f"bias of {name} by {criterion}"
     return over_roads(what, lambda v: np.mean(v) / true - 1, values, at_least=low, at_most=high)
 
 
 @statement(5, "roads")
-def tyre_stiffness(roads: RoadResult) -> Iterator[Evidence]:
+def tyre_stiffness(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """Both methods find the tyre stiffness with a very slight bias."""
     yield from (bias(roads, "K_t", criterion, -SLIGHT, SLIGHT) for criterion in CRITERIA)
 
 
 @statement(6, "roads")
-def masses(roads: RoadResult) -> Iterator[Evidence]:
+def masses(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """RIEC finds the sprung mass and DOLS does not; both are about 20 % low on the unsprung."""
     yield bias(roads, "M_s", "RIEC", -SLIGHT, SLIGHT)
     yield bias(roads, "M_s", "DOLS", None, -WRONG_MASS)
@@ -235,9 +222,9 @@ def masses(roads: RoadResult) -> Iterator[Evidence]:
 
 
 @statement(7, "roads")
-def consistency(roads: RoadResult) -> Iterator[Evidence]:
+def consistency(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """RIEC finds nearly the same K_s and F_i in all four variants, DOLS does not."""
-    for name in ("K_s", *FORCES):
+    for name in ("K_s", *reproduction.FORCES):
         values = np.stack([roads.identified(variant, name) for variant in VARIANTS])
         riec, dols = (np.ptp(values, axis=0) / np.abs(values.mean(axis=0))).T
         what = f"spread of {name} over the variants, RIEC over DOLS"
@@ -262,14 +249,14 @@ def window_lengths(lengths: Float[np.ndarray, "roads pairs parameters"]) -> Iter
 
     Change against the estimate with Table 2's lengths, mean over roads, of all eight parameters.
     """
-    alpha, beta = PAIRS.T
+    alpha, beta = reproduction.PAIRS.T
     wide = (alpha >= SHORT) & (beta >= 2 * alpha) & (beta <= LONGEST)
     short = (beta <= SHORT) & (alpha < SHORT)
     narrow = (alpha >= SHORT) & (beta < NARROW * alpha) & (beta <= 0.3)
 
     def largest(values: np.ndarray, chosen: np.ndarray) -> float:
         mean = values.mean(axis=0)
-        return np.max(np.abs(mean[chosen] / mean[OF_TABLE_2] - 1))
+        return np.max(np.abs(mean[chosen] / mean[reproduction.OF_TABLE_2] - 1))
 
     what = "largest change of a parameter, beta at least 2 alpha, from 0.05 to 1.5 s"
     yield over_roads(what, lambda v: largest(v, wide), lengths, at_most=INSENSITIVE)
@@ -283,7 +270,7 @@ def window_lengths(lengths: Float[np.ndarray, "roads pairs parameters"]) -> Iter
 
 
 @statement(9, "roads")
-def validation(roads: RoadResult) -> Iterator[Evidence]:
+def validation(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """RIEC validates better than DOLS in every variant, about a third better in most on the road,
     but for B_true on the pot-hole.
     """
@@ -303,7 +290,7 @@ def validation(roads: RoadResult) -> Iterator[Evidence]:
 
 
 @statement(10, "roads")
-def true_masses(roads: RoadResult) -> Iterator[Evidence]:
+def true_masses(roads: reproduction.RoadResult) -> Iterator[Evidence]:
     """True masses validate worse than identified ones on the road, better on the pot-hole."""
     limits = {"road": "at_least", "pothole": "at_most"}
     for where, (i, criterion), side in itertools.product(INPUTS, enumerate(CRITERIA), "WB"):
@@ -337,7 +324,7 @@ def spread_ratio(values: np.ndarray, others: np.ndarray) -> float:
 
 
 @statement(11, "variations")
-def bandwidth(study: VariedStudy) -> Iterator[Evidence]:
+def bandwidth(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """Over input bandwidth RIEC's parameters vary less; DOLS is most biased for the included mode.
 
     Spread is the range over 0.5 to 30 Hz of the mean over roads; the geometric mean of the three
@@ -370,7 +357,7 @@ def distance(*cases: np.ndarray) -> float:
 
 
 @statement(12, "variations")
-def agreement(study: VariedStudy) -> Iterator[Evidence]:
+def agreement(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """Above about 15 Hz the pathological and included-mode RIEC models agree, and all three agree
     at the highest bandwidths.
 
@@ -381,7 +368,9 @@ def agreement(study: VariedStudy) -> Iterator[Evidence]:
     pair, every = ("pathological", "included-mode"), tuple(study.cases)
 
     def models(method: str, cases: tuple[str, ...], bands: np.ndarray | slice) -> list[np.ndarray]:
-        return [study.identified(case, method, *PARAMETERS)[:, bands] for case in cases]
+        return [
+            study.identified(case, method, *reproduction.PARAMETERS)[:, bands] for case in cases
+        ]
 
     what = "distance of the two RIEC models from 15 Hz on, mean over parameters"
     yield over_roads(what, distance, *models("RIEC", pair, above), at_most=0.03)
@@ -394,7 +383,7 @@ def agreement(study: VariedStudy) -> Iterator[Evidence]:
 
 
 @statement(13, "variations")
-def higher_mode(study: VariedStudy) -> Iterator[Evidence]:
+def higher_mode(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """The higher mode disturbs both methods least."""
 
     def ratio(higher: np.ndarray, *others: np.ndarray) -> float:
@@ -414,21 +403,25 @@ def change(values: np.ndarray, since: int) -> np.ndarray:
 
 
 @statement(14, "variations", "damper")
-def damper_forces(study: VariedStudy, damper: Hysteresis) -> Iterator[Evidence]:
+def damper_forces(
+    study: reproduction.VariedStudy, damper: reproduction.Hysteresis
+) -> Iterator[Evidence]:
     """DOLS damper forces drift down with bandwidth, RIEC's are flat above about 10 Hz; the
     hysteresis of the compliant damper explains it.
 
     The last number is a trial of the explanation: the same study with less compliance.
     """
     start, middle = (int(np.argmin(np.abs(study.bandwidths - f))) for f in (FLAT, WHEEL_HOP))
-    riec, dols = (study.identified("pathological", method, *FORCES) for method in CRITERIA)
+    riec, dols = (
+        study.identified("pathological", method, *reproduction.FORCES) for method in CRITERIA
+    )
     what = "change of DOLS' forces from 10 to 30 Hz, mean of the four"
     yield over_roads(what, lambda v: np.mean(change(v, start)), dols, at_most=-0.05)
     what = "change of the DOLS force that falls least, from 15 to 30 Hz"
     yield over_roads(what, lambda v: np.max(change(v, middle)), dols, at_most=0.0)
     what = "largest change of a RIEC force from 10 to 30 Hz"
     yield over_roads(what, lambda v: np.max(np.abs(change(v, start))), riec, at_most=0.07)
-    width, (low, high) = np.asarray(damper.width), (BANDWIDTHS.index(WHEEL_HOP), -1)
+    width, (low, high) = np.asarray(damper.width), (reproduction.BANDWIDTHS.index(WHEEL_HOP), -1)
     what = "hysteresis at 30 Hz over that at 6 Hz (r.m.s. off the curve, share of the force)"
     yield over_roads(what, ratio_of_means, width[:, 0, high], width[:, 0, 0], at_least=1.5)
 
@@ -438,13 +431,15 @@ def damper_forces(study: VariedStudy, damper: Hysteresis) -> Iterator[Evidence]:
         compliant, stiffer = np.mean(means[:, high] / means[:, low] - 1, axis=-1)
         return stiffer / compliant
 
-    what = f"DOLS' drift from 15 to 30 Hz with a damper {STIFFER:g} times as stiff, over its drift"
-    forces = np.asarray(damper.by_dols)[..., [PARAMETERS.index(name) for name in FORCES]]
+    times = f"{reproduction.STIFFER:g} times"
+    what = f"DOLS' drift from 15 to 30 Hz with a damper {times} as stiff, over its drift"
+    places = [reproduction.PARAMETERS.index(name) for name in reproduction.FORCES]
+    forces = np.asarray(damper.by_dols)[..., places]
     yield over_roads(what, drift, forces, at_most=0.7)
 
 
 @statement(15, "variations")
-def bandwidth_validation(study: VariedStudy) -> Iterator[Evidence]:
+def bandwidth_validation(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """RIEC's validation error falls as bandwidth rises, and is least at the highest; DOLS' is not.
 
     Least means within 3 % of the least at any bandwidth: RIEC's curves are flat from about 12 Hz
@@ -468,7 +463,7 @@ def bandwidth_validation(study: VariedStudy) -> Iterator[Evidence]:
 
 @statement(16, "roads", "ramps")
 def wheel_velocity(
-    roads: RoadResult, ramps: Float[Array, "ramps roads criteria variants 4"] | None
+    roads: reproduction.RoadResult, ramps: Float[Array, "ramps roads criteria variants 4"] | None
 ) -> Iterator[Evidence]:
     """The wheel velocity's error p_3 predominates in the validations.
 
@@ -485,13 +480,13 @@ def wheel_velocity(
         errors = np.asarray(roads.errors)[..., i, :]
         what = f"p_3 over the largest of the others, {where}"
         yield over_roads(what, margin, errors, at_least=1.0)
-    for length, errors in zip(RAMPS, [] if ramps is None else ramps):
+    for length, errors in zip(reproduction.RAMPS, [] if ramps is None else ramps):
         what = f"the same on a pot-hole with ramps of {length:g} m, for comparison"
         yield over_roads(what, margin, errors)
 
 
 @statement(17, "variations")
-def higher_mode_validation(study: VariedStudy) -> Iterator[Evidence]:
+def higher_mode_validation(study: reproduction.VariedStudy) -> Iterator[Evidence]:
     """For the higher mode DOLS' validation worsens at high bandwidth although its parameters hardly
     change.
 

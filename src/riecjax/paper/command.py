@@ -3,11 +3,12 @@
 import functools
 import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-from riecjax.cli import Given, settings_command
+from riecjax.cli import Given, Progress, settings_command
 from riecjax.runtime import start_jax
-from riecjax.settings import Contradiction, Output, Seed, Settings, flag, setting, whole
+from riecjax.settings import Output, Seed, Settings, flag, setting, whole
 
 DEFAULT_ROADS = 32
 PARTS = "variations.parts"
@@ -25,13 +26,10 @@ class Study(Settings):
     quick: bool = flag("--quick")
     """The whole study on few roads, in about a minute."""
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
+    def contradictions(self) -> Iterator[str]:
+        """What sets the number of roads twice."""
         if self.roads and (self.full or self.quick):
-            raise Contradiction(
-                "{roads} excludes {full} and {quick}, which set the number of roads.",
-                self.options(),
-            )
+            yield "{roads} excludes {full} and {quick}, which set the number of roads."
 
 
 @settings_command(
@@ -47,32 +45,22 @@ def command(given: Given) -> None:
     out = given.out
     start_jax(keep_compiled=True, devices=os.cpu_count() or 1)
     import jax
-    from rich.console import Console
-    from rich.progress import Progress, TaskID
 
     from riecjax.models.quarter_car import reconstructed
     from riecjax.paper.charts import study_charts
     from riecjax.paper.claims import evaluate_claims
     from riecjax.paper.report import print_reproduction, reproduction_document, reproduction_page
-    from riecjax.paper.study import FULL, QUICK, run_study
-    from riecjax.paper.variations import write_variations
+    from riecjax.paper.reproduction import FULL, QUICK, run_study, write_variations
     from riecjax.reporting import emit, require_folder
 
     if out is not None:
         require_folder(out)
     shapes, parts = reconstructed(), None if out is None else out / PARTS
     scale = QUICK if given.quick else FULL if given.full else given.roads or DEFAULT_ROADS
-    bars: dict[str, TaskID] = {}
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-
-        def report(what: str, done: int, total: int) -> None:
-            """A bar for each thing that is computed."""
-            if what not in bars:
-                bars[what] = bar.add_task(what, total=total)
-            bar.update(bars[what], completed=done, total=total)
-
-        study = run_study(scale, jax.random.key(given.seed), shapes, folder=parts, progress=report)
-        report("statements", 0, 1)
+    key = jax.random.key(given.seed)
+    with Progress() as progress:
+        study = run_study(scale, key, shapes, folder=parts, progress=progress.count)
+        progress.count("statements", 0, 1)
         claims = evaluate_claims(study)
     others = {}
     if study.further is not None:

@@ -10,7 +10,7 @@ from riecjax.findings import Finding
 from riecjax.models.quarter_car import SPRING_RATE, quarter_car_source, reconstructed
 from riecjax.paper.claims import Claim
 from riecjax.paper.published import CRITERIA, TABLE_2, TABLE_6, VARIANTS, PublishedMode
-from riecjax.paper.study import PaperStudy
+from riecjax.paper.reproduction import PaperStudy
 from riecjax.paper.tables import contact, number_tables, table_1
 from riecjax.reporting import (
     SCHEMA,

@@ -1,28 +1,27 @@
-"""Sections 2, 4 and 5 of the paper on simulated roads: Tables 3 to 5, Figs 2, 9 and 10.
+"""The paper's study on simulated roads: Sections 2, 4, 5 and 6, and all of them together.
 
 Parameters of identified models are arrays whose last axis is in the order of [`PARAMETERS`][].
 """
 
-from typing import NamedTuple
+import contextlib
+import functools
+import hashlib
+import io
+import json
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from jaxtyping import Array, Bool, Float, Key
 
-from riecjax import (
-    DOLS,
-    RIEC,
-    AllWindows,
-    Boxcar,
-    FixedStep,
-    RandomWindows,
-    Record,
-    find_model,
-    simulate,
-    staged,
-)
+import riecjax as rx
 from riecjax.estimation import solve
 from riecjax.models.quarter_car import (
     Pothole,
@@ -31,14 +30,24 @@ from riecjax.models.quarter_car import (
     body_equation,
     mass_equation,
     quarter_car_by_body,
+    quarter_car_source,
     tyre_equation,
     wheel_equation,
 )
 from riecjax.models.quarter_car.identification import quarter_car_system
-from riecjax.paper.published import CRITERIA, INPUTS, TABLE_2, VARIANTS
-from riecjax.simulation import AbstractSystem, Simulation, band_limited_noise, pothole, robson_road
+from riecjax.paper.published import CRITERIA, INPUTS, TABLE_2, TABLE_6, VARIANTS, MountVariant
+from riecjax.simulation import (
+    AbstractSystem,
+    Simulation,
+    band_limited_noise,
+    low_passed,
+    pothole,
+    robson_road,
+)
+from riecjax.studies import over_keys
 from riecjax.summaries import NormalEquations, stage_normal_equations
 from riecjax.validation import percentage_error
+from riecjax.whole_files import Store, stamp
 
 TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 VALIDATED_STATES = ("x1", "x2", "x3", "x4")
@@ -111,23 +120,23 @@ def pothole_velocity(hole: Pothole) -> Float[Array, " n"]:
 
 
 def identification_record(
-    source: QuarterCarSource, key: Key[Array, ""], *, method: FixedStep | None = None
+    source: QuarterCarSource, key: Key[Array, ""], *, method: rx.FixedStep | None = None
 ) -> Simulation:
     """The source model on the white-noise road of Table 2."""
-    return simulate(source, Record({"v_r": training_noise(key)}, STEP), method=method)
+    return rx.simulate(source, rx.Record({"v_r": training_noise(key)}, STEP), method=method)
 
 
-def paper_criteria() -> dict[str, RIEC | DOLS]:
+def paper_criteria() -> dict[str, rx.RIEC | rx.DOLS]:
     """RIEC with the windows of Table 2, and DOLS."""
-    windows = RandomWindows(TABLE_2.alpha, TABLE_2.beta, TABLE_2.windows, between_samples=True)
-    return {"RIEC": RIEC(windows), "DOLS": DOLS()}
+    windows = rx.RandomWindows(TABLE_2.alpha, TABLE_2.beta, TABLE_2.windows, between_samples=True)
+    return {"RIEC": rx.RIEC(windows), "DOLS": rx.DOLS()}
 
 
 def identify_variants(
-    record: Record, criterion: RIEC | DOLS, key: Key[Array, ""]
+    record: rx.Record, criterion: rx.RIEC | rx.DOLS, key: Key[Array, ""]
 ) -> Float[Array, "variants parameters"]:
     """All four variants from one set of normal equations: only what is known differs."""
-    model = staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
+    model = rx.staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
     tyre, masses, wheel, body = stage_normal_equations(model, record, criterion, key)
     last, known = {"W": wheel, "B": body}, {"true": TRUE_MASSES, "id": {}}
     variants = (variant.split("_") for variant in VARIANTS)
@@ -135,7 +144,7 @@ def identify_variants(
 
 
 def by_body(
-    record: Record, criterion: RIEC | DOLS, key: Key[Array, ""] | None = None
+    record: rx.Record, criterion: rx.RIEC | rx.DOLS, key: Key[Array, ""] | None = None
 ) -> Float[Array, " parameters"]:
     """The variant B_id by one criterion."""
     stages = stage_normal_equations(quarter_car_by_body(), record, criterion, key)
@@ -159,7 +168,7 @@ def run_road(
     source: QuarterCarSource,
     shapes: Reconstruction,
     *,
-    method: FixedStep | None = None,
+    method: rx.FixedStep | None = None,
 ) -> RoadResult:
     """Simulate, identify and validate on one random road; vmap over keys for many."""
     keys = road_keys(key)
@@ -178,16 +187,16 @@ def validation_errors(
     models: Float[Array, "*models parameters"],
     source: QuarterCarSource,
     inputs: dict[str, Array],
-    method: FixedStep | None = None,
+    method: rx.FixedStep | None = None,
 ) -> tuple[Float[Array, "*models inputs 4"], Bool[Array, "*models"]]:
     """p_i of x1 to x4 in percent on each input, and whether all simulations of a model held."""
     errors, successful = [], []
     for velocity in inputs.values():
-        road = Record({"v_r": velocity}, STEP)
-        truth = simulate(source, road, method=method)
+        road = rx.Record({"v_r": velocity}, STEP)
+        truth = rx.simulate(source, road, method=method)
 
-        def error(model: Array, road: Record = road, truth: Simulation = truth) -> tuple:
-            run = simulate(quarter_car_system(_named(model)), road, method=method)
+        def error(model: Array, road: rx.Record = road, truth: Simulation = truth) -> tuple:
+            run = rx.simulate(quarter_car_system(_named(model)), road, method=method)
             by_state = [percentage_error(run.record[s], truth.record[s]) for s in VALIDATED_STATES]
             return jnp.stack(by_state), run.successful & truth.successful
 
@@ -220,13 +229,13 @@ def validation_trajectories(
 ) -> dict[str, Trajectories]:
     """Of the variant B_id on the `road` that belongs to `key`, and on the `pothole`."""
 
-    def motion(system: AbstractSystem, road: Record) -> Float[Array, "n 4"]:
-        record = simulate(system, road).record
+    def motion(system: AbstractSystem, road: rx.Record) -> Float[Array, "n 4"]:
+        record = rx.simulate(system, road).record
         return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
 
     trajectories = {}
     for where, velocity in validation_inputs(road_keys(key).validation, shapes).items():
-        road = Record({"v_r": velocity}, STEP)
+        road = rx.Record({"v_r": velocity}, STEP)
         predict = jax.vmap(
             jax.vmap(lambda model, road=road: motion(quarter_car_system(_named(model)), road))
         )
@@ -277,8 +286,8 @@ def estimates_over_lengths(
     longest = round(max(LENGTHS) * TABLE_2.rate) + 1
 
     def estimate(pair: Float[Array, " 2"]) -> Float[Array, " parameters"]:
-        windows = AllWindows(pair[0], pair[1], longest_samples=longest)
-        return by_body(record, RIEC(windows, Boxcar(2)))
+        windows = rx.AllWindows(pair[0], pair[1], longest_samples=longest)
+        return by_body(record, rx.RIEC(windows, rx.Boxcar(2)))
 
     return jax.lax.map(estimate, pairs)
 
@@ -308,9 +317,9 @@ def demonstrate(key: Key[Array, ""]) -> Demonstration:
     """Drive the two masses by a white Gaussian force, and integrate; vmap over keys for many."""
     force_key, noise_key = jax.random.split(key)
     count = round(DURATION * RATE)
-    masses = find_model("two-mass").build_system(TWO_MASS)
+    masses = rx.find_model("two-mass").build_system(TWO_MASS)
     force = jax.random.normal(force_key, (count,))
-    run = simulate(masses, Record({"F": force}, 1 / RATE), method=FixedStep(1)).record
+    run = rx.simulate(masses, rx.Record({"F": force}, 1 / RATE), method=rx.FixedStep(1)).record
     error = run["error"]
     # A force of 1 N r.m.s. is as good as any: the model is linear.
     size = jnp.sqrt(jnp.mean(error**2))
@@ -370,3 +379,345 @@ def window_error_moments(
     keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(number)
     models = roads.parameters[:, CRITERIA.index("RIEC"), VARIANTS.index("B_id")]
     return jax.lax.map(moments, (keys, models))
+
+
+# Section 6: input bandwidth, engine mounts and sampling seeds varied, over roads. On every road
+# the white noise of Table 2 is cut off at each bandwidth, each of Table 6's source models is driven
+# with it, and the variant B_id is identified by DOLS and by RIEC with several draws of windows. All
+# of these models are validated on the two inputs of Section 5.
+
+Values = Array | np.ndarray
+
+
+class RoadVariations(NamedTuple):
+    """Roads under one engine mount, at every bandwidth.
+
+    `models` are DOLS, and RIEC with each draw of windows.
+
+    **Fields:** `parameters`; `errors`, p_i of x1 to x4 in percent on each of `INPUTS`; whether all
+    simulations behind a model were `successful`.
+    """
+
+    parameters: Float[Values, "roads bandwidths models parameters"]
+    errors: Float[Values, "roads bandwidths models inputs 4"]
+    successful: Bool[Values, "roads bandwidths models"]
+
+
+def vary_road(
+    key: Key[Array, ""],
+    mount: MountVariant,
+    bandwidths: Float[Array, " bandwidths"],
+    shapes: Reconstruction,
+    draws: int,
+    *,
+    method: rx.FixedStep | None = None,
+) -> RoadVariations:
+    """Simulate, identify and validate on one random road; vmap over keys for many.
+
+    The road of a key is that of [`run_road`][]: at 30 Hz and with the pathological mount, its first
+    draw gives the models of Tables 3 to 5.
+    """
+    source = quarter_car_source(shapes, mount_rate=mount.stiffness, mount_damping=mount.damping)
+    keys, criteria = road_keys(key), paper_criteria()
+    noise = training_noise(keys.training)
+    # Windows are drawn by the road's own key first.
+    rest = jax.random.split(jax.random.fold_in(keys.windows, 1), draws - 1)
+    drawn = jnp.stack([keys.windows, *(rest[i] for i in range(draws - 1))])
+
+    def identified(bandwidth: Array) -> tuple[Array, Array]:
+        driven = rx.Record({"v_r": low_passed(noise, STEP, bandwidth)}, STEP)
+        training = rx.simulate(source, driven, method=method)
+        by_riec = jax.vmap(lambda key: by_body(training.record, criteria["RIEC"], key))(drawn)
+        by_dols = by_body(training.record, criteria["DOLS"])
+        return jnp.concatenate([by_dols[None], by_riec]), training.successful
+
+    parameters, trained = jax.vmap(identified)(bandwidths)
+    inputs = validation_inputs(keys.validation, shapes)
+    errors, predicted = validation_errors(parameters, source, inputs, method)
+    return RoadVariations(parameters, errors, trained[:, None] & predicted)
+
+
+MODELS = {"DOLS": slice(0, 1), "RIEC": slice(1, None)}
+
+
+class VariedStudy(NamedTuple):
+    """What was found in each case of Table 6, in NumPy's arrays, at `bandwidths` in Hz."""
+
+    bandwidths: Float[np.ndarray, " bandwidths"]
+    cases: dict[str, RoadVariations]
+
+    def identified(
+        self, case: str, method: str, *names: str
+    ) -> Float[np.ndarray, "roads bandwidths names"]:
+        """Parameters in SI units, mean over the draws of windows."""
+        values = np.asarray(self.cases[case].parameters)[:, :, MODELS[method]].mean(axis=2)
+        return values[..., [PARAMETERS.index(name) for name in names]]
+
+    def summed_error(
+        self, case: str, method: str, where: str
+    ) -> Float[np.ndarray, "roads bandwidths"]:
+        """p_1 + ... + p_4 in percent, mean over draws; infinite where a simulation was lost."""
+        models = MODELS[method]
+        errors = self.cases[case].errors[:, :, models, INPUTS.index(where)].sum(axis=-1)
+        kept = self.cases[case].successful[:, :, models] & np.isfinite(errors)
+        return np.where(kept, errors, np.inf).mean(axis=-1)
+
+
+ROADS_TO_A_PART = 4
+MOST_KEPT = 2**40
+"""Bytes of finished parts: all of them."""
+
+
+def run_variations(
+    key: Key[Array, ""],
+    shapes: Reconstruction,
+    bandwidths: tuple[float, ...],
+    roads: int,
+    draws: int,
+    *,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> VariedStudy:
+    """Each case of Table 6 on all roads, at bandwidths in Hz, with so many draws of windows.
+
+    **Arguments:**
+
+    - `folder`: where finished parts are kept if it can be written, some roads under one mount in
+      each. Those of an interrupted study with the same numbers, key and versions are taken up.
+    - `progress`: called with the numbers of finished and of all parts.
+    """
+    # What a part's numbers depend on.
+    depends_on = {
+        "plan": (bandwidths, roads, draws),
+        "key": np.asarray(jax.random.key_data(key)).tolist(),
+        "versions": [version(name) for name in ("riecjax", "jax", "jaxlib")],
+        "precision": str(jnp.zeros(()).dtype),
+    }
+    settings = hashlib.sha256(json.dumps(depends_on).encode()).hexdigest()
+    if folder is not None:
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+    store = None if folder is None else Store(folder, ".part", MOST_KEPT)
+    places = [(case, first) for case in TABLE_6 for first in range(0, roads, ROADS_TO_A_PART)]
+    parts: dict[str, list[RoadVariations]] = {case: [] for case in TABLE_6}
+    for done, (case, first) in enumerate(places, 1):
+        name, part = f"{case}-{first:05d}-{settings}", None
+        if store is not None and (content := store.get(name)) is not None:
+            with contextlib.suppress(Exception):  # what is damaged is made anew
+                part = RoadVariations(**np.load(io.BytesIO(content)))
+        if part is None:
+            # Arrays, so that all mounts share what is compiled.
+            mount, arrays = jax.tree.map(jnp.asarray, (TABLE_6[case], shapes))
+            count, bands = min(ROADS_TO_A_PART, roads - first), jnp.asarray(bandwidths)
+            settled = (mount, bands, arrays, draws)
+            computed = over_keys(vary_road, key, count, *settled, first=first, chunk=count)
+            part = jax.tree.map(np.asarray, computed)
+            if store is not None:
+                np.savez(content := io.BytesIO(), **part._asdict())
+                store.put(name, content.getvalue())
+        parts[case].append(part)
+        progress(done, len(places))
+    cases = {case: RoadVariations(*map(np.concatenate, zip(*some))) for case, some in parts.items()}
+    return VariedStudy(np.array(bandwidths), cases)
+
+
+UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | dict.fromkeys(FORCES, "N")
+
+
+def variations_table(study: VariedStudy) -> pa.Table:
+    """A row for each case, road, bandwidth, method and draw of windows.
+
+    Errors are infinite where a model lost its solution.
+    """
+    tables = []
+    for case, varied in study.cases.items():
+        roads, bandwidths, models = varied.successful.shape
+        # DOLS has no draws; RIEC's are numbered.
+        methods = [("DOLS", 0), *(("RIEC", draw) for draw in range(models - 1))]
+        road, band, model = (axis.ravel() for axis in np.indices((roads, bandwidths, models)))
+        parameters = varied.parameters.reshape(-1, len(PARAMETERS))
+        simulated = varied.successful.ravel()
+        errors = varied.errors.reshape(simulated.size, -1)
+        errors = np.where(simulated[:, None] & np.isfinite(errors), errors, np.inf)
+        states = range(1, 1 + len(VALIDATED_STATES))
+        names = [f"{where} p_{i} [%]" for where in INPUTS for i in states]
+        columns = {
+            "case": [case] * road.size,
+            "road": road.astype(np.int32),
+            "bandwidth [Hz]": study.bandwidths[band],
+            "method": [methods[m][0] for m in model],
+            "draw": np.array([methods[m][1] for m in model], np.int32),
+            **{f"{n} [{UNITS[n]}]": parameters[:, i] for i, n in enumerate(PARAMETERS)},
+            **{name: errors[:, i] for i, name in enumerate(names)},
+            "simulated": simulated,
+        }
+        tables.append(pa.table(columns))
+    return pa.concat_tables(tables)
+
+
+def write_variations(study: VariedStudy, file: Path) -> None:
+    """The table as one Parquet file, whose pages have checksums and which bears a [`stamp`][].
+
+    **Raises:** `OSError` for a file that cannot be written.
+    """
+    table = variations_table(study).replace_schema_metadata({b"riecjax": stamp(file)})
+    pq.write_table(table, file, write_page_checksum=True)
+
+
+BANDWIDTHS = (6.0, 15.0, 30.0)
+"""Hz of Fig. 13: low, from where DOLS drifts, and high."""
+STIFFER = 4.0
+"""Factor on K_c that makes the damper follow the suspension more closely."""
+METHOD = rx.FixedStep(12)
+"""A stiffer damper needs shorter steps: K_c over its least slope is 3500 per second."""
+
+
+class Hysteresis(eqx.Module):
+    """One road at each of `BANDWIDTHS`, with the source's own compliance and a stiffer one.
+
+    **Fields:** `velocity` of the suspension in m/s and `force` of the damper in N, of the source's
+    own compliance; `width`, r.m.s. of the force's distance from the damper's curve at this
+    velocity, over its r.m.s.; `by_dols`, what DOLS identifies (variant B_id).
+    """
+
+    velocity: Float[Array, "bandwidths n"]
+    force: Float[Array, "bandwidths n"]
+    width: Float[Array, "compliances bandwidths"]
+    by_dols: Float[Array, "compliances bandwidths parameters"]
+
+
+def hysteresis(key: Key[Array, ""], source: QuarterCarSource) -> Hysteresis:
+    """What the damper's compliance does to its force, and to identified damper maps (Fig. 13).
+
+    On one random road; vmap over keys for many.
+    """
+    noise = training_noise(road_keys(key).training)
+
+    def at(compliance: Array, bandwidth: Array) -> Hysteresis:
+        model = eqx.tree_at(lambda s: s.damper_compliance, source, compliance)
+        driven = rx.Record({"v_r": low_passed(noise, STEP, bandwidth)}, STEP)
+        record = rx.simulate(model, driven, method=METHOD).record
+        relative = record["x3"] - record["x4"]
+        force = source.damper(record["x7"])
+        off = force - source.damper(relative)
+        width = jnp.sqrt(jnp.mean(off**2) / jnp.mean(force**2))
+        return Hysteresis(relative, force, width, by_body(record, rx.DOLS()))
+
+    compliances = jnp.asarray(source.damper_compliance) * jnp.array([1.0, STIFFER])
+    over_bandwidths = jax.vmap(at, in_axes=(None, 0))
+    both = jax.vmap(over_bandwidths, in_axes=(0, None))(compliances, jnp.array(BANDWIDTHS))
+    return Hysteresis(both.velocity[0], both.force[0], both.width, both.by_dols)
+
+
+# The whole study: all that the tables, figures and statements of the paper rest on.
+
+
+class Scale(NamedTuple):
+    """How large a study is.
+
+    **Fields:** `roads` behind the tables; `studied`, roads behind everything else;
+    `demonstrations` of Section 2; `bandwidths` in Hz; `draws` of windows on each record.
+    """
+
+    roads: int
+    studied: int
+    demonstrations: int
+    bandwidths: tuple[float, ...]
+    draws: int
+
+
+LOW = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5)
+"""Hz; here nothing reaches the outer break points of the damper."""
+FULL = Scale(
+    roads=200,
+    studied=24,
+    demonstrations=64,
+    bandwidths=(*LOW, *(float(f) for f in (*range(4, 17), *range(18, 31, 2)))),
+    draws=2,
+)
+QUICK = Scale(
+    roads=8,
+    studied=4,
+    demonstrations=24,
+    bandwidths=(0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0),
+    draws=1,
+)
+
+
+class Further(NamedTuple):
+    """What a whole study has beyond Tables 3 to 5.
+
+    **Fields:** its `scale`; `variations` of Section 6; `demonstrations` of Section 2;
+    `window_errors`, for eq. (18); `lengths`, parameters over the `PAIRS` of alpha and beta;
+    `trajectories` of Figs 9 and 10; the `damper`'s hysteresis; `ramps`, errors on pot-holes of
+    other shapes.
+    """
+
+    scale: Scale
+    variations: VariedStudy
+    demonstrations: Demonstration
+    window_errors: WindowErrorMoments
+    lengths: Float[Array, "roads pairs parameters"]
+    trajectories: dict[str, Trajectories]
+    damper: Hysteresis
+    ramps: Float[Array, "ramps roads criteria variants 4"]
+
+
+class PaperStudy(NamedTuple):
+    """What was computed: `roads`, all of Tables 3 to 5, and what is `further` in a whole study."""
+
+    roads: RoadResult
+    further: Further | None = None
+
+    @property
+    def road_count(self) -> int:
+        """Number of roads behind the tables."""
+        return int(np.size(self.roads.contact))
+
+
+def run_study(
+    scale: Scale | int,
+    key: Key[Array, ""],
+    shapes: Reconstruction,
+    *,
+    folder: Path | None = None,
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> PaperStudy:
+    """Compute it, with the same roads in every part.
+
+    **Arguments:**
+
+    - `scale` of the whole study, or a number of roads for the tables alone.
+    - `folder`, where finished parts of the variations are kept (see [`run_variations`][]).
+    - `progress`: called with what is computed, and the numbers of steps done and in all.
+    """
+    source = quarter_car_source(shapes)
+
+    def over(what: str, experiment: Callable[..., Any], count: int, *args: Any) -> Any:
+        progress(what, 0, count)
+        return over_keys(
+            experiment, key, count, *args, progress=lambda done: progress(what, done, count)
+        )
+
+    if isinstance(scale, int):
+        return PaperStudy(over("roads", run_road, scale, source, shapes))
+    what = "bandwidths and engine mounts"
+    progress(what, 0, 1)
+    report = functools.partial(progress, what)
+    plan = (scale.bandwidths, scale.studied, scale.draws)
+    variations = run_variations(key, shapes, *plan, folder=folder, progress=report)
+    roads = over("roads", run_road, scale.roads, source, shapes)
+    few = jax.tree.map(lambda leaf: leaf[: scale.studied], roads)
+    demonstrations = over("demonstrations of Section 2", demonstrate, scale.demonstrations)
+    progress("errors of windows", 0, 1)
+    errors = window_error_moments(key, few, source)
+    damper = over("hysteresis of the damper", hysteresis, scale.studied, source)
+    pairs = jnp.asarray(PAIRS)
+    lengths = over("window lengths", estimates_over_lengths, scale.studied, source, pairs)
+    progress("trajectories", 0, 1)
+    trajectories = validation_trajectories(few, key, source, shapes)
+    ramps = errors_over_ramps(few, source, shapes)
+    computed = (roads, demonstrations, errors, lengths, trajectories, damper, ramps)
+    # NumPy's arrays: JAX would compile a slice for each number that a figure reads.
+    roads, *others = jax.tree.map(np.asarray, computed)
+    return PaperStudy(roads, Further(scale, variations, *others))

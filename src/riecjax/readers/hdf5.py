@@ -8,18 +8,7 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
-from riecjax.records.reading import (
-    BY_ATTRIBUTE,
-    Channels,
-    check_column_count,
-    check_names,
-    check_unpacked,
-    foreign_reader,
-    read_apart,
-    vectors,
-    with_structure_times,
-    without_common_group,
-)
+from riecjax.records import reading
 
 DEEPEST = 16
 """Groups within groups past which a file is not followed."""
@@ -32,7 +21,7 @@ SCALES = ("scale", "Scale", "gain", "Gain", "factor", "slope", "sensitivity")
 """Attributes of counts by which they may be multiplied, or divided, or were."""
 
 
-def read_hdf5(file: Path) -> Channels:
+def read_hdf5(file: Path) -> reading.Channels:
     """Read an HDF5 file: datasets called by their path, as `run/position`.
 
     The path begins below the group that holds all of them. Fields of a table (a structured type)
@@ -44,15 +33,15 @@ def read_hdf5(file: Path) -> Channels:
     installed; `MemoryError`.
     """
     require_packages("HDF5")
-    return read_apart(_read, file, "HDF5")
+    return reading.read_apart(_read, file, "HDF5")
 
 
-def _read(file: Path) -> Channels:
+def _read(file: Path) -> reading.Channels:
     arrays: dict[str, Any] = {}
     units: dict[str, str] = {}
     left_out: dict[str, str] = {}
     notes: list[str] = []
-    with foreign_reader("HDF5"):
+    with reading.foreign_reader("HDF5"):
         import h5py
 
         with h5py.File(file, "r") as source:
@@ -66,21 +55,21 @@ def _read(file: Path) -> Channels:
             for name, dataset in found:
                 columns, note = _columns(name, dataset)
                 notes += note
-                check_names([*arrays, *columns])
+                reading.check_names([*arrays, *columns])
                 arrays |= columns
-                check_column_count(len(arrays))
+                reading.check_column_count(len(arrays))
                 units |= _units(columns, dataset)
-    read = vectors(arrays)
+    read = reading.vectors(arrays)
     notes += [f"dataset '{name}' left out: {why}" for name, why in left_out.items()]
     units = {c: unit for c in read.columns if (unit := units.get(c) or units.get(c.split("[")[0]))}
     units = read.units | units
-    whole = Channels(read.columns, units, {}, left_out | read.left_out, notes)
-    return with_structure_times(without_common_group(whole, "/"), "/")
+    whole = reading.Channels(read.columns, units, {}, left_out | read.left_out, notes)
+    return reading.with_structure_times(reading.without_common_group(whole, "/"), "/")
 
 
 def check_size(datasets: list[Any], file: Path) -> None:
     """Refuse datasets that declare more numbers than are read, or than the file can hold."""
-    check_unpacked(sum(d.size * d.dtype.itemsize for d in datasets), file.stat().st_size)
+    reading.check_unpacked(sum(d.size * d.dtype.itemsize for d in datasets), file.stat().st_size)
 
 
 def walk(
@@ -124,7 +113,7 @@ def walk(
             continue
         if within is None:
             columns += 1
-            check_column_count(columns)
+            reading.check_column_count(columns)
             yield name, item
         else:
             entered.add(item)
@@ -171,7 +160,7 @@ def _units(columns: Iterable[str], dataset: Any) -> dict[str, str]:
     ]
     scale = next((key for key in SCALES if _number(dataset, key) is not None), "")
     if scale and dataset.dtype.kind in "iu":
-        units = [f"{unit or 'counts'}{BY_ATTRIBUTE}{scale}" for unit in units or [""]]
+        units = [f"{unit or 'counts'}{reading.BY_ATTRIBUTE}{scale}" for unit in units or [""]]
     names = list(columns)
     if len(units) == 1:
         units *= len(names)

@@ -14,17 +14,7 @@ import numpy as np
 
 from riecjax.extensions import require_packages
 from riecjax.readers.hdf5 import DEEPEST, check_size, walk
-from riecjax.records.reading import (
-    Channels,
-    check_column_count,
-    check_names,
-    check_unpacked,
-    foreign_reader,
-    read_apart,
-    vectors,
-    with_structure_times,
-    with_units_beside,
-)
+from riecjax.records import reading
 
 V73 = b"MATLAB 7.3"
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -37,7 +27,7 @@ Objects = dict[str, str]
 """Variables that are objects of MATLAB's, such as timetables, with their class."""
 
 
-def read_mat(file: Path) -> Channels:
+def read_mat(file: Path) -> reading.Channels:
     """Read a MAT file of version 4, 5 or 7.3.
 
     Fields of structures are called `struct.field`, elements of cells `cell{1}` (from 1, as in
@@ -51,33 +41,33 @@ def read_mat(file: Path) -> Channels:
         start = stream.read(HEADER + len(HDF5))
     if start.startswith(V73) or HDF5 in (start[: len(HDF5)], start[HEADER:]):
         require_packages("HDF5")
-        return read_apart(_read_v73, file, "MAT (v7.3)")
-    return read_apart(_channels_v5, file, "MAT")
+        return reading.read_apart(_read_v73, file, "MAT (v7.3)")
+    return reading.read_apart(_channels_v5, file, "MAT")
 
 
-def _channels(arrays: Arrays, objects: Objects) -> Channels:
-    found = vectors({name: array for name, array in arrays.items() if not _is_word(array)})
+def _channels(arrays: Arrays, objects: Objects) -> reading.Channels:
+    found = reading.vectors({name: array for name, array in arrays.items() if not _is_word(array)})
     words = {name: str(array.flat[0]) for name, array in arrays.items() if _is_word(array)}
     left_out = dict.fromkeys(words, "it holds no real numbers") | {
         name: f"it is a {kind} of MATLAB, which only MATLAB reads: save its columns as vectors"
         for name, kind in objects.items()
     }
-    found = with_units_beside(replace(found, left_out=found.left_out | left_out), words)
-    return with_structure_times(found)
+    found = reading.with_units_beside(replace(found, left_out=found.left_out | left_out), words)
+    return reading.with_structure_times(found)
 
 
 def _is_word(array: np.ndarray) -> bool:
     return array.dtype.kind == "U" and array.size == 1
 
 
-def _channels_v5(file: Path) -> Channels:
-    with foreign_reader("MAT", is_trusted=False):
+def _channels_v5(file: Path) -> reading.Channels:
+    with reading.foreign_reader("MAT", is_trusted=False):
         import scipy.io
 
         with file.open("rb") as stream:
             declared = [(name, shape) for name, shape, _ in scipy.io.whosmat(stream) if name]
-        check_names(name for name, _ in declared)
-        check_unpacked(8 * sum(math.prod(shape) for _, shape in declared))
+        reading.check_names(name for name, _ in declared)
+        reading.check_unpacked(8 * sum(math.prod(shape) for _, shape in declared))
         if not all(name.isprintable() for name, _ in declared):
             raise ValueError("a variable's name is not text.")
         with file.open("rb") as stream:
@@ -91,7 +81,7 @@ def _channels_v5(file: Path) -> Channels:
             elif not name.startswith("__"):
                 for inner, array in _parts(name, value):
                     arrays[inner] = array
-                    check_column_count(len(arrays))
+                    reading.check_column_count(len(arrays))
     return _channels(arrays, objects)
 
 
@@ -105,7 +95,7 @@ def _parts(name: str, value: object, depth: int = 0) -> Iterator[tuple[str, np.n
 
     if scipy.sparse.issparse(value):
         sparse: Any = value
-        check_unpacked(8 * math.prod(sparse.shape))
+        reading.check_unpacked(8 * math.prod(sparse.shape))
         value = sparse.toarray()
     array = np.asarray(value)
     if depth > DEEPEST or type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
@@ -124,8 +114,8 @@ def _parts(name: str, value: object, depth: int = 0) -> Iterator[tuple[str, np.n
         yield name, array
 
 
-def _read_v73(file: Path) -> Channels:
-    with foreign_reader("MAT (v7.3)"):
+def _read_v73(file: Path) -> reading.Channels:
+    with reading.foreign_reader("MAT (v7.3)"):
         import h5py
 
         with h5py.File(file, "r") as source:
@@ -158,7 +148,7 @@ def _elements(name: str, item: Any) -> list[tuple[str, Any]] | None:
         return None
     if h5py.check_ref_dtype(item.dtype) is not h5py.Reference:
         return []
-    check_column_count(int(item.size or 0))
+    reading.check_column_count(int(item.size or 0))
     references = enumerate(np.asarray(item[()]).reshape(-1), start=1)
     whole, _, field = name.rpartition(".")
     is_cell = item.attrs.get("MATLAB_class") == b"cell" or not whole

@@ -7,19 +7,13 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
-from riecjax.records.reading import (
-    Channels,
-    check_column_count,
-    check_unpacked,
-    foreign_reader,
-    read_apart,
-)
+from riecjax.records import reading
 
 IDENTIFICATIONS = (b"MDF ", b"UnFinMF ")
 """What an MDF file begins with, finished or not."""
 
 
-def read_mdf(file: Path) -> Channels:
+def read_mdf(file: Path) -> reading.Channels:
     """Read an MDF file: every channel group has its own time axis.
 
     A channel keeps its name; one whose name stands in several groups becomes `name (group 2)`,
@@ -32,17 +26,17 @@ def read_mdf(file: Path) -> Channels:
     with file.open("rb") as stream:
         if not stream.read(8).startswith(IDENTIFICATIONS):
             raise DataError("not a readable MDF file: it has no header of an MDF file.")
-    return read_apart(_read, file, "MDF")
+    return reading.read_apart(_read, file, "MDF")
 
 
-def _read(file: Path) -> Channels:
+def _read(file: Path) -> reading.Channels:
     import asammdf
 
-    with foreign_reader("MDF"), file.open("rb") as stream, asammdf.MDF(stream) as source:
-        check_column_count(sum(len(group.channels) for group in source.groups))
+    with reading.foreign_reader("MDF"), file.open("rb") as stream, asammdf.MDF(stream) as source:
+        reading.check_column_count(sum(len(group.channels) for group in source.groups))
         count = sum(g.channel_group.cycles_nr * len(g.channels) for g in source.groups)
-        check_unpacked(8 * count)
-        whole = Channels({})
+        reading.check_unpacked(8 * count)
+        whole = reading.Channels({})
         names = [channel.name for group in source.groups for channel in group.channels]
         for place, group in enumerate(source.groups):
             time = f"time (group {place + 1})" if len(source.groups) > 1 else "time"

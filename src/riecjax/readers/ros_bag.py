@@ -6,15 +6,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.extensions import require_packages
-from riecjax.records.reading import (
-    Channels,
-    check_column_count,
-    foreign_reader,
-    gathered,
-    numbers_of,
-    read_apart,
-    without_common_group,
-)
+from riecjax.records import reading
 
 LONGEST_ARRAY = 100
 """Elements of a field past which it is a picture or a cloud, and no set of channels."""
@@ -22,7 +14,7 @@ CLOCKS_AGREE = 60e9
 """Nanoseconds by which stamps of a message and of its log may differ on one clock."""
 
 
-def read_ros_bag(file: Path) -> Channels:
+def read_ros_bag(file: Path) -> reading.Channels:
     """Read a bag: fields of the messages of a topic, called `/topic.field`.
 
     Fields in fields are called `/topic.field.x`, elements of arrays `/topic.field[0]`; where there
@@ -34,11 +26,11 @@ def read_ros_bag(file: Path) -> Channels:
     **Raises:** `DataError` for a damaged bag, or where rosbags is not installed; `MemoryError`.
     """
     require_packages("ROS")
-    return read_apart(_read, file, "ROS bag")
+    return reading.read_apart(_read, file, "ROS bag")
 
 
-def _read(file: Path) -> Channels:
-    with foreign_reader("ROS bag", is_trusted=False):
+def _read(file: Path) -> reading.Channels:
+    with reading.foreign_reader("ROS bag", is_trusted=False):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
 
@@ -52,15 +44,15 @@ def _read(file: Path) -> Channels:
                 logged.setdefault(connection.topic, []).append(stamp)
         times = {topic: _stamps(rows[topic], logged[topic]) for topic in rows}
         earliest = min((int(stamps[0]) for stamps in times.values()), default=0)
-        whole = Channels({})
+        whole = reading.Channels({})
         for topic, messages in rows.items():
-            columns = gathered(topic, messages)
-            check_column_count(len(whole.columns) + len(columns))
+            columns = reading.gathered(topic, messages)
+            reading.check_column_count(len(whole.columns) + len(columns))
             time = f"{topic}.log_time" if f"{topic}.time" in columns else f"{topic}.time"
             whole.columns[time] = (times[topic] - earliest) * 1e-9
             whole.units[time] = "s"
             for name, values in columns.items():
-                numbers, why = numbers_of(values)
+                numbers, why = reading.numbers_of(values)
                 if numbers is None:
                     whole.left_out[name] = why
                 else:
@@ -68,7 +60,7 @@ def _read(file: Path) -> Channels:
                     whole.time_of[name] = time
             if times[topic].tolist() != logged[topic]:
                 whole.notes.append(f"topic '{topic}': time by its headers")
-        return without_common_group(whole, ".")
+        return reading.without_common_group(whole, ".")
 
 
 def _plain(message: Any) -> Any:

@@ -9,15 +9,7 @@ from pathlib import Path
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
 from riecjax.memory import require_memory
-from riecjax.records.reading import (
-    Channels,
-    check_column_count,
-    check_unpacked,
-    foreign_reader,
-    joined,
-    read_apart,
-    read_table,
-)
+from riecjax.records import reading
 
 MEMORY_PER_BYTE = 20.0
 """What reading takes for each byte of a file."""
@@ -30,7 +22,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 def read_spreadsheet(
     file: Path, decimal: str | None = None, columns: Sequence[str] = ()
-) -> Channels:
+) -> reading.Channels:
     """Read the sheets of a workbook that hold tables of numbers, each as a text file is read.
 
     Formulas count as the values that were saved with them, cells of dates and times to the
@@ -47,30 +39,30 @@ def read_spreadsheet(
     require_packages("Excel")
     size = MEMORY_PER_BYTE * file.stat().st_size
     require_memory(f"reading {file.name}", size, "Read a part of the file.")
-    return read_apart(_read, file, "Excel", decimal, list(columns))
+    return reading.read_apart(_read, file, "Excel", decimal, list(columns))
 
 
-def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> Channels:
-    with foreign_reader("Excel"):
+def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> reading.Channels:
+    with reading.foreign_reader("Excel"):
         import python_calamine
 
         with zipfile.ZipFile(file) as archive:
             sizes = [member.file_size for member in archive.infolist()]
-        check_unpacked(sum(sizes), file.stat().st_size)
+        reading.check_unpacked(sum(sizes), file.stat().st_size)
         book = python_calamine.load_workbook(str(file))
         worksheet = python_calamine.SheetTypeEnum.WorkSheet
         sheets = [sheet for sheet in book.sheets_metadata if sheet.typ == worksheet]
         shown = [one for one in sheets if one.visible == python_calamine.SheetVisibleEnum.Visible]
         names = [sheet.name for sheet in shown or sheets]
-        tables: dict[str, Channels] = {}
+        tables: dict[str, reading.Channels] = {}
         refused: dict[str, str] = {}
         for name in names:
             sheet = book.get_sheet_by_name(name)
-            check_column_count(sheet.width)
-            check_unpacked(8 * sheet.width * sheet.height)
+            reading.check_column_count(sheet.width)
+            reading.check_unpacked(8 * sheet.width * sheet.height)
             try:
                 text = as_text(sheet.to_python(), decimal)
-                table = read_table(text.encode(), "\t", decimal, columns)
+                table = reading.read_table(text.encode(), "\t", decimal, columns)
                 if not table.columns:
                     raise DataError("it has no column of numbers.")
                 tables[name] = table
@@ -82,7 +74,7 @@ def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> Channels:
     return chosen
 
 
-def _chosen(tables: dict[str, Channels], refused: dict[str, str]) -> Channels:
+def _chosen(tables: dict[str, reading.Channels], refused: dict[str, str]) -> reading.Channels:
     """The sheets that may be recordings, as one."""
     if not tables:
         said = "; ".join(f"sheet '{name}': {why}" for name, why in refused.items())
@@ -94,7 +86,7 @@ def _chosen(tables: dict[str, Channels], refused: dict[str, str]) -> Channels:
     } or tables
     if len(large) > 1:
         # A stroke in a sheet's name would look like a group.
-        return joined({name.replace("/", " "): table for name, table in large.items()})
+        return reading.joined({name.replace("/", " "): table for name, table in large.items()})
     ((name, table),) = large.items()
     if len(tables) + len(refused) > 1:
         table.notes.insert(0, f"sheet '{name}'")

@@ -8,25 +8,13 @@ from typing import Any
 import numpy as np
 
 from riecjax.extensions import require_packages
-from riecjax.records.reading import (
-    Channels,
-    check_column_count,
-    check_names,
-    check_unpacked,
-    find_time,
-    foreign_reader,
-    joined,
-    read_apart,
-    vectors,
-    with_structure_times,
-    without_common_group,
-)
+from riecjax.records import reading
 
 UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 """Properties that state a channel's unit."""
 
 
-def read_tdms(file: Path) -> Channels:
+def read_tdms(file: Path) -> reading.Channels:
     """Read a TDMS file: channels called `group/channel`, or `channel` where there is one group.
 
     In a group without a channel of time, a channel's time begins at its `wf_start_offset` and
@@ -36,35 +24,39 @@ def read_tdms(file: Path) -> Channels:
     **Raises:** `DataError` for a damaged file, or where npTDMS is not installed; `MemoryError`.
     """
     require_packages("TDMS")
-    return read_apart(_read, file, "TDMS")
+    return reading.read_apart(_read, file, "TDMS")
 
 
-def _read(file: Path) -> Channels:
-    with foreign_reader("TDMS"), file.open("rb") as stream:
+def _read(file: Path) -> reading.Channels:
+    with reading.foreign_reader("TDMS"), file.open("rb") as stream:
         from nptdms import TdmsFile
 
         source = TdmsFile.read_metadata(stream)
         channels = [channel for group in source.groups() for channel in group.channels()]
-        check_column_count(len(channels))
-        check_unpacked(8 * sum(map(len, channels)), file.stat().st_size)
-        check_names(f"{channel.group_name}/{channel.name}" for channel in channels)
+        reading.check_column_count(len(channels))
+        reading.check_unpacked(8 * sum(map(len, channels)), file.stat().st_size)
+        reading.check_names(f"{channel.group_name}/{channel.name}" for channel in channels)
         stream.seek(0)
         with TdmsFile.open(stream) as source:
-            whole = joined({group.name: _group(group.channels()) for group in source.groups()})
+            whole = reading.joined(
+                {group.name: _group(group.channels()) for group in source.groups()}
+            )
     whole.notes.extend(f"channel '{name}' left out: {why}" for name, why in whole.left_out.items())
     # Groups of it are no parts before their times tell.
-    return with_structure_times(without_common_group(replace(whole, parts=[]), "/"), "/")
+    return reading.with_structure_times(
+        reading.without_common_group(replace(whole, parts=[]), "/"), "/"
+    )
 
 
-def _group(channels: Sequence[Any]) -> Channels:
+def _group(channels: Sequence[Any]) -> reading.Channels:
     """Channels of a group by their own names, with the times that their increments give."""
-    group = vectors({channel.name: channel[:] for channel in channels})
+    group = reading.vectors({channel.name: channel[:] for channel in channels})
     for channel in channels:
         stated = (channel.properties.get(name) for name in UNITS)
         unit = next((unit for unit in stated if isinstance(unit, str) and unit), None)
         if unit and channel.name in group.columns:
             group.units[channel.name] = unit
-    if find_time(group.columns, group.units, None) is not None:
+    if reading.find_time(group.columns, group.units, None) is not None:
         return group
     axes: dict[tuple[float, float, int], str] = {}
     for channel in channels:

@@ -15,7 +15,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from numbers import Integral, Real
 from pathlib import Path
 from typing import (
@@ -165,36 +165,36 @@ class Option:
 
         **Raises:** `ValueError` for what is not of its kind.
         """
+        is_single = self.shape == "once" and self.count == 1
+        listed = value if isinstance(value, list) and not is_single else [value]
+        has_names = "=" in self.form if isinstance(value, dict) else bool(self.flag)
+        refused = ""
+        if self.shape == "flag" and not isinstance(value, bool):
+            refused = "true or false"
+        elif self.count > 1 and not (isinstance(value, list) and len(value) == self.count):
+            refused = f"a list of {self.count}"
+        elif not has_names and not all(isinstance(each, str) for each in listed):
+            refused = "a list of names in quotes"
+        if refused:
+            raise ValueError(f"'{self.key}' must be {refused}; got {value!r}.")
         if self.shape == "flag":
-            if not isinstance(value, bool):
-                raise ValueError(f"'{self.key}' must be true or false; got {value!r}.")
             return value
-        listed = value if isinstance(value, list) else [value]
-        if isinstance(value, dict) and self.count == 1:
-            if "=" not in self.form:
-                raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
+        if isinstance(value, list) and self.kind is NAMES:
+            # Names between commas may as well be a list.
+            return tuple(map(self._text, value))
+        if isinstance(value, dict):
             texts = {name: self._text(each, name) for name, each in value.items()}
             if self.shape == "named":
                 return dict(self._pair(name, text) for name, text in texts.items())
             said = [f"{name}={text}" for name, text in texts.items()]
-        elif self.count > 1 and not (isinstance(value, list) and len(value) == self.count):
-            raise ValueError(f"'{self.key}' must be a list of {self.count}; got {value!r}.")
-        elif not self.flag and not all(isinstance(each, str) for each in listed):
-            raise ValueError(f"'{self.key}' must be a list of names in quotes; got {value!r}.")
-        elif isinstance(value, list) and self.kind is NAMES:
-            # Names between commas may as well be a list.
-            return tuple(map(self._text, value))
-        elif isinstance(value, list) and self.shape == "once" and self.count == 1:
-            said = [self._text(value)]
         else:
             said = [self._text(each) for each in listed]
-        said = [str(self._moved(text, move)) for text in said] if self.kind.path else said
+        said = [str(self.moved(text, move)) for text in said]
         try:
-            if self.count > 1:
-                return tuple(map(self.parsed, said))
+            values = tuple(map(self.parsed, said))
             if self.shape == "once":
-                return self.parsed(said[0]) if said[0] or value != [] else self.default
-            return self.collected(tuple(map(self.parsed, said)))
+                return values if self.count > 1 else values[0]
+            return self.collected(values)
         except ValueError as error:
             raise ValueError(f"'{self.key}': {error}") from None
 
@@ -211,24 +211,22 @@ class Option:
         """The value with its paths moved: of files, and of the file in `FILE.py[:OBJECT]`."""
         if not self.kind.path or value is None:
             return value
-        if self.shape == "many":
-            return tuple(self._moved(each, move) for each in value)
-        return self._moved(value, move)
-
-    def _moved(self, value: Any, move: Callable[[str], str]) -> Any:
+        if isinstance(value, tuple):
+            return tuple(self.moved(each, move) for each in value)
         if self.kind.path == "file":
             return Path(move(str(value)))
         code = PYTHON_FILE.fullmatch(str(value))
         return value if code is None else move(code["file"]) + (code["object"] or "")
 
     def beside(self, given: Any, further: Any) -> Any:
-        """The setting with a further one: of what is named or listed, both."""
-        if not isinstance(given, dict | tuple) or not isinstance(further, dict | tuple):
+        """A further value, to be said where there is a given one: a list goes on, and what is named
+        is combined with what has its name."""
+        if isinstance(given, tuple) and isinstance(further, tuple):
+            return (*given, *(each for each in further if each not in given))
+        if not (self.combine and isinstance(given, dict) and isinstance(further, dict)):
             return further
-        if isinstance(given, dict) and isinstance(further, dict):
-            both = given.keys() & further.keys() if self.combine else ()
-            return {**given, **further} | {k: self.combine(given[k], further[k]) for k in both}  # type: ignore[misc]
-        return (*given, *(each for each in further if each not in given))
+        both = {k: self.combine(given[k], further[k]) for k in given.keys() & further.keys()}
+        return {**further, **both}
 
 
 def _number(text: str) -> float | str:
@@ -286,10 +284,12 @@ class Settings:
         for name, option in self.options().items():
             value = getattr(self, name)
             object.__setattr__(self, name, _checked(name, option, value, self.owner(name).error))
-        self.require_sense()
+        for template in self.contradictions():
+            raise Contradiction(template, self.options())
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][] for settings that do not go together."""
+    def contradictions(self) -> Iterator[str]:
+        """What does not go together, as templates of [`Contradiction`][]: first what bases say."""
+        yield from ()
 
     @classmethod
     def options(cls) -> dict[str, Option]:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from riecjax.settings.option import Option, Settings
+from riecjax.settings.option import Settings
 
 
 def form(
@@ -30,20 +30,17 @@ def form(
             yield f"# {help}"
         key = option.key
         lines = [*(assigned(key, said[key]) if key in said else ()), *notes.get(key, ())]
-        yield from lines or [f"# {key} = {_example(option)}"]
-
-
-def _example(option: Option) -> str:
-    """What an option that is not set may be, in the place of its value."""
-    if option.shape == "flag":
-        return "false"
-    # In TOML, all but numbers stands in quotes.
-    sign = "" if option.kind.is_number and not option.kind.word else '"'
-    name, equals, value = option.form.rpartition("|")[2].partition("=")
-    if equals and BARE.fullmatch(name.strip("[")):
-        return "{ " + f"{name.strip('[')} = {sign}{value.rstrip(']')}{sign}" + " }"
-    words = f"{sign}{option.form}{sign}"
-    return f"[{words}]" if option.shape == "many" or option.count > 1 else words
+        # What an option that is not set may be. In TOML, all but numbers stands in quotes.
+        sign = "" if option.kind.is_number and not option.kind.word else '"'
+        name, equals, value = option.form.rpartition("|")[2].partition("=")
+        example = f"{sign}{option.form}{sign}"
+        if option.shape == "flag":
+            example = "false"
+        elif equals and BARE.fullmatch(name.strip("[")):
+            example = "{ " + f"{name.strip('[')} = {sign}{value.rstrip(']')}{sign}" + " }"
+        elif option.shape == "many" or option.count > 1:
+            example = f"[{example}]"
+        yield from lines or [f"# {key} = {example}"]
 
 
 BARE = re.compile(r"[A-Za-z0-9_-]+")

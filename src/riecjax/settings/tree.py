@@ -4,7 +4,7 @@ A field is a keyword of the verbs in Python, an option of the command line, a li
 that `riecjax init` prints, and an entry of a result's provenance. To add one is to add a field.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from operator import add, mul
 from pathlib import Path
@@ -31,7 +31,7 @@ from riecjax.settings.kinds import (
     choice,
     whole,
 )
-from riecjax.settings.option import Contradiction, Settings, flag, many, named, setting
+from riecjax.settings.option import Settings, flag, many, named, setting
 
 if TYPE_CHECKING:
     from jaxtyping import Array, Key
@@ -152,11 +152,11 @@ class Prepare(Settings):
     every: int = setting("--every N", whole(1), 1)
     """Use every N-th sample, after all other steps."""
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
-        super().require_sense()
+    def contradictions(self) -> Iterator[str]:
+        """A record that ends before it begins."""
+        yield from super().contradictions()
         if self.start is not None and self.stop is not None and self.start >= self.stop:
-            raise Contradiction("{start} must lie before {stop}.", self.options())
+            yield "{start} must lie before {stop}."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,20 +264,16 @@ class Fit(Settings):
         """Whether anything is said of the windows."""
         return self.says("band", "alpha", "beta", "windows", "test_function", "quadrature")
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
-        super().require_sense()
+    def contradictions(self) -> Iterator[str]:
+        """What belongs to another criterion, or says the same twice."""
+        yield from super().contradictions()
         if self.criterion is not None and self.says("criterion") and self.says_of_windows:
-            raise Contradiction(
+            yield (
                 "{band}, {alpha}, {beta}, {windows}, {test_function} and {quadrature} belong to "
-                "{criterion:riec}.",
-                self.options(),
+                "{criterion:riec}."
             )
         if self.band is not None and self.alpha is not None and self.beta is not None:
-            raise Contradiction(
-                "{band} sets the same lengths as {alpha} and {beta}: leave out one of them.",
-                self.options(),
-            )
+            yield "{band} sets the same lengths as {alpha} and {beta}: leave out one of them."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -333,26 +329,22 @@ class Refine(Settings):
     """What is made small of simulated minus recorded: squares, or Huber's loss, in which what
     no noise explains pulls less."""
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
-        super().require_sense()
+    def contradictions(self) -> Iterator[str]:
+        """What the refinement that is asked for does not use."""
+        yield from super().contradictions()
         by = self.refine
         if not (by is None or isinstance(by, str) or hasattr(type(by), "specify")):
             require("refine", by, (), "refine=rx.OutputError(), 'auto' or None")
         if self.channels and self.refine != "output-error":
-            raise Contradiction("{channels} goes with {refine:output-error}.", self.options())
+            yield "{channels} goes with {refine:output-error}."
         if self.loss not in (None, "squares") and self.refine != "output-error":
-            raise Contradiction("{loss} goes with {refine:output-error}.", self.options())
+            yield "{loss} goes with {refine:output-error}."
         if self.bounds and self.refine in (None, "none"):
-            raise Contradiction(
-                "{bounds} goes with {refine:auto}, {refine:integral} or {refine:output-error}.",
-                self.options(),
-            )
+            yield "{bounds} goes with {refine:auto}, {refine:integral} or {refine:output-error}."
         if self.priors and self.refine in (None, "none", "auto"):
-            raise Contradiction(
+            yield (
                 "{priors} goes with {refine:integral} or {refine:output-error}: the linear "
-                "estimate knows of none.",
-                self.options(),
+                "estimate knows of none."
             )
 
 
@@ -406,21 +398,19 @@ class Assess(Validate, Uncertainty, Sharing, Known, Refine, Sums):
     on_estimate: "Callable[[Estimate], None] | None" = None
     progress: Callable[[float], None] | None = None
 
-    def require_sense(self) -> None:
-        """**Raises:** [`Contradiction`][riecjax.settings.Contradiction]."""
-        super().require_sense()
+    def contradictions(self) -> Iterator[str]:
+        """What nothing uses, and parameters without a value."""
+        yield from super().contradictions()
         validates = self.hold_out is not None or bool(self.validate_on)
         if self.horizon is not None and self.refine in (None, "none", "integral") and not validates:
-            raise Contradiction(
+            yield (
                 "{horizon} goes with {refine:auto} or {refine:output-error}, or with {hold_out} or "
-                "{validate_on}: nothing else is simulated.",
-                self.options(),
+                "{validate_on}: nothing else is simulated."
             )
         if self.per_record and self.validate_on:
-            raise Contradiction(
+            yield (
                 "{per_record} gives a parameter no value on the recordings of {validate_on}: use "
-                "one of the two.",
-                self.options(),
+                "one of the two."
             )
 
 
