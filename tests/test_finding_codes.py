@@ -19,6 +19,7 @@ from riecjax.assessment.assessment import Refinement
 from riecjax.assessment.trust import validated
 from riecjax.equations.model import as_model
 from riecjax.estimation.excitation import Excitation
+from riecjax.estimation.parameters import Parameter
 from riecjax.findings import CODES, Finding, code_of, codes_of
 from riecjax.paper.report import road_findings
 from riecjax.paper.reproduction import PaperStudy
@@ -94,8 +95,9 @@ def test_an_unknown_code_is_said_in_its_own_words():
 def test_noise_that_makes_up_much_of_what_tells_parameters_apart():
     size, own, noise, share, most = map(jnp.asarray, ([1.0, 1.0], [0.5, 0.5], [0.1, 0.1], 0.3, 0.5))
     direction = jnp.asarray([0.7, -0.7])
+    rows = Parameter("m", "m"), Parameter("k", "k")
     excited = Excitation(
-        size, own, noise, direction, share, direction, most, ("m", "k"), "axis", True, "x"
+        size, own, noise, direction, share, direction, most, rows, "axis", True, "x"
     )
     (finding,) = excited.findings()
     assert "50 % of what tells these apart is noise of x" in finding.message

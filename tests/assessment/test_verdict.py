@@ -7,6 +7,8 @@ from tests.machines import MODE_TRUTH as TRUTH
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
+from riecjax.assessment.refining import outside_bounds
+from riecjax.reporting.result_page import write_report
 from riecjax.reporting.verdict import verdict_entries
 
 RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
@@ -100,3 +102,40 @@ def test_parameters_of_each_recording_are_judged_one_by_one():
         found.answer.parameters
     )
     assert found.parameters_of(rx.Finding("clipped", "", signals=("G",))) == set()
+
+
+ORDINARY = rx.Equation(
+    rx.Term("M_mode", "v", derivative=1, unit="kg"),
+    rx.Term("x@3", "v", unit="N s/m"),
+    rx.Term("K_series", "x", unit="N/m"),
+    rx.Term("offset[2]", rx.constant, unit="N"),
+    -rx.Term(1.0, "F"),
+    name="body",
+)
+"""Parameters of a user's own, called as hidden elements', recordings' own and widths are."""
+
+
+def test_a_parameter_is_what_the_model_says_whatever_it_is_called(tmp_path):
+    record = rx.Record(motion(False), STANDARD.step)
+    found = rx.assess(ORDINARY, record, RIEC, refine=None, sweep=False)
+    for name, value in zip(ORDINARY.parameters, (*OF_BODY.values(), 0.0)):
+        assert float(found.estimate[name]) == pytest.approx(value, rel=5e-3, abs=0.1)
+        assert found.verdict.parameters[name].level == ("caution" if value == 0 else "good")
+    assert "series_spring_not_carried" not in {finding.code for finding in found.findings()}
+    assert not outside_bounds(found.answer, {"offset": (1.0, 2.0)})
+    (outside,) = outside_bounds(found.answer, {"offset[2]": (1.0, 2.0)})
+    assert outside.parameters == ("offset[2]",)
+    assert found.parameters_of(rx.Finding("at_bound", "", parameters=("offset",))) == set()
+    write_report(found, tmp_path)
+    assert set(rx.load(tmp_path).parameters) == {*ORDINARY.parameters}
+    assert "offset[2]" in (tmp_path / "report.html").read_text()
+    still = record.with_signals({"x": np.zeros(record.sample_count)})
+    with pytest.raises(rx.IdentifiabilityError, match=r"--set K_series=VALUE"):
+        rx.identify(ORDINARY, still, RIEC)
+    # Beside a hidden element, its name is taken.
+    for taken in (
+        rx.staged(ORDINARY).with_modes(rx.HiddenMode("v")),
+        rx.staged(ORDINARY).with_series_springs(rx.SeriesSpring("x@3")),
+    ):
+        with pytest.raises(rx.ModelError, match="Rename"):
+            rx.identify(taken, record)

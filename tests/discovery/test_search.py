@@ -73,7 +73,7 @@ def test_of_a_law_with_several_widths_one_is_taken():
     for place in (2, 3, 4):
         given[:, place] = given[:, 1] + 0.3 * (place - 1) * given[:, place]
     folds = folds_of(np.column_stack([given[:, 0] + given[:, 1], given]), 20)
-    widths = [Offer(f"{n}@", (n,), "law", simple=False) for n in "cde"]
+    widths = [Offer(f"{n}@", (n,), "law", i) for i, n in enumerate("cde")]
     found = Search(folds, ("a",), widths).found()
     assert [one.name for one in found] == ["c@"]
 

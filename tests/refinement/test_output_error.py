@@ -185,6 +185,7 @@ def test_bounds_of_a_records_own_parameter_hold_in_each_or_in_one(two_masses):
         return refine(oscillator(), two_masses, START, per_record=("m",), bounds=bounds)
 
     free = refine(oscillator(), two_masses, START, per_record=("m",))
+    assert refine(oscillator(), two_masses, free, max_steps=1).parameters == free.parameters
     wide = fit({"m": (0.0, 9.0)})
     np.testing.assert_allclose(wide.theta, free.theta, rtol=1e-5)
     both = fit({"m": (0.5, 1.4)})

@@ -10,6 +10,7 @@ import scipy.integrate
 import scipy.signal
 
 from riecjax.errors import ModelError
+from riecjax.estimation.parameters import Parameter, ParameterTable
 from riecjax.models.catalogue import built_in_model
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit
@@ -80,14 +81,16 @@ def test_a_slow_motion_takes_one_step(hardening):
     """The same spring, deflected a thousandth: sqrt(k1 / m) is 10 rad/s."""
     small = {name: 1e-3 * values for name, values in hardening.items()}
     by, records = OutputError(), [record_of(small, "u", "y", "dy")]
-    method = by.misfit(by.specify(duffing(), records, HARD, {}, (), None)).method
+    method = by.misfit(by.specify(duffing(), records, HARD)).method
     assert method == FixedStep(1)
 
 
 class Stepped(AbstractMisfit):
     """A misfit of which nothing matters but its steps."""
 
-    names: tuple[str, ...] = ("a", "b")
+    table: ParameterTable = eqx.field(
+        default_factory=lambda: ParameterTable((Parameter("a", "a"), Parameter("b", "b")))
+    )
     labels: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     longest_window: np.ndarray = eqx.field(default_factory=lambda: np.zeros(()))  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -104,7 +104,7 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     model, records, criterion = asked.model, asked.records, asked.criterion
     require_memory_to_assess(model, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
-    plan = plan_parameters(model, len(records), **asked.settings)
+    table = plan_parameters(model, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
     sweep = settings.sweep and not model.has_hidden
     bins = None
@@ -114,8 +114,8 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     with explaining_errors(asked.fitted):
         summary = summarise(model, records, criterion, key=asked.key, bins=bins, survey=True)
     estimate = on_host(estimate_of(model, summary, **asked.settings, intervals=asked.intervals))
-    evidence, ordinary = _about_hidden(model, estimate, summary, plan.given)
-    excited = excitations(ordinary, plan)
+    evidence, ordinary = _about_hidden(model, estimate, summary, table.known)
+    excited = excitations(ordinary, table)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
     doubted = refusal_by(finding for stage in excited for finding in stage.findings())
@@ -198,9 +198,9 @@ def assess_summary(
 
     model = as_model(model)
     found = on_host(estimate_of(model, summary, known=known, intervals=intervals))
-    plan = plan_parameters(model, len(summary.recordings), known, ())
-    evidence, ordinary = _about_hidden(model, found, summary, plan.given)
-    excited = excitations(ordinary, plan)
+    table = plan_parameters(model, len(summary.recordings), known, ())
+    evidence, ordinary = _about_hidden(model, found, summary, table.known)
+    excited = excitations(ordinary, table)
     raise_if_refused(excited)
     told = [*findings, *(finding for stage in excited for finding in stage.findings())]
     sweep = None

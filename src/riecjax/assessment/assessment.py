@@ -1,6 +1,6 @@
 """All that is known of an answer, in numbers and codes; sentences and tables are `reporting`'s."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -166,17 +166,12 @@ class Assessment(Drawn):
     def parameters_of(self, finding: Finding) -> set[str]:
         """Parameters that a finding concerns: those it names, or of equations that read its
         signals."""
-        names = self.answer.parameters
-
-        def among(some: Collection[str]) -> set[str]:
-            # Of a parameter with a value in each recording, offset[1] is offset's, and named by it.
-            return {name for name in names if name in some or name.partition("[")[0] in some}
-
+        table = self.answer.table
         if finding.parameters:
-            return among(finding.parameters)
+            return table.concerned(finding.parameters)
         # Of sums alone it is not known which equation reads which signal.
         if not finding.signals or not self.recordings:
-            return set(names)
+            return set(table.free)
         smoothness, record = self.estimate.criterion.smoothness, self.recordings[0].record
         reading = [
             equation
@@ -184,7 +179,7 @@ class Assessment(Drawn):
             for equation in stage
             if equation.signals_read(record, smoothness) & set(finding.signals)
         ]
-        return among({name for equation in reading for name in equation.parameters})
+        return table.concerned(name for equation in reading for name in equation.parameters)
 
     def show(self) -> Path:
         """Write the report to a temporary folder and open it in the browser.

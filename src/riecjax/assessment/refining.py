@@ -169,7 +169,6 @@ def _search(
         asked.records,
         within(estimate, settings.bounds),
         by,
-        per_record=asked.settings["per_record"],
         key=asked.key,
         intervals=asked.intervals,
         bounds=settings.bounds or None,
@@ -191,8 +190,7 @@ def _by_itself(
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
         by = _objective(asked, estimate, horizon)
-        own = tuple(asked.settings["per_record"])
-        specified = by.specify(asked.model, asked.records, estimate, {}, own, None)
+        specified = by.specify(asked.model, asked.records, estimate)
         if (work := by.misfit(specified).work) > MOST_WORK:
             return Refinement(
                 declined=f"a search would take {work:.2g} steps x states x tangents, more than "
@@ -287,10 +285,8 @@ def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) 
     fitted = seen(asked)
     lengths = [one for one in horizons(asked, estimate, fitted, horizon) if one is not None]
     shooting = Tiles(seconds=min(lengths)) if lengths else WholeRecord()
-    specified = OutputError().specify(
-        asked.model, asked.records, estimate, {}, tuple(asked.settings["per_record"]), None
-    )
-    system = specified.model[0].build(specified.of_record(0))
+    specified = OutputError().specify(asked.model, asked.records, estimate)
+    system = specified.model[0].build(specified.table.values_of(specified.values, 0))
     channels = _channels(system, asked.records)
     return OutputError(shooting, channels=channels, sigma=_noise(asked.records, channels))
 
@@ -383,8 +379,7 @@ def against_priors(estimate: Estimate, priors: Mapping[str, tuple[float, float]]
 def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> list[Finding]:
     """Values of a linear estimate, which knows of no bounds, that lie outside of them."""
     found = []
-    for name, value, nearest in _strays(answer, bounds):
-        low, high = _bounds_of(name, bounds)
+    for name, value, nearest, (low, high) in _strays(answer, bounds):
         said = f"below {low:g}" if value < low else f"above {high:g}"
         found.append(
             Finding(
@@ -402,32 +397,28 @@ def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> li
 def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEstimate:
     """A start between the bounds, which a search approaches and never crosses."""
     moved = {}
-    for name, value, nearest in _strays(start, bounds):
-        low, high = _bounds_of(name, bounds)
+    for name, value, nearest, (low, high) in _strays(start, bounds):
         way = high - low if np.isfinite(high - low) else max(abs(value - nearest), abs(nearest))
         moved[name] = nearest + INSIDE * way * (1 if nearest == low else -1)
-    theta = [moved.get(n, value) for n, value in zip(start.parameters, start.theta)]
+    theta = [moved.get(name, start[name]) for name in start.parameters]
     return eqx.tree_at(lambda one: one.theta, start, jnp.stack(theta)) if moved else start
 
 
 def _strays(
     estimate: AbstractEstimate, bounds: Mapping[str, Bounds]
-) -> list[tuple[str, float, float]]:
-    """Parameters out of bounds, with value and nearest bound."""
-    found = []
-    for name in estimate.parameters:
-        low, high = _bounds_of(name, bounds)
+) -> list[tuple[str, float, float, tuple[float, float]]]:
+    """Parameters out of bounds, with value, nearest bound and both."""
+    # What makes no sense is refused by the search.
+    given = {n: b for n, b in bounds.items() if is_pair(b, or_none=True)}
+    given, found = estimate.table.values(given), []
+    for name in (name for name in estimate.parameters if name in given):
+        low, high = given[name]
+        low = -np.inf if low is None else float(low)
+        high = np.inf if high is None else float(high)
         value = float(estimate[name])
         if low < high and not low < value < high:
-            found.append((name, value, low if value <= low else high))
+            found.append((name, value, low if value <= low else high, (low, high)))
     return found
-
-
-def _bounds_of(name: str, bounds: Mapping[str, Bounds]) -> tuple[float, float]:
-    # What is given for `m` holds for `m[2]` too; what makes no sense is refused by the search.
-    given = bounds.get(name, bounds.get(name.partition("[")[0], (None, None)))
-    low, high = given if is_pair(given, or_none=True) else (None, None)
-    return (-np.inf if low is None else float(low)), (np.inf if high is None else float(high))
 
 
 LIKELIER = float(np.log(100))
@@ -457,8 +448,7 @@ def course_shows(asked: Asked, refined: Refined, misfit: AbstractMisfit, by: Out
     What they move the simulation by, in units of what is left, is as chi-square: from a few on it
     is more than chance does to the parameters.
     """
-    own = tuple(asked.settings["per_record"])
-    other = by.misfit(by.specify(asked.model, asked.records, refined, {}, own, None))
+    other = by.misfit(by.specify(asked.model, asked.records, refined))
     if not isinstance(misfit, OutputMisfit):
         return False
     at = jnp.asarray(refined.theta), jnp.asarray(refined.initial_states)

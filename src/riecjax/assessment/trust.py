@@ -16,7 +16,7 @@ from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError, RiecjaxError
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
-from riecjax.estimation.parameters import values_of_record
+from riecjax.estimation.parameters import values_in_recording
 from riecjax.findings import Finding
 from riecjax.records import leave_out, shift
 from riecjax.records.faults.derivative_pairs import Pair, Relation, compare, relations
@@ -132,8 +132,8 @@ def system_of(
     model: Model, values: Mapping[str, Array], number: int | None, recording: Recording
 ) -> AbstractSystem:
     """The model with these values, along a recording with or without parameters of its own."""
-    own = dict(values) if number is None else values_of_record(values, number)
     names = model.parameter_names
+    own = values if number is None else values_in_recording(names, values, number)
     return model.identified_system({name: own[name] for name in names}, recording.record)
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from riecjax.assessment.asked import size_of
 from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
-from riecjax.equations.hidden_elements import is_hidden_name
 from riecjax.equations.term import Term, constant
 from riecjax.findings import CODES, KINDS, Finding, code_of, codes_of
 from riecjax.shows import Shown
@@ -96,7 +95,8 @@ def widening(assessment: "Assessment", names: Iterable[str]) -> dict[str, str]:
     said = [f for f in assessment.findings() if f.code == "records_disagree"]
     disagreeing = {name for finding in said for name in finding.parameters}
     constant = _with_constant_part(assessment)
-    found = {n: CONSTANT for n in names if n.partition("[")[0] in constant}
+    concerned = assessment.answer.table.concerned(constant)
+    found = {n: CONSTANT for n in names if n in concerned}
     return found | {n: CODES["records_disagree"].phrase for n in names if n in disagreeing}
 
 
@@ -171,7 +171,8 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     if {"few_blocks", "few_effective_windows", "short_record"} & by.keys():
         yield Step("Record for longer, or excite the machine all along")
     weak = [by[c] for c in ("nearly_collinear", "unidentifiable", "ill_conditioned") if c in by]
-    if any(is_hidden_name(name) for finding in weak for name in finding.parameters):
+    hidden = {row.name for row in assessment.answer.table.rows if row.element is not None}
+    if any(name in hidden for finding in weak for name in finding.parameters):
         yield Step("Leave out the hidden mode or spring (drop --add-mode, --add-spring)")
     elif weak:
         yield Step("Excite the machine more richly, or hold a parameter (--set NAME=VALUE)")
@@ -238,7 +239,7 @@ def verdict(assessment: "Assessment") -> Verdict:
     """The verdict on the answer of an assessment (not under jit)."""
     found = doubts(assessment)
     grouped = causes(assessment, found)
-    answer, units = assessment.answer, dict(assessment.answer.units)
+    answer = assessment.answer
     widened = widening(assessment, names=found)
     judged = {}
     for name, doubt in found.items():
@@ -247,7 +248,7 @@ def verdict(assessment: "Assessment") -> Verdict:
         level, reason = _judged(name, doubt, size, grouped, widened.get(name, ""))
         share = doubt.size / size
         judged[name] = ParameterVerdict(
-            name, value, units.get(name, ""), level, reason, doubt.around(value), share
+            name, value, answer.table[name].unit, level, reason, doubt.around(value), share
         )
     return Verdict(_sentence(judged), judged, grouped)
 

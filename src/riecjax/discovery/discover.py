@@ -257,7 +257,7 @@ def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
                 f"a smaller beta."
             )
         places = [step.added for step in search.path(chosen)]
-        chosen = sorted(chosen, key=lambda one: places.index(one.name))
+        chosen = sorted(chosen, key=lambda one: places.index(one.family))
         names = (*search.kept, *(name for one in chosen for name in one.columns))
         found |= dict(zip(names, map(float, search.folds.fitted(names))))
         stages.append((search, chosen))
@@ -272,7 +272,8 @@ def _as_chosen(
     one = sums.candidate(offer.family)
     if isinstance(one, Candidate):
         return Chosen(one, None, "", np.nan, share)
-    width = float(one.widths[int(offer.name.rpartition("@")[2])])
+    assert offer.number is not None
+    width = float(one.widths[offer.number])
     error = sums.width_error(search, beside, offer)
     return Chosen(one.chosen(width), width, one.unit, error, share)
 

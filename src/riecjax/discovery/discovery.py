@@ -20,7 +20,6 @@ from riecjax.equations.hidden_elements import (
     accelerated,
     mode_frequency,
 )
-from riecjax.equations.model import Model, told_apart
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.findings import Finding
@@ -136,11 +135,11 @@ def with_mode(
     same with standard errors by blocks of time, whatever intervals were asked for; `with_terms`,
     the model that was given with some of what was chosen.
     """
-    equations = found.start.equations
-    names = told_apart([equation.name for equation in equations])
-    bodies = {name: accelerated(one) for name, one in zip(names, equations, strict=True)}
+    model = found.start
+    stages = {name: " + ".join(names) for names in model.equation_names for name in names}
+    bodies = {n: accelerated(one) for n, one in zip(stages, model.equations, strict=True)}
     fits, both = found.estimate.equations, (identified, by_blocks)
-    for name in sorted((n for n in names if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
+    for name in sorted((n for n in stages if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
         most = LEAVES * float(fits[name].model_rms)
         for on in reversed(bodies[name]):
             try:
@@ -151,7 +150,7 @@ def with_mode(
                 start = identified(found.start) if found.chosen else found.estimate
                 number = ModeParameters.of(len(found.start.modes))
                 frequency, _ = mode_frequency(estimate.values, number)
-                stage = next((key for key in found.paths if name in key.split(" + ")), name)
+                stage = stages[name] if stages[name] in found.paths else name
                 terms = " + ".join(one.candidate.name for one in chosen)
                 beside = [_step(terms, fits[name])] if chosen else []
                 last = _step("mode", estimate.equations[name])

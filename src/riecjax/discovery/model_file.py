@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from riecjax.discovery.discovery import Discovery
-from riecjax.equations.hidden_elements import is_mode_name
+from riecjax.equations.hidden_elements import ModeParameters
 from riecjax.equations.term import AbstractShape, AbstractTerm, Term, Terms, source_of
 from riecjax.errors import ModelError
 
@@ -25,7 +25,8 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     names = ", ".join(found.names)
     head = f'"""{found.start.name}{f" with {names}" if names else ""}."""\n\n'
     values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
-    of_mode = {name: value for name, value in values.items() if is_mode_name(name)}
+    table = found.estimate.table
+    of_mode = {n: v for n, v in values.items() if isinstance(table[n].element, ModeParameters)}
     added: dict[str, list[str]] = {}
     first = found.start.equation_names[0][0]
     own = False

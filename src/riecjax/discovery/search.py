@@ -197,12 +197,17 @@ MOST = 12
 
 class Offer(NamedTuple):
     """Columns that enter together. Of one `family` a structure takes one: they are one law with
-    other widths. `simple`, no such width."""
+    other widths, of which they have that of this `number`; `None` without a width."""
 
     name: str
     columns: tuple[str, ...]
     family: str
-    simple: bool = True
+    number: int | None = None
+
+    @property
+    def simple(self) -> bool:
+        """Whether they have no width."""
+        return self.number is None
 
 
 class Step(NamedTuple):
@@ -396,7 +401,7 @@ class Search:
                 break
             one, left = min(sure, key=lambda pair: pair[1].motion.sum())
             chance = self.chance(chosen, one)
-            steps.append(self._step(one.name, before, left, energy, chance))
+            steps.append(self._step(one.family, before, left, energy, chance))
             added.append(one)
             waiting.remove(one)
             before = left
@@ -609,9 +614,9 @@ class Sums:
         folds = Folds.of(sum_of_equations(equations, names).fix({**self.known, **found}))
         # What may be chosen: of a law with a width, one for each.
         offered = [
-            Offer(each.name, each.columns, one.name, not isinstance(one, Shaped))
+            Offer(each.name, each.columns, one.name, i if isinstance(one, Shaped) else None)
             for one in self.candidates
-            for each in members([one])
+            for i, each in enumerate(members([one]))
             if {*each.columns} <= {*folds.parameters}
         ]
         columns = {name for offer in offered for name in offer.columns}
@@ -649,7 +654,7 @@ class Sums:
                 return float("inf") if left is None else float(left.motion.sum())
 
             strongest = max(rough, key=without)
-            beside = [one for one in chosen if one.simple or one.family in near]
+            beside = [one for one in chosen if one not in rough]
             # Of laws with a memory all of the same signal: rough widths tell none from the others.
             law = self.shape(strongest.family)
             families = [strongest.family]
@@ -685,14 +690,12 @@ class Sums:
         The width makes the sum over folds of what is unexplained least: with L_f' its slope in fold
         f, the variance is sum L_f'^2 / (sum L_f'')^2 (Huber's sandwich), slopes by differences.
         """
-        if one.simple:
+        if (number := one.number) is None:
             return float("nan")
-        number = int(one.name.rpartition("@")[2])
         widths = self.shape(one.family).widths
         beside = [other for other in chosen if other is not one]
-        near = {o.name: o for o in search.every if o.family == one.family}
-        offers = [near[f"{one.family}@{i}"] for i in range(widths.size)]
-        left = [search.left([*beside, offer]) for offer in offers]
+        near = {o.number: o for o in search.every if o.family == one.family}
+        left = [search.left([*beside, near[i]]) for i in range(widths.size)]
         # Of widths that leave alike the one that was chosen may stand at an end, and not the least.
         if not 0 < number < widths.size - 1:
             number = int(np.argmin([np.inf if x is None else x.motion.sum() for x in left]))

@@ -129,6 +129,12 @@ class SpringParameters(NamedTuple):
 
     order = 1
     """Of the polynomial D, which has as many coordinates in a search."""
+    words, option = "the spring in series", "--add-spring"
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Those that are no coefficient of the equations."""
+        return (self.stiffness,)
 
     @property
     def judged(self) -> tuple[str, ...]:
@@ -193,12 +199,6 @@ def force_elements(
 def stiffness_name(number: int) -> str:
     """Of the spring with this number, from 0."""
     return "K_series" if number == 0 else f"K_series_{number + 1}"
-
-
-def is_stiffness_name(name: str) -> bool:
-    """Whether a parameter is called as springs are."""
-    first = stiffness_name(0)
-    return name == first or name.removeprefix(f"{first}_").isdigit()
 
 
 def element_sign(element: AbstractTerm):
@@ -276,6 +276,12 @@ class ModeParameters(NamedTuple):
 
     order = 2
     """Of the polynomial D, which has as many coordinates in a search."""
+    words, option = "the hidden mode", "--add-mode"
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Those that are no coefficient of the equations."""
+        return tuple(self)
 
     @property
     def judged(self) -> tuple[str, ...]:
@@ -431,17 +437,6 @@ def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]
     mass, stiffness, damping = (values[name] for name in names)
     root = jnp.sqrt(jnp.abs(stiffness / mass))
     return root / (2 * np.pi), damping / (2 * mass * root)
-
-
-def is_mode_name(name: str) -> bool:
-    """Whether a parameter is called as those of modes are."""
-    first = ModeParameters.of(0)
-    return any(name == own or name.removeprefix(f"{own}_").isdigit() for own in first)
-
-
-def is_hidden_name(name: str) -> bool:
-    """Whether a parameter is called as those of modes and of springs are."""
-    return is_mode_name(name) or is_stiffness_name(name)
 
 
 def accelerated(equation: Equation) -> tuple[str, ...]:

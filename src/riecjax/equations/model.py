@@ -29,7 +29,6 @@ from riecjax.equations.hidden_elements import (
     ModeParameters,
     SeriesSpring,
     force_elements,
-    is_hidden_name,
     stiffness_name,
     why_no_element,
 )
@@ -595,7 +594,8 @@ class Model(Shown, eqx.Module):
                     if equation.has_target or set(equation.parameters) & reached:
                         reached |= set(equation.parameters)
             if unknown and not all(reached & set(equation.parameters) for equation in stage):
-                own = [name for name in unknown if not is_hidden_name(name)]
+                coefficients = {name for equation in stage for name in equation.parameters}
+                own = [name for name in unknown if name in coefficients]
                 raise ModelError(
                     f"{label}: every coefficient is unknown, so all of them zero would fit. "
                     f"Fix one of {', '.join(own)} (on the command line: --set NAME=VALUE)."

@@ -164,14 +164,14 @@ def check_sums(
     asked = task(model, recordings, criterion, key)
     model, plain, criterion, _ = asked
     read = [read_of(model, one, criterion, summary is not None) for one in recordings]
-    plan = plan_parameters(model, len(plain), known, per_record)
+    table = plan_parameters(model, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
     if model.has_hidden:
         from riecjax.estimation.mode_windows import linearised
 
-        summary = linearised(model, summary, plan.given)
-    excited = excitations(summary, plan) if excited is None else excited
-    settings = model, plan, summary
+        summary = linearised(model, summary, table.known)
+    excited = excitations(summary, table) if excited is None else excited
+    settings = model, table, summary
     # Deviations from the mean are no regressors of hidden elements.
     constant = () if model.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
     sensors = [of_sensors(model, one, names) for one, names in zip(recordings, read)]

@@ -37,7 +37,7 @@ from jaxtyping import Array, Float
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.equations.term import constant
-from riecjax.estimation.parameters import ParameterPlan
+from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding
 from riecjax.linear_algebra import factor_of_gram
 from riecjax.summaries.summary import Summary
@@ -67,13 +67,13 @@ Rows = Float[np.ndarray, " rows"]
 
 # Values too large to be squared are for the fit to refuse.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def constant_targets(model: Model, plan: ParameterPlan, summary: Summary) -> list[Finding]:
+def constant_targets(model: Model, table: ParameterTable, summary: Summary) -> list[Finding]:
     """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
     **Arguments:** `summary`, with a constant beside all equations.
     """
     findings = []
-    for seen in _averaged(model, plan, summary):
+    for seen in _averaged(model, table, summary):
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
@@ -85,25 +85,24 @@ def constant_targets(model: Model, plan: ParameterPlan, summary: Summary) -> lis
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def wrong_zeros(model: Model, plan: ParameterPlan, summary: Summary) -> Iterator[Finding]:
+def wrong_zeros(model: Model, table: ParameterTable, summary: Summary) -> Iterator[Finding]:
     """`wrong_zero` of equations that motion explains, and a fit with the means does not.
 
     Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
     are left out that read what an earlier stage finds.
     """
-    for seen in _averaged(model, plan, summary):
+    for seen in _averaged(model, table, summary):
         for one in seen:
-            if {*plan.sharing.everywhere(one.equation.parameters)} <= {*one.names, *plan.given}:
+            if {*table.everywhere(one.equation.parameters)} <= {*one.names, *table.known}:
                 yield from _wrong_zero(one)
 
 
-def _averaged(model: Model, plan: ParameterPlan, summary: Summary) -> Iterator[list["_Averaged"]]:
+def _averaged(model: Model, table: ParameterTable, summary: Summary) -> Iterator[list["_Averaged"]]:
     """The equations of each stage."""
-    settled = set(plan.given)
     for number, stage in enumerate(model.stages):
+        _, unknown = table.stages[number]
         sums = zip(*(recording.stages[number] for recording in summary.recordings))
-        yield [_Averaged(e, plan, summary, of, settled) for e, of in zip(stage, sums)]
-        settled |= {name for e in stage for name in plan.sharing.everywhere(e.parameters)}
+        yield [_Averaged(e, table, summary, of, unknown) for e, of in zip(stage, sums)]
 
 
 def _wrong_zero(seen: "_Averaged") -> Iterator[Finding]:
@@ -221,14 +220,13 @@ class _Averaged:
     def __init__(
         self,
         equation: Equation,
-        plan: ParameterPlan,
+        table: ParameterTable,
         summary: Summary,
         recordings: Sequence[EquationSums],
-        settled: set[str],
+        unknown: tuple[str, ...],
     ):
-        self.equation, sharing, given = equation, plan.sharing, plan.given
-        self.sharing = sharing
-        self.names = set(sharing.everywhere(equation.parameters)) - settled
+        self.equation, self.table = equation, table
+        self.names = {*table.everywhere(equation.parameters)}.intersection(unknown)
         length = float(summary.criterion.typical_length)
         self.independent = sum(
             float(one.samples) * (min(float(one.time_step) / length, 1.0) if length else 1.0)
@@ -236,7 +234,7 @@ class _Averaged:
         )
         dtype = np.asarray(recordings[0].moments).dtype
         self.rounding = max(ROUNDING * float(np.finfo(dtype).eps) ** 0.5, FACTORED)
-        names = [sharing.of_record(one.parameters, i) for i, one in enumerate(recordings)]
+        names = [table.of_record(one.parameters, i) for i, one in enumerate(recordings)]
         # Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them.
         rows = []
         noise = []
@@ -249,13 +247,13 @@ class _Averaged:
                 added[1:, 1:] = np.asarray(one.noise)[band].sum((0, 1))
             rows.append(factor_of_gram(gram))
             noise.append(factor_of_gram(added))
-        self.target, self.columns = _columns(rows, names, self.names, given)
-        self.noise = _columns(noise, names, self.names, given)
+        self.target, self.columns = _columns(rows, names, self.names, table.known)
+        self.noise = _columns(noise, names, self.names, table.known)
         # Unit vectors along what is constant over all records, or over each of them.
         edges = np.cumsum([0, *map(len, rows)])
         constants = np.zeros((edges[-1], len(rows)))
         constants[edges[:-1], np.arange(len(rows))] = [factor[0, 0] for factor in rows]
-        if not sharing.own.intersection(equation.parameters):
+        if not table.per_record.intersection(equation.parameters):
             constants = constants.sum(axis=1, keepdims=True)
         sizes = np.linalg.norm(constants, axis=0)
         self.constants = constants / np.where(sizes > 0, sizes, 1.0)
@@ -311,7 +309,7 @@ class _Averaged:
         """Columns that may stand for all: of each term, still ones first, and of all that are."""
         groups: list[list[str]] = []
         for term in self.equation.terms:
-            names = [n for n in self.sharing.everywhere(term.parameters) if n in self.columns]
+            names = [n for n in self.table.everywhere(term.parameters) if n in self.columns]
             if names and names not in groups:
                 groups.append(names)
         groups.sort(key=lambda names: max(self.share(self.columns[name]) for name in names))

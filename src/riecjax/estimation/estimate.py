@@ -11,8 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.hidden_elements import is_stiffness_name
+from riecjax.equations.hidden_elements import SpringParameters
 from riecjax.errors import ModelError
+from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, is_concrete, namespace, on_host
@@ -46,9 +47,7 @@ class AbstractEstimate(Saved, eqx.Module):
 
     - `theta`: estimated values, in the order of `parameters`, shape `(..., p)`.
     - `uncertainty`: covariance of theta and what makes intervals.
-    - `known`: parameters that were not estimated, with their values.
-    - `parameters`: names of those that were estimated.
-    - `units`: pairs of name and unit, of known parameters too.
+    - `table`: what each parameter is, and the values of those that were not estimated.
     - `inflation`: factor on each standard error because recordings disagree, 1 where they agree.
     - `block_count`, `block_length`: independent blocks of time behind the covariance, and the
       seconds that each lasts.
@@ -56,12 +55,25 @@ class AbstractEstimate(Saved, eqx.Module):
 
     theta: eqx.AbstractVar[Float[Array, "*batch p"]]
     uncertainty: eqx.AbstractVar[Uncertainty]
-    known: eqx.AbstractVar[dict[str, Array]]
+    table: eqx.AbstractVar[ParameterTable]
     inflation: eqx.AbstractVar[Float[Array, "*batch p"]]
     block_count: eqx.AbstractVar[Int[Array, "*batch"]]
     block_length: eqx.AbstractVar[Float[Array, "*batch"]]
-    parameters: eqx.AbstractVar[tuple[str, ...]]
-    units: eqx.AbstractVar[tuple[tuple[str, str], ...]]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of those that were estimated."""
+        return self.table.free
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """Parameters that were not estimated, with their values."""
+        return self.table.known
+
+    @property
+    def units(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of name and unit, of known parameters too."""
+        return self.table.units
 
     def __getitem__(self, name: str) -> Float[Array, "*batch"]:
         if not isinstance(name, str) or name not in self.known:
@@ -197,14 +209,12 @@ class AbstractEstimate(Saved, eqx.Module):
     def negative_values(self) -> Iterator[Finding]:
         """Masses and dampers whose whole interval lies below zero (not under jit)."""
         ends = self.interval_by_name()
-        for name, unit in self.units:
+        for name, (low, high) in ends.items():
+            unit = self.table[name].unit
             what = NEVER_NEGATIVE.get(
                 "".join(c for c in unit if c not in " ·*^()").replace("²", "2")
             )
-            if what is None or name not in self.parameters:
-                continue
-            low, high = ends[name]
-            if high < 0:
+            if what is not None and high < 0:
                 yield Finding(
                     "negative_value",
                     f"{name} is below zero, from {low:.4g} to {high:.4g} {unit}: {what}. Check the "
@@ -351,7 +361,7 @@ class Estimate(AbstractEstimate):
       small, and kept to tell the effective number of windows.
     - `inflation`: factor on each standard error because recordings disagree, 1 where they agree.
     - `stages`: solution, conditioning and residual of each stage.
-    - `known`: parameters that were not estimated, with their values.
+    - `table`: what each parameter is, and the values of those that were not estimated.
     - `criterion`: what was made small.
     - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
       length in seconds (rule: `block_length` in `uncertainty.block_statistics`).
@@ -368,14 +378,12 @@ class Estimate(AbstractEstimate):
     naive: Float[Array, "*batch p"]
     inflation: Float[Array, "*batch p"]
     stages: tuple[StageSolution, ...]
-    known: dict[str, Array]
+    table: ParameterTable
     criterion: AbstractCriterion
     block_count: Int[Array, "*batch"]
     block_length: Float[Array, "*batch"]
     rows_offered: Float[Leaf, "*batch stages"]
     summary: Summary | None
-    parameters: tuple[str, ...] = eqx.field(static=True)
-    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     stage_names: tuple[str, ...] = eqx.field(static=True)
     equation_names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
     doubts: tuple[Finding, ...] = eqx.field(static=True, default=())
@@ -453,7 +461,8 @@ class Estimate(AbstractEstimate):
         # Springs in series whose lag c / K is not told from none, and with it K from infinity.
         for name, error in zip(self.parameters, self.standard_errors):
             value = float(self[name])
-            if is_stiffness_name(name) and abs(value) < TOLD_LAG * float(error):
+            of_spring = isinstance(self.table[name].element, SpringParameters)
+            if of_spring and abs(value) < TOLD_LAG * float(error):
                 yield Finding(
                     "series_spring_not_carried",
                     f"the lag behind {name} is {abs(value) / float(error):.2g} standard errors "

@@ -11,11 +11,10 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from riecjax.compilation import kept_jit
-from riecjax.equations.hidden_elements import is_mode_name, is_stiffness_name
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import combination, weighing
 from riecjax.estimation.noise_level import largest_share
-from riecjax.estimation.parameters import ParameterPlan
+from riecjax.estimation.parameters import Parameter, ParameterTable
 from riecjax.estimation.stages import StageSolution, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
@@ -25,21 +24,21 @@ from riecjax.summaries.summary import Summary
 
 
 def raise_if_nothing_to_fit(
-    plan: ParameterPlan, counts: Sequence[ArrayLike], sums: Sequence[ArrayLike]
+    table: ParameterTable, counts: Sequence[ArrayLike], sums: Sequence[ArrayLike]
 ) -> None:
     """Refuse a stage without rows, or with sums that are not finite numbers (not under jit).
 
-    **Arguments:** of each stage of the plan, `counts` of its rows and `sums` of their products.
+    **Arguments:** of each stage of the `table`, `counts` of its rows and `sums` of their products.
 
     **Raises:** `DataError` naming the stage.
     """
-    for (label, unknown), count in zip(plan.stages, counts):
+    for (label, unknown), count in zip(table.stages, counts):
         if unknown and not bool(np.sum(np.asarray(count)) > 0):
             raise DataError(
                 f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
                 f"or repair the record's gaps."
             )
-    for (label, _), values in zip(plan.stages, sums):
+    for (label, _), values in zip(table.stages, sums):
         if not bool(np.all(np.isfinite(values))):
             raise DataError(
                 f"{label}: its terms are not finite numbers on this record: a division by zero, a "
@@ -48,39 +47,39 @@ def raise_if_nothing_to_fit(
             )
 
 
-def not_excited(stage_name: str, name: str) -> Finding:
+def not_excited(stage_name: str, row: Parameter) -> Finding:
     """That a parameter's regressor is zero throughout."""
     return Finding(
         "not_excited",
-        f"{stage_name}: nothing in the record tells of {name}; its regressor is zero throughout. "
-        f"{excite_or_hold([name], name)}",
-        parameters=(name,),
+        f"{stage_name}: nothing in the record tells of {row.name}; its regressor is zero "
+        f"throughout. {excite_or_hold([row], row.name)}",
+        parameters=(row.name,),
     )
 
 
-def raise_if_unidentifiable(solutions: list[StageSolution], plan: ParameterPlan) -> None:
+def raise_if_unidentifiable(solutions: list[StageSolution], table: ParameterTable) -> None:
     """Raise `IdentifiabilityError` for a stage whose regressors are collinear."""
     for stage in solutions:
         if int(stage.solution.rank) == len(stage.parameters):
             continue
-        label, _ = plan.stages[stage.stage]
+        label, _ = table.stages[stage.stage]
         for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
             if size == 0:
-                silent = not_excited(label, name)
+                silent = not_excited(label, table[name])
                 raise IdentifiabilityError(silent.message, silent.code)
         direction = np.asarray(stage.solution.weakest_direction)
         which = combination(stage.parameters, direction)
         raise IdentifiabilityError(
             f"{label}: the record cannot tell these apart (collinear regressors): {which}, in "
             f"units of each regressor's size. "
-            f"{excite_or_hold(weighing(stage.parameters, direction))}"
+            f"{excite_or_hold([table[n] for n in weighing(stage.parameters, direction)])}"
         )
 
 
 # What to do where recordings do not tell of some parameters, or not of one by itself.
 
 
-def excite_or_hold(names: Sequence[str], hold: str = "") -> str:
+def excite_or_hold(rows: Sequence[Parameter], hold: str = "") -> str:
     """A sentence on parameters that cannot be told apart.
 
     Parts of a hidden element are known together or not at all, and where nothing tells of them the
@@ -88,21 +87,17 @@ def excite_or_hold(names: Sequence[str], hold: str = "") -> str:
 
     **Arguments:** `hold`, the one that is named to hold; by default none is.
     """
-    hidden = [
-        (any(map(is_mode_name, names)), "the hidden mode", "--add-mode"),
-        (any(map(is_stiffness_name, names)), "the spring in series", "--add-spring"),
-    ]
-    found = [(what, option) for there, what, option in hidden if there]
-    if found:
-        what, options = (" and ".join(words) for words in zip(*found))
+    elements = (row.element for row in rows)
+    hidden = dict.fromkeys((e.words, e.option) for e in elements if e is not None)
+    if hidden:
+        what, options = (" and ".join(words) for words in zip(*hidden))
         return (
             f"Leave {what} out (on the command line: without {options}): the recordings may carry "
             f"none; if there is one, excite the system more richly."
         )
-    if len(names) == 1:
-        return (
-            f"Excite it, or hold it at a known value (on the command line: --set {names[0]}=VALUE)."
-        )
+    if len(rows) == 1:
+        name = rows[0].name
+        return f"Excite it, or hold it at a known value (on the command line: --set {name}=VALUE)."
     return (
         f"Excite the system more richly, or hold one of them at a known value (on the command "
         f"line: --set {hold or 'NAME'}=VALUE)."
@@ -146,22 +141,28 @@ class Excitation(eqx.Module):
     weakest_share: Float[Array, ""]
     noisiest_direction: Float[Array, " p"]
     noisiest_share: Float[Array, ""]
-    parameters: tuple[str, ...] = eqx.field(static=True)
+    rows: tuple[Parameter, ...] = eqx.field(static=True)
     stage_name: str = eqx.field(static=True)
     corrected: bool = eqx.field(static=True, default=False)
     noisiest: str = eqx.field(static=True, default="")
 
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the regressors' coefficients."""
+        return tuple(row.name for row in self.rows)
+
     def findings(self) -> list[Finding]:
         """What stands against identifying this stage (not under jit)."""
-        silent = [n for n, size in zip(self.parameters, self.size) if float(size) == 0]
+        silent = [row for row, size in zip(self.rows, self.size) if float(size) == 0]
         if silent:
-            return [not_excited(self.stage_name, name) for name in silent]
+            return [not_excited(self.stage_name, row) for row in silent]
         noise, drowned = float(self.noisiest_share), DROWNED if self.corrected else 0.25
         direction, share = np.asarray(self.weakest_direction), float(self.weakest_share)
         of_noise = share >= UNIDENTIFIABLE and noise > min(DOMINATES, drowned)
         direction = np.asarray(self.noisiest_direction) if of_noise else direction
         names = weighing(self.parameters, direction)
-        remedy = excite_or_hold(names, self.parameters[int(np.argmax(np.abs(direction)))])
+        hold = self.parameters[int(np.argmax(np.abs(direction)))]
+        remedy = excite_or_hold([row for row in self.rows if row.name in names], hold)
         whose = f"noise of {self.noisiest}" if self.noisiest else "noise of the signals"
         if share < UNIDENTIFIABLE:
             why = Finding("unidentifiable", "the record cannot tell these apart")
@@ -196,7 +197,7 @@ class Excitation(eqx.Module):
         return [why._replace(message=message, parameters=names)]
 
 
-def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
+def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
     """How each stage's regressors are excited (not under jit).
 
     Noise is what is taken off the sums; of a criterion that takes off none, what noise of each
@@ -209,7 +210,7 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
         [sum(getattr(e, of).sum() for e in stage) for stage in equations]
         for of in ("count", "moments")
     )
-    raise_if_nothing_to_fit(plan, counts, sums)
+    raise_if_nothing_to_fit(table, counts, sums)
 
     def noise(i: int, j: int) -> NormalEquations:
         e = equations[i][j]
@@ -225,12 +226,12 @@ def excitations(summary: Summary, plan: ParameterPlan) -> list[Excitation]:
     noises = [[noise(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]
     totals = [[e.in_blocks_of_records() for e in stage] for stage in equations]
     sources = summary.noise_by_source()
-    found, by_source = on_host(_excitations(totals, noises, sources, plan))
+    found, by_source = on_host(_excitations(totals, noises, sources, table))
     if all(e.noise is None for stage in equations for e in stage):
         return found
     # The source of noise that adds most to each stage's noisiest combination.
     names = [list(one.noise.sources) for one in summary.recordings]
-    stages = dict(zip((label for label, _ in plan.stages), by_source))
+    stages = dict(zip((label for label, _ in table.stages), by_source))
     corrected = []
     for one in found:
         stage = stages[one.stage_name]
@@ -251,23 +252,24 @@ def _excitations(
     equations: list[list[NormalEquations]],
     noise: list[list[NormalEquations]],
     sources: list[list[NormalEquations]],
-    plan: ParameterPlan,
+    table: ParameterTable,
 ) -> tuple[list[Excitation], list[NormalEquations]]:
-    stages, _ = stages_over_records(equations, plan.sharing)
-    noises, _ = stages_over_records(noise, plan.sharing)
+    stages, _ = stages_over_records(equations, table)
+    noises, _ = stages_over_records(noise, table)
     found = []
-    for stage, own, (label, unknown) in zip(stages, noises, plan.stages):
+    for stage, own, (label, unknown) in zip(stages, noises, table.stages):
         if unknown:
             summed, added = stage.total(), own.total()
             mean = added.moments / jnp.where(added.count > 0, added.count, 1.0)
-            found.append(excitation_of(summed.with_noise(None), mean, unknown, label))
-    return found, stages_over_records(sources, plan.sharing)[0]
+            rows = tuple(table[name] for name in unknown)
+            found.append(excitation_of(summed.with_noise(None), mean, rows, label))
+    return found, stages_over_records(sources, table)[0]
 
 
 def excitation_of(
     total: NormalEquations,
     noise: Float[Array, "columns columns"],
-    unknown: tuple[str, ...],
+    rows: tuple[Parameter, ...],
     label: str,
 ) -> Excitation:
     """How a stage's regressors are excited, by its normal equations.
@@ -280,10 +282,10 @@ def excitation_of(
     `findings` compares the two.
 
     **Arguments:** `total`, in one block; `noise`, mean outer product of what the signals' noise
-    adds to a row, `(target, *total.parameters)`; `unknown`, which of the parameters the stage
+    adds to a row, `(target, *total.parameters)`; `rows`, which of the parameters the stage
     finds; `label`, its name.
     """
-    index = np.array([total.parameters.index(name) for name in unknown])
+    index = np.array([total.parameters.index(row.name) for row in rows])
     with_noise = total.moments[np.ix_(1 + index, 1 + index)]
     mean = with_noise / jnp.where(total.count > 0, total.count, 1.0)
     size = jnp.sqrt(jnp.diagonal(mean))
@@ -291,7 +293,7 @@ def excitation_of(
     squares, directions = symmetric_eigen(scaled)
     # Rounding of the Gram matrix hides shares below the root of eps.
     squares = jnp.maximum(squares, 0.0)
-    floor = jnp.finfo(size.dtype).eps * len(unknown)
+    floor = jnp.finfo(size.dtype).eps * len(rows)
     own_noise = noise[1 + index][:, 1 + index]
     dominance, noisiest = largest_share(own_noise, mean)
     noisiest = noisiest * size
@@ -305,6 +307,6 @@ def excitation_of(
         weakest_share=jnp.sqrt(squares[0]),
         noisiest_direction=noisiest / jnp.where(length > 0, length, 1.0),
         noisiest_share=dominance,
-        parameters=unknown,
+        rows=rows,
         stage_name=label,
     )

@@ -17,7 +17,7 @@ from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.noise_level import borne_out, level_covariance
-from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
+from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
@@ -79,14 +79,14 @@ def identify(model: Equation | Model, records: Records, settings: Identify) -> E
     combination that cannot be told apart.
     """
     asked = task(model, records, settings, settings.key, settings.noise, settings.at_rest)
-    plan = plan_parameters(asked.model, len(asked.records), settings.known, settings.per_record)
+    table = plan_parameters(asked.model, len(asked.records), settings.known, settings.per_record)
     intervals = intervals_of(settings.intervals)
     with explaining_errors(as_recordings(records)):
-        found = _estimated(asked.model, summed(asked), plan, intervals)
+        found = _estimated(asked.model, summed(asked), table, intervals)
 
     def otherwise(model: Model) -> Estimate:
         other = summed(asked._replace(model=model))
-        return _estimated(model, other, plan, intervals)
+        return _estimated(model, other, table, intervals)
 
     resting = at_rest_findings(asked.model, asked.records, found, otherwise)
     # What recordings say of signals that are read; bare records say nothing.
@@ -131,54 +131,53 @@ def estimate(
     """
     model, summary = as_model(model), as_summary(summaries)
     summary.require_model(model)
-    plan = plan_parameters(model, len(summary.recordings), known, per_record)
-    return _estimated(model, summary, plan, intervals_of(intervals))
+    table = plan_parameters(model, len(summary.recordings), known, per_record)
+    return _estimated(model, summary, table, intervals_of(intervals))
 
 
 def _estimated(
     model: Model,
     summary: Summary,
-    plan: ParameterPlan,
+    table: ParameterTable,
     intervals: AbstractIntervals,
 ) -> Estimate:
-    sharing, given, _ = plan
     equations, sources = summary.equations(), summary.noise_by_source()
     modes, short = None, summary.short_blocks
     if model.has_hidden:
-        if sharing.own:
+        if table.per_record:
             raise ModelError("per_record has no meaning yet for a model with hidden elements.")
         from riecjax.estimation.mode_windows import find_modes
 
-        modes = find_modes(model, summary, given)
+        modes = find_modes(model, summary, table.known)
         equations, sources = modes.equations, modes.sources
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = intervals.drawn(short.number.shape[0])
-    settings = given, sharing, drawn
+    settings = table, drawn
     sums = _Sums(equations, sources, summary.noise_freedom, short, window)
     fit = _solve(sums, *settings, None)
     if modes is not None:
         from riecjax.estimation.mode_windows import find_modes
 
-        other = find_modes(model, summary, given, rank=1)
+        other = find_modes(model, summary, table.known, rank=1)
         beside = _solve(
             sums._replace(equations=other.equations, sources=other.sources), *settings, None
         )
         apart = _apart(fit, beside, other.shown)
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
-        raise_if_nothing_to_fit(plan, fit.counts, fit.totals)
+        raise_if_nothing_to_fit(table, fit.counts, fit.totals)
         # Sums that were made under jit have no constant to tell means from motion by.
         with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
         if with_constant and modes is None:
-            for finding in constant_targets(model, plan, summary):
+            for finding in constant_targets(model, table, summary):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
         poor = modes is None and condition > gram_condition_limit(window.dtype)
-        if poor and (rows := _rows(summary, equations, sharing)):
+        if poor and (rows := _rows(summary, equations, table)):
             fit = _solve(sums, *settings, rows)
-        raise_if_unidentifiable(fit.stages, plan)
+        raise_if_unidentifiable(fit.stages, table)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
     whole = [summary.band == summary.in_law] * len(model.stages)
@@ -191,11 +190,9 @@ def _estimated(
         naive=fit.naive,
         inflation=fit.inflation,
         stages=tuple(fit.stages),
-        known={name: jnp.asarray(value) for name, value in given.items()},
+        table=table,
         criterion=summary.criterion,
-        parameters=tuple(name for stage in fit.stages for name in stage.parameters),
-        units=tuple(sharing.values(model.units).items()),
-        stage_names=tuple(plan.stages[stage.stage][0] for stage in fit.stages),
+        stage_names=tuple(table.stages[stage.stage][0] for stage in fit.stages),
         equation_names=tuple(model.equation_names[stage.stage] for stage in fit.stages),
         block_count=fit.block_count,
         block_length=fit.block_length,
@@ -252,23 +249,23 @@ class _Sums(NamedTuple):
 @kept_jit
 def _solve(
     sums: _Sums,
-    known: Mapping[str, Array],
-    sharing: Sharing,
+    table: ParameterTable,
     intervals: AbstractIntervals,
     rows: list[Rows] | None,
 ) -> _Fit:
     pairs = zip(sums.equations, sums.sources)
     both = [[borne_out(*pair) for pair in zip(*stage)] for stage in pairs]
     equations = [[e for e, _ in stage] for stage in both]
-    stages, shared = stages_over_records(equations, sharing)
+    known = table.known
+    stages, shared = stages_over_records(equations, table)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
     solutions, values = solve_stages([stage.flattened() for stage in stages], known, rows, apart)
     # What belongs to one recording cannot differ between recordings.
-    common = np.array([n not in sharing.individual for s in solutions for n in s.parameters])
+    common = np.array([table[n].recording is None for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
         stages, known, values, sums.short, sums.longest_window, common, intervals
     )
-    by_source, _ = stages_over_records([[s for _, s in stage] for stage in both], sharing)
+    by_source, _ = stages_over_records([[s for _, s in stage] for stage in both], table)
     of_level = level_covariance(statistics, by_source, sums.freedom, values)
     uncertainty = uncertainty.widened(of_level)
     block_count = jnp.sum(statistics.used)
@@ -287,7 +284,7 @@ def _solve(
 
 
 def _rows(
-    summary: Summary, equations: list[list[NormalEquations]], sharing: Sharing
+    summary: Summary, equations: list[list[NormalEquations]], table: ParameterTable
 ) -> list[Rows] | None:
     """Triangular factors in place of each stage's rows, over its equations and all records, where
     there are some.
@@ -299,14 +296,14 @@ def _rows(
         return None
     found = []
     for i, stage in enumerate(equations):
-        names = tuple(dict.fromkeys(n for e in stage for n in sharing.everywhere(e.parameters)))
+        names = tuple(dict.fromkeys(n for e in stage for n in table.everywhere(e.parameters)))
         parts = []
         for j, equation in enumerate(stage):
             for k, one in enumerate(summary.recordings):
                 factor = one.stages[i][j].factor
                 if factor is None:
                     factor = factor_of_gram(equation.moments[k].sum(0))
-                own = sharing.of_record(equation.parameters, k)
+                own = table.of_record(equation.parameters, k)
                 part = np.zeros((1 + len(names), len(factor)))
                 part[[0, *(1 + names.index(name) for name in own)]] = np.asarray(factor).T
                 parts.append(part)

@@ -1,145 +1,241 @@
-"""Which parameters are unknown, in which record and in which stage: `known` and `per_record`.
+"""The table of parameters: what each one is, over all recordings, and what is known beforehand.
 
-A parameter named in `per_record` has another value in each record, such as a sensor's offset; to
-least squares these are different parameters, `offset[1]`, `offset[2]`, ... So normal equations of a
-record are renamed and embedded among the parameters of all records, with zeros for what the record
-does not hold, and then add up like any others.
+A parameter named in `per_record` has another value in each recording, such as a sensor's offset; to
+least squares these are different parameters, and each is a row of its own, called `offset[1]`,
+`offset[2]`, ... So normal equations of a recording are renamed and embedded among the parameters of
+all recordings, with zeros for what the recording does not hold, and then add up like any others.
+
+Names are for readers: they are written here, and what a parameter is stands in its row.
 """
 
-from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from riecjax.equations.hidden_elements import (
+    HiddenParameters,
+    ModeParameters,
+    SeriesSpring,
+    SpringParameters,
+)
 from riecjax.equations.model import Model
 from riecjax.errors import ModelError, require
-from riecjax.leaves import is_concrete, is_number
+from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.summaries.task import require_key
 
 Value = TypeVar("Value")
 
 
-# Equal by content, so that a jitted function which takes one is not compiled anew.
-@dataclass(init=False, unsafe_hash=True)
-class Sharing:
-    """Names of parameters over several records: `offset` becomes `offset[1]`, `offset[2]`, ...
+def name_in_recording(name: str, index: int) -> str:
+    """What a parameter is called that has a value of its own in recording number `index`."""
+    return f"{name}[{index + 1}]"
 
-    **Arguments:** `parameters` of the model; `own`, those with a value of their own in each of
-    `record_count` records, such as a sensor's offset; all others are shared.
 
-    **Raises:** `ModelError` for a name in `own` that the model does not have, and for a parameter
-    that is already called as a recording's own one would be.
+class Parameter(NamedTuple):
+    """One parameter over all recordings.
+
+    **Fields:** `name` that is shown; `local`, what the model calls it; `unit`; `recording`, the
+    number (from 0) of the only one that it is of, `None` where all share it; `element`, the
+    parameters of the hidden mode or spring that it is one of, `None` of the equations' own.
     """
 
-    parameters: tuple[str, ...]
-    own: frozenset[str]
-    record_count: int
+    name: str
+    local: str
+    unit: str = ""
+    recording: int | None = None
+    element: HiddenParameters | None = None
 
-    def __init__(self, parameters: tuple[str, ...], own: Iterable[str], record_count: int):
-        self.own, self.record_count = frozenset(own), record_count
-        if unknown := sorted(self.own - set(parameters)):
-            raise ModelError(
-                f"unknown parameter '{unknown[0]}'; the model has: {', '.join(parameters)}."
-            )
-        for name in parameters:
-            base, number = _numbered(name)
-            if number and base in self.own:
-                raise ModelError(
-                    f"the model has a parameter called '{name}', and with per_record=['{base}'] "
-                    f"that is what {base} is called in recording {number}. Rename one of the two, "
-                    f"or leave {base} out of per_record."
-                )
-        self.parameters = self.everywhere(parameters)
+
+class ParameterTable(eqx.Module):
+    """The parameters of a model over several recordings.
+
+    **Fields:** `rows`, one for each; `known` values of those that are held, by name; `stages`, the
+    name of each and the parameters that it finds.
+    """
+
+    rows: tuple[Parameter, ...] = eqx.field(static=True)
+    known: dict[str, Any] = eqx.field(default_factory=dict)
+    stages: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True, default=())
+
+    @classmethod
+    def of(
+        cls,
+        local: Sequence[str],
+        units: Mapping[str, str],
+        per_record: Collection[str],
+        record_count: int,
+        elements: Mapping[str, HiddenParameters | None],
+    ) -> "ParameterTable":
+        """The table of a model's own names, nothing of which is known.
+
+        **Raises:** `ModelError` for a name in `per_record` that the model does not have, and for a
+        parameter that is already called as a recording's own one would be.
+        """
+        rows: list[Parameter] = []
+        for name in local:
+            row = Parameter(name, name, units.get(name, ""), None, elements.get(name))
+            if name not in per_record:
+                rows.append(row)
+                continue
+            for i in range(record_count):
+                if (shown := name_in_recording(name, i)) in local:
+                    raise ModelError(
+                        f"the model has a parameter called '{shown}', and with per_record="
+                        f"['{name}'] that is what {name} is called in recording {i + 1}. Rename "
+                        f"one of the two, or leave {name} out of per_record."
+                    )
+                rows.append(row._replace(name=shown, recording=i))
+        table = cls(tuple(rows))
+        table.require(sorted(per_record))
+        return table
+
+    def __getitem__(self, name: str) -> Parameter:
+        return {row.name: row for row in self.rows}[name]
 
     @property
-    def individual(self) -> frozenset[str]:
-        """Names over all records of what each has a value of its own of."""
-        return frozenset(self.everywhere(sorted(self.own)))
+    def names(self) -> tuple[str, ...]:
+        """Of all parameters."""
+        return tuple(row.name for row in self.rows)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters that no value is known of."""
+        return tuple(row.name for row in self.rows if row.name not in self.known)
+
+    @property
+    def free_somewhere(self) -> tuple[str, ...]:
+        """What the model calls those that are free in some recording."""
+        return tuple(dict.fromkeys(row.local for row in self.rows if row.name not in self.known))
+
+    @property
+    def units(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of name and unit."""
+        return tuple((row.name, row.unit) for row in self.rows)
+
+    @property
+    def per_record(self) -> frozenset[str]:
+        """What the model calls the parameters of which each recording has its own."""
+        return frozenset(row.local for row in self.rows if row.recording is not None)
+
+    def require(self, names: Iterable[str]) -> None:
+        """Raise `ModelError` for a name, over all recordings or the model's own, that is none."""
+        if unknown := [name for name in names if not {*self.everywhere([name])} <= {*self.names}]:
+            listed = ", ".join(self.names)
+            raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
+
+    def holding(self, known: Mapping[str, Any]) -> "ParameterTable":
+        """The table with these values known, and no others."""
+        return ParameterTable(self.rows, dict(known), self.stages)
+
+    def concerned(self, names: Iterable[str]) -> set[str]:
+        """Names of the free parameters that are among some, by name or by what the model calls
+        them: `offset[1]` is offset's, and named by it."""
+        some, free = {*names}, self.free
+        return {r.name for r in self.rows if r.name in free and some & {r.name, r.local}}
+
+    def of_recording(self, index: int) -> list[Parameter]:
+        """Those of one recording, its own and those that all share."""
+        return [row for row in self.rows if row.recording in (None, index)]
 
     def of_record(self, names: Iterable[str], index: int) -> tuple[str, ...]:
-        """The names as the record number `index` (from 0) knows them."""
-        return tuple(f"{name}[{index + 1}]" if name in self.own else name for name in names)
+        """Names over all recordings of what recording number `index` calls so."""
+        called = {row.local: row.name for row in self.of_recording(index)}
+        return tuple(called[name] for name in names)
 
     def everywhere(self, names: Iterable[str]) -> tuple[str, ...]:
-        """The names over all records."""
-        numbers = [f"[{i + 1}]" for i in range(self.record_count)]
-        return tuple(
-            name + ending for name in names for ending in (numbers if name in self.own else [""])
-        )
+        """Names over all recordings of what the model calls so; others stay as they are."""
+        called: dict[str, list[str]] = {}
+        for row in self.rows:
+            called.setdefault(row.local, []).append(row.name)
+        return tuple(shown for name in names for shown in called.get(name, [name]))
 
     def values(self, given: Mapping[str, Value]) -> dict[str, Value]:
-        """Values by name over all records.
+        """Values by name over all recordings.
 
-        One for `offset` holds in every record but for those that have one by their own name.
+        One for `offset` holds in every recording but for those that have one by their own name.
         """
         return {
-            expanded: value
+            shown: value
             for name, value in given.items()
-            for expanded in self.everywhere([name])
-            if expanded == name or expanded not in given
+            for shown in self.everywhere([name])
+            if shown == name or shown not in given
         }
 
-    def values_of(
-        self, names: Iterable[str], values: Mapping[str, Value], index: int
-    ) -> dict[str, Value]:
-        """Of values by name over all records, those of `names` as one record knows them."""
-        return {name: values[self.of_record((name,), index)[0]] for name in names}
-
-    def free_somewhere(self, names: Iterable[str], free: Iterable[str]) -> tuple[str, ...]:
-        """Of the model's own `names`, those whose value in some record is among `free`."""
-        among = set(free)
-        return tuple(name for name in names if among.intersection(self.everywhere((name,))))
-
-    def settled(self, names: Iterable[str]) -> set[str]:
-        """Of the model's own names, those whose every record's value is among `names`."""
-        known = set(names)
-        among = known | {local_name(name, self.own) for name in known}
-        return {name for name in among if set(self.everywhere([name])) <= known}
+    def values_of(self, values: Mapping[str, Value], index: int) -> dict[str, Value]:
+        """Of values by name over all recordings, those of one as it calls them."""
+        return {row.local: values[row.name] for row in self.of_recording(index)}
 
 
-class ParameterPlan(NamedTuple):
-    """What is to be estimated.
+def values_in_recording(
+    names: Iterable[str], values: Mapping[str, Value], index: int
+) -> dict[str, Value]:
+    """Of values by name over all recordings, those of a model's `names` as one recording knows
+    them, as far as there are any."""
+    shown = {name: name if name in values else name_in_recording(name, index) for name in names}
+    return {name: values[other] for name, other in shown.items() if other in values}
 
-    **Fields:** `sharing` of parameters over records; `given` values by name over all records;
-    `stages`, the name of each and the parameters that it finds, over all records.
-    """
 
-    sharing: Sharing
-    given: dict[str, Array]
-    stages: list[tuple[str, tuple[str, ...]]]
+def elements_by_name(
+    modes: Sequence[object], springs: Sequence[SeriesSpring]
+) -> dict[str, HiddenParameters]:
+    """What hidden elements' parameters are called, and of which element each is."""
+    elements: list[HiddenParameters] = [ModeParameters.of(i) for i, _ in enumerate(modes)]
+    elements += [SpringParameters.of(i, spring) for i, spring in enumerate(springs)]
+    return {name: element for element in elements for name in element.hidden}
+
+
+TABLE_KINDS = ParameterTable, Parameter, ModeParameters, SpringParameters
+"""What a table is made of, beside names and numbers."""
+
+
+def table_of_names(
+    free: Sequence[str], units: Iterable[tuple[str, str]], known: Mapping[str, Leaf]
+) -> ParameterTable:
+    """The table of names alone, and of hidden elements by what these are called: of files."""
+    names = (*free, *known)
+    elements = elements_by_name(names, [SeriesSpring("")] * len(names))
+    return ParameterTable.of(names, dict(units), (), 1, elements).holding(known)
 
 
 def plan_parameters(
     model: Model,
     record_count: int,
     known: Mapping[str, float | Array] | None,
-    per_record: Sequence[str],
-) -> ParameterPlan:
-    """The plan, with known values and names checked; see [`identify`][] for the arguments.
+    per_record: Collection[str],
+) -> ParameterTable:
+    """The table of what is to be estimated, with known values and names checked; see
+    [`identify`][] for the arguments.
 
     **Raises:** `ModelError` as [`identify`][].
     """
     require_settings(None, known, per_record)
-    sharing = Sharing(model.parameter_names, per_record, record_count)
-    # Values held fixed, by name over all records: the equations' own and the user's.
-    names = {*model.parameter_names, *sharing.parameters}
-    if unknown := [name for name in known or {} if name not in names]:
-        listed = ", ".join(sharing.parameters)
-        raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
+    elements = elements_by_name(model.modes, model.springs)
+    coefficients = {name for equation in model.equations for name in equation.parameters}
+    if taken := sorted(coefficients & {*elements}):
+        raise ModelError(
+            f"the equations have a parameter called '{taken[0]}', and so has "
+            f"{elements[taken[0]].words}. Rename the equations' own."
+        )
+    parameters, units = model.parameter_names, model.units
+    table = ParameterTable.of(parameters, units, per_record, record_count, elements)
+    table.require(known or {})
     require_numbers(known or {})
-    held = {**sharing.values(model.known), **sharing.values(known or {})}
-    given = {name: jnp.asarray(value, jnp.result_type(float)) for name, value in held.items()}
-    # A stage finds what no record has been given, and no earlier stage has found.
-    stages = [
-        (label, tuple(name for name in sharing.everywhere(names) if name not in given))
-        for label, names in model.plan(sharing.settled(given))
-    ]
+    # Values held fixed: the equations' own and the user's.
+    held = {**table.values(model.known), **table.values(known or {})}
+    numbers = {name: jnp.asarray(value, jnp.result_type(float)) for name, value in held.items()}
+    settled = {row.local for row in table.rows} - {*table.holding(held).free_somewhere}
+    # A stage finds what no recording has been given, and no earlier stage has found.
+    stages = tuple(
+        (label, tuple(name for name in table.everywhere(names) if name not in held))
+        for label, names in model.plan(settled)
+    )
     if not any(unknown for _, unknown in stages):
         raise ModelError("every parameter is known; nothing is left to identify.")
-    return ParameterPlan(sharing, given, stages)
+    return ParameterTable(table.rows, numbers, stages)
 
 
 def require_settings(key: object, known: object, per_record: object) -> None:
@@ -164,26 +260,3 @@ def require_numbers(known: Mapping[str, Any]) -> None:
             )
         if is_concrete(value) and not np.isfinite(float(value)):
             raise ModelError(f"{name} is held at {value}: give a finite number.")
-
-
-def values_of_record(values: Mapping[str, Value], index: int) -> dict[str, Value]:
-    """Values as the record number `index` (from 0) knows them: its own `offset[2]` as `offset`.
-
-    Those of other records keep their names, and so does `offset[2]` of a model that has an `offset`
-    beside it.
-    """
-    ending = f"[{index + 1}]"
-    own = {name.removesuffix(ending): v for name, v in values.items() if name.endswith(ending)}
-    return {**own, **values}
-
-
-def local_name(name: str, own: Container[str]) -> str:
-    """A name over all records as the model knows it: `offset` of `offset[2]`, if that is `own`."""
-    base, _ = _numbered(name)
-    return base if base in own else name
-
-
-def _numbered(name: str) -> tuple[str, str]:
-    """The parts of `offset[2]`, `offset` and `2`; of any other name, itself and nothing."""
-    base, bracket, number = name.removesuffix("]").rpartition("[")
-    return (base, number) if bracket and name.endswith("]") and number.isdigit() else (name, "")

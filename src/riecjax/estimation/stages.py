@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.model import Model
-from riecjax.estimation.parameters import Sharing
+from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import namespace
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.records.record import Record
@@ -251,7 +251,7 @@ def _shrinkage(
 
 def all_normal_equations(
     model: Model,
-    sharing: Sharing,
+    table: ParameterTable,
     records: list[Record],
     criterion: AbstractCriterion,
     keys: list[Key[Array, ""] | None],
@@ -261,30 +261,30 @@ def all_normal_equations(
         stage_normal_equations(model, record, criterion, key, blocks=True)
         for record, key in zip(records, keys)
     ]
-    return [_over_records(stack_normal_equations(parts), sharing) for parts in zip(*every)]
+    return [_over_records(stack_normal_equations(parts), table) for parts in zip(*every)]
 
 
 def stages_over_records(
-    equations: list[list[NormalEquations]], sharing: Sharing
+    equations: list[list[NormalEquations]], table: ParameterTable
 ) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
     """Normal equations of stages, and of each equation, among the parameters of all records.
 
     **Arguments:** `equations` of each stage, with a leading axis of records.
     """
-    apart = [[_over_records(e, sharing) for e in stage] for stage in equations]
+    apart = [[_over_records(e, table) for e in stage] for stage in equations]
     names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
     return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
 
 
-def _over_records(equations: NormalEquations, sharing: Sharing) -> NormalEquations:
+def _over_records(equations: NormalEquations, table: ParameterTable) -> NormalEquations:
     """Normal equations with a leading axis of records, among the parameters of all of them."""
     names = equations.parameters
-    if not sharing.own:
+    if not table.per_record:
         return equations
     every = [
         equations.each(
-            operator.itemgetter(i), operator.itemgetter(i), sharing.of_record(names, i)
-        ).embed(sharing.everywhere(names))
+            operator.itemgetter(i), operator.itemgetter(i), table.of_record(names, i)
+        ).embed(table.everywhere(names))
         for i in range(equations.count.shape[0])
     ]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)

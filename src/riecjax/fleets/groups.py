@@ -179,7 +179,7 @@ def _answers(
             intervals=order.settings.intervals,
         )
         estimate, levels = assessment.estimate, assessment.verdict.parameters
-        ends, units = estimate.interval_by_name(), dict(estimate.units)
+        ends = estimate.interval_by_name()
         concerned = [(f.code, assessment.parameters_of(f)) for f in assessment.findings()]
         for name, error in zip(estimate.parameters, np.asarray(estimate.standard_errors)):
             codes = dict.fromkeys(code for code, names in concerned if name in names)
@@ -187,7 +187,7 @@ def _answers(
                 *place,
                 parameter=name,
                 value=float(estimate[name]),
-                unit=units.get(name, ""),
+                unit=estimate.table[name].unit,
                 std_error=float(error),
                 low95=float(ends[name][0]),
                 high95=float(ends[name][1]),

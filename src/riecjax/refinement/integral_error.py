@@ -43,9 +43,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, require_no_slip, told_apart
 from riecjax.equations.term import AbstractTerm, Term, both_present
 from riecjax.errors import DataError, ModelError, users_code
-from riecjax.estimation.parameters import Sharing
+from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import all_normal_equations
-from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
     AbstractMisfit,
@@ -272,12 +271,9 @@ class IntegralMisfit(AbstractMisfit):
     records: list[Record]
     criterion: AbstractCriterion
     keys: list[Key[Array, ""] | None]
-    known: dict[str, Leaf]
+    table: ParameterTable
     count: Float[Array, " equations"]
     longest_window: Float[Array, ""]
-    names: tuple[str, ...] = eqx.field(static=True)
-    local: tuple[str, ...] = eqx.field(static=True)
-    sharing: Sharing = eqx.field(static=True)
     labels: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
 
@@ -314,11 +310,8 @@ class IntegralMisfit(AbstractMisfit):
 
     def _equations(self, theta: Theta) -> list[NormalEquations]:
         """Of each equation, in the changes of the parameters."""
-        values = {**self.known, **dict(zip(self.names, theta))}
-        of_record = [
-            self.sharing.values_of(self.local, values, i) for i in range(len(self.records))
-        ]
-        free = self.sharing.free_somewhere(self.local, self.names)
+        of_record = [self.of_record(theta, i) for i in range(len(self.records))]
+        free = self.table.free_somewhere
         found = []
         for balance in self.balances:
             expanded = [
@@ -327,7 +320,7 @@ class IntegralMisfit(AbstractMisfit):
             ]
             (equations,) = all_normal_equations(
                 Model(stages=((expanded[0][0],),)),
-                self.sharing,
+                self.table,
                 [record for _, record in expanded],
                 self.criterion,
                 self.keys,
@@ -386,7 +379,7 @@ class IntegralError(AbstractObjective):
         for record in specified.records:
             self._criterion.check(record)
         criterion = self._criterion.fitted(specified.records)
-        free = set(specified.sharing.free_somewhere(specified.local, specified.names))
+        free = set(specified.table.free_somewhere)
         # An equation without free parameters would only add a constant.
         chosen = tuple(balance for balance in specified.model if free & {*balance.parameters})
         labels = [balance.label(specified.values) for balance in chosen]
@@ -398,12 +391,9 @@ class IntegralError(AbstractObjective):
             records=specified.records,
             criterion=criterion,
             keys=specified.keys,
-            known=specified.fixed,
+            table=specified.table,
             count=np.array(rows).sum(axis=1),
             longest_window=jnp.asarray(criterion.block_length),
-            names=specified.names,
-            local=specified.local,
-            sharing=specified.sharing,
             labels=told_apart([name for name, *_ in labels]),
             units=tuple(criterion.row_unit(unit) for _, unit, _ in labels),
         )

@@ -10,7 +10,8 @@ unknowns, however long the record.
 Models for every value of their parameters: what refinement varies.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -24,7 +25,7 @@ from riecjax.equations.model import Model, as_model, require_no_slip
 from riecjax.equations.term import Expression
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import AbstractEstimate
-from riecjax.estimation.parameters import Sharing, Value, local_name, require_numbers
+from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import EquationSystem, equation_system
@@ -252,14 +253,24 @@ class Expansion(NamedTuple):
 class AbstractMisfit(eqx.Module):
     """A sum of squared residuals, of parameters and of the initial states of windows."""
 
-    names: eqx.AbstractVar[tuple[str, ...]]
-    """Parameters that are free, over all records."""
+    table: eqx.AbstractVar[ParameterTable]
+    """The parameters over all records, and the values of those that are not free."""
     labels: eqx.AbstractVar[tuple[str, ...]]
     """Quantities whose residuals are told one by one: channels, or equations."""
     units: eqx.AbstractVar[tuple[str, ...]]
     """Units of `labels`."""
     longest_window: eqx.AbstractVar[Float[Array, ""]]
     """Seconds after which two residuals share no data."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that are free, over all records."""
+        return self.table.free
+
+    def of_record(self, theta: Theta, index: int) -> dict[str, Leaf]:
+        """Every parameter's value with these free ones, as one record knows it."""
+        values = {**self.table.known, **dict(zip(self.names, theta))}
+        return self.table.values_of(values, index)
 
     @property
     def initial_state_names(self) -> tuple[str, ...]:
@@ -330,47 +341,22 @@ class Specification(NamedTuple):
 
     - `model`: what the objective made of it, for every value of its parameters.
     - `records` and `keys`, one for each.
-    - `values`: of every parameter over all records, free or not; `names` of the free ones.
-    - `local`: names of the parameters as one record knows them; `sharing` between records.
-    - `units` of the parameters, by local name.
+    - `values`: of every parameter over all records, free or not.
+    - `table` of the parameters, in which those that are not free are known.
     """
 
     model: tuple[Any, ...]
     records: list[Record]
     keys: list[Key[Array, ""] | None]
     values: dict[str, Leaf]
-    names: tuple[str, ...]
-    local: tuple[str, ...]
-    sharing: Sharing
-    units: Mapping[str, str]
+    table: ParameterTable
 
     @property
     def theta(self) -> Float[Array, " p"]:
         """Values of the free parameters, at which the search begins."""
-        free = [self.values[name] for name in self.names]
+        free = [self.values[name] for name in self.table.free]
         # In NumPy where nothing is traced: JAX would compile each small step.
         return jnp.asarray(np.stack(free)) if is_concrete(free) else jnp.stack(free)
-
-    @property
-    def fixed(self) -> dict[str, Leaf]:
-        """Values of the parameters that are not free."""
-        return {name: value for name, value in self.values.items() if name not in self.names}
-
-    def of_record(self, index: int) -> dict[str, Leaf]:
-        """Values as one record knows them."""
-        return self.sharing.values_of(self.local, self.values, index)
-
-    def of_free(self, given: Mapping[str, Value]) -> dict[str, Value]:
-        """What is given by name, over all records: of an own `offset`, for each that is free.
-
-        A name of which nothing is free stays as it is.
-        """
-        found: dict[str, Value] = {}
-        # What is given for one record comes after what is given for all, and replaces it.
-        for name in sorted(given, key=lambda name: name not in self.sharing.own):
-            free = [n for n in self.sharing.everywhere([name]) if n in self.names]
-            found |= dict.fromkeys(free or [name], given[name])
-        return found
 
 
 class AbstractObjective(eqx.Module):
@@ -410,14 +396,15 @@ class AbstractObjective(eqx.Module):
         model: Any,
         records: list[Record],
         start: AbstractEstimate | Mapping[str, float | Array],
-        known: Mapping[str, float | Array],
-        per_record: tuple[str, ...],
-        key: Key[Array, ""] | None,
+        known: Mapping[str, float | Array] = MappingProxyType({}),
+        per_record: Collection[str] = (),
+        key: Key[Array, ""] | None = None,
     ) -> Specification:
         """Every parameter's value, and which are free; see [`refine`][].
 
         What is known goes before what an estimate carries along, that before the start, and that
-        before the model's own values.
+        before the model's own values. Of an estimate, what each record has its own of is that of
+        the estimate unless `per_record` says otherwise.
         """
         parametric = self.parametric(model, records[0])
         if self.needs_key and key is None:
@@ -430,33 +417,32 @@ class AbstractObjective(eqx.Module):
             units |= {n: u for n, u in part.units.items() if u or n not in units}
             defaults |= part.defaults
         carried: Mapping[str, float | Array] = {}
+        elements = {}
         if isinstance(start, AbstractEstimate):
-            units = {**units, **dict(start.units)} if not names else units
-            carried = start.known
+            own = {name_of: row for row in start.table.rows for name_of in (row.name, row.local)}
+            units = units if names else {**units, **{name: row.unit for name, row in own.items()}}
+            elements = {name: row.element for name, row in own.items()}
+            carried, per_record = start.known, per_record or start.table.per_record
             start = {name: start.single()[name] for name in start.parameters}
+        numbered = {name_in_recording(n, i): n for n in per_record for i in range(len(records))}
         given = {**start, **carried, **known}
-        local = names or tuple(dict.fromkeys(local_name(name, per_record) for name in given))
-        sharing = Sharing(local, per_record, len(records))
-        if unknown := [n for n in given if n not in (*local, *sharing.parameters)]:
-            raise ModelError(
-                f"unknown parameter '{unknown[0]}'; the model has: {', '.join(local)}."
-            )
+        local = names or tuple(dict.fromkeys(numbered.get(name, name) for name in given))
+        table = ParameterTable.of(local, units, per_record, len(records), elements)
+        table.require(given)
         require_numbers(known)
-        begun = sharing.values(start)
-        fixed = {**sharing.values(carried), **sharing.values(known)}
-        values = {**sharing.values(defaults), **begun, **fixed}
-        if missing := [name for name in sharing.parameters if name not in values]:
+        begun, fixed = table.values(start), {**table.values(carried), **table.values(known)}
+        values = {**table.values(defaults), **begun, **fixed}
+        if missing := [name for name in table.names if name not in values]:
             raise ModelError(
                 f"no value is given for {', '.join(missing)}. Name it in start (to refine it) or "
                 f"in known (to hold it)."
             )
-        free = tuple(n for n in sharing.parameters if n in begun and n not in fixed)
-        if not free:
-            raise ModelError("every parameter is known; nothing is left to refine.")
         dtype = records[0].time_step.dtype
         numbers = {
             name: (np if is_concrete(values[name]) else jnp).asarray(values[name], dtype)
-            for name in sharing.parameters
+            for name in table.names
         }
-        keys = record_keys(key, len(records))
-        return Specification(parametric, records, keys, numbers, free, local, sharing, units)
+        table = table.holding({n: v for n, v in numbers.items() if n not in begun or n in fixed})
+        if not table.free:
+            raise ModelError("every parameter is known; nothing is left to refine.")
+        return Specification(parametric, records, record_keys(key, len(records)), numbers, table)

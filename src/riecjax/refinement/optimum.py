@@ -111,7 +111,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.compilation import kept_jit
 from riecjax.errors import ModelError
-from riecjax.estimation.parameters import Sharing
+from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, held_still, is_concrete, is_number
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
 from riecjax.refinement.objective import AbstractMisfit, Energies, Expansion, Initial, Theta
@@ -405,7 +405,7 @@ class Constraints(eqx.Module):
     @classmethod
     def of(
         cls,
-        names: Sequence[str],
+        table: ParameterTable,
         start: Mapping[str, Leaf],
         bounds: Mapping[str, Bounds],
         priors: Mapping[str, Prior],
@@ -416,9 +416,14 @@ class Constraints(eqx.Module):
         bounds in the wrong order or that the start does not lie between, a prior without a finite
         mean and a positive standard deviation.
         """
-        for what, given in (("bounds are", bounds), ("a prior is", priors)):
-            if unknown := [name for name in given if name not in names]:
+        names = table.free
+
+        def of_free(what: str, given: Mapping[str, Any]) -> dict[str, Any]:
+            if unknown := [name for name in given if not {*names} & {*table.everywhere([name])}]:
                 raise ModelError(f"{what} given for '{unknown[0]}'; free are: {', '.join(names)}.")
+            return {name: value for name, value in table.values(given).items() if name in names}
+
+        bounds, priors = of_free("bounds are", bounds), of_free("a prior is", priors)
         for name, given in bounds.items():
             if not is_pair(given, or_none=True):
                 raise ModelError(
@@ -679,7 +684,6 @@ def search(
     constraints: Constraints,
     start: Theta,
     begun: Reached,
-    sharing: Sharing,
     intervals: AbstractIntervals,
     solver: Solver | None,
     max_steps: int,
@@ -724,7 +728,7 @@ def search(
     moments = blocks.moments + share[..., None, None] * spread[None, None]
     blocks = NormalEquations(moments, blocks.count, blocks.parameters)
     zero = {name: jnp.zeros(()) for name in misfit.names}
-    shared = np.array([name not in sharing.individual for name in misfit.names])
+    shared = np.array([misfit.table[name].recording is None for name in misfit.names])
     uncertainty, inflation, statistics = estimate_uncertainty(
         [blocks], {}, zero, short, misfit.longest_window, shared, intervals
     )

@@ -60,7 +60,7 @@ from jaxtyping import Array, Bool, Float, Int
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
-from riecjax.estimation.parameters import Sharing
+from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, held_still, is_concrete, is_number
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.noise_judgement import judged
@@ -453,19 +453,16 @@ class OutputMisfit(AbstractMisfit):
 
     system: AbstractParametric
     recorded: list[Recorded]
-    known: dict[str, Leaf]
+    table: ParameterTable
     sigma: Float[Array, " channels"]
     scale: Float[Array, " s"]
     longest_window: Float[Array, ""]
     method: AbstractMethod
     threshold: Float[Array, "1 channels"] | None
-    names: tuple[str, ...] = eqx.field(static=True)
-    local: tuple[str, ...] = eqx.field(static=True)
     labels: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
     estimated: tuple[int, ...] = eqx.field(static=True)
     state_names: tuple[str, ...] = eqx.field(static=True)
-    sharing: Sharing = eqx.field(static=True)
     most_steps: int = eqx.field(static=True)
 
     @property
@@ -498,8 +495,8 @@ class OutputMisfit(AbstractMisfit):
         """Profiled over initial states by Gauss and Newton, while that makes the sum smaller."""
         if not self.estimated:
             return self.energy(theta, initial)
-        values = {**self.known, **dict(zip(self.names, theta))}
-        held, initial = held_still((dataclasses.replace(self, known=values, names=()), initial))
+        table = self.table.holding({**self.table.known, **dict(zip(self.names, theta))})
+        held, initial = held_still((dataclasses.replace(self, table=table), initial))
         none = jnp.zeros(0, initial.dtype)
 
         def tried(state: _Profiling) -> _Profiling:
@@ -641,8 +638,7 @@ class OutputMisfit(AbstractMisfit):
         self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
     ) -> Float[Array, "compared channels"]:
         """The channels at the compared samples of one window of record number `index`."""
-        values = {**self.known, **dict(zip(self.names, theta))}
-        system = self.system.build(self.sharing.values_of(self.local, values, index))
+        system = self.system.build(self.of_record(theta, index))
         first = window.initial
         if self.estimated:
             first = first.at[np.array(self.estimated)].set(initial)
@@ -787,7 +783,7 @@ class OutputError(AbstractObjective):
     def misfit(self, specified: Specification) -> OutputMisfit:
         """Over the windows of all records."""
         (model,) = specified.model
-        system: AbstractSystem = model.build(specified.of_record(0))
+        system: AbstractSystem = model.build(specified.table.values_of(specified.values, 0))
         channels = _channels(system, specified.records, self.channels)
         for record in specified.records:
             for name in system.input_names:
@@ -834,7 +830,7 @@ class OutputError(AbstractObjective):
         return OutputMisfit(
             system=model,
             recorded=recorded,
-            known=specified.fixed,
+            table=specified.table,
             sigma=sigma,
             scale=scale,
             longest_window=jnp.zeros_like(scale, shape=()),
@@ -842,13 +838,10 @@ class OutputError(AbstractObjective):
             threshold=None
             if self.loss == "squares"
             else THRESHOLD * (_noise(specified.records, recorded, channels) / sigma)[None, :],
-            names=specified.names,
-            local=specified.local,
             labels=channels,
             units=tuple(units.get(name, "") for name in channels),
             estimated=estimated,
             state_names=system.state_names,
-            sharing=specified.sharing,
             most_steps=MOST_STEPS if self.method is None else 0,
         )
 

@@ -36,7 +36,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from riecjax.compilation import kept_jit
 from riecjax.errors import require
 from riecjax.estimation.estimate import AbstractEstimate
-from riecjax.estimation.parameters import require_settings
+from riecjax.estimation.parameters import ParameterTable, require_settings
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.records.record import Records, as_records
@@ -162,8 +162,8 @@ class Refined(AbstractEstimate):
 
     **Fields:**
 
-    - `theta`, `uncertainty`, `known`, `parameters`, `units`, `inflation`, `block_count`,
-      `block_length`: as of an [`Estimate`][].
+    - `theta`, `uncertainty`, `table`, `inflation`, `block_count`, `block_length`: as of an
+      [`Estimate`][].
     - `status`: how the search ended; `steps` that it took.
     - `rms_before`, `rms`: root mean square of what is left of each of `quantities` (channels, or
       equations), with the start's parameters and now, in `quantity_units`. Both over the same
@@ -178,7 +178,7 @@ class Refined(AbstractEstimate):
 
     theta: Float[Array, "*batch p"]
     uncertainty: Uncertainty
-    known: dict[str, Array]
+    table: ParameterTable
     status: RefinementStatus
     steps: Int[Array, ""]
     rms_before: Float[Array, " quantities"]
@@ -193,8 +193,6 @@ class Refined(AbstractEstimate):
     block_count: Int[Array, ""]
     block_length: Float[Array, ""]
     steps_label: str = eqx.field(static=True)
-    parameters: tuple[str, ...] = eqx.field(static=True)
-    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     quantities: tuple[str, ...] = eqx.field(static=True)
     quantity_units: tuple[str, ...] = eqx.field(static=True)
     initial_state_names: tuple[str, ...] = eqx.field(static=True)
@@ -327,8 +325,9 @@ def refine(
     - `bounds`: (lower, upper) by name, `None` where there is none.
     - `priors`: normal distributions (mean, standard deviation) by name, weighed against the scatter
       that the fit leaves.
-    - `per_record`: names of parameters that take a value of their own in each record. What is
-      given for `offset` holds in every record, but for those given by their own name, `offset[2]`.
+    - `per_record`: names of parameters that take a value of their own in each record, by default
+      those of an estimate that it starts from. What is given for `offset` holds in every record,
+      but for those given by their own name, `offset[2]`.
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
@@ -374,13 +373,9 @@ def refine_with_misfit(
     objective = (by or OutputError()).suited(model)
     held, own = dict(known or {}), tuple(per_record)
     specified = objective.specify(model, recordings, start, held, own, key)
-    constraints = Constraints.of(
-        specified.names,
-        specified.values,
-        specified.of_free(bounds or {}),
-        specified.of_free(priors or {}),
-    )
-    settings = (specified.sharing, intervals or Sandwich(), solver, max_steps, progress)
+    table = specified.table
+    constraints = Constraints.of(table, specified.values, bounds or {}, priors or {})
+    settings = (intervals or Sandwich(), solver, max_steps, progress)
     # Searches, in ever shorter steps for as long as these change the answer. With priors each
     # search is followed by others: the variance that priors are weighed against is that of the
     # residuals at the optimum, which the first search knows only from its start; the next ones take
@@ -401,7 +396,7 @@ def refine_with_misfit(
     refined = Refined(
         theta=reached.theta,
         uncertainty=optimum.uncertainty,
-        known={name: jnp.asarray(value) for name, value in specified.fixed.items()},
+        table=table.holding({name: jnp.asarray(value) for name, value in table.known.items()}),
         status=reached.status,
         steps=reached.steps,
         rms_before=rms,
@@ -416,8 +411,6 @@ def refine_with_misfit(
         block_count=optimum.block_count,
         block_length=optimum.block_length,
         steps_label=misfit.steps_label,
-        parameters=specified.names,
-        units=tuple(specified.sharing.values(specified.units).items()),
         quantities=misfit.labels,
         quantity_units=misfit.units,
         initial_state_names=misfit.initial_state_names,

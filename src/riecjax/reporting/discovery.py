@@ -62,7 +62,7 @@ def discovery_document(
         "path": [
             {
                 "equation": name,
-                "added": step.added.partition("@")[0],
+                "added": step.added,
                 "unexplained": finite(step.unexplained),
                 "of_motion": finite(step.of_motion),
                 "std_error": finite(step.std_error),
@@ -325,7 +325,7 @@ def discovery_figures(found: Discovery) -> dict[str, Chart]:
     """`path`: what is left unexplained with one term more each time."""
     panels = []
     for name, steps in found.paths.items():
-        names = tuple(step.added.partition("@")[0] or found.start.name for step in steps)
+        names = tuple(step.added or found.start.name for step in steps)
         place = np.arange(len(steps))
         left = 100 * np.array([step.unexplained for step in steps])
         noise = left - 100 * np.array([max(step.of_motion, 0.0) for step in steps])

@@ -127,7 +127,7 @@ def parameter_table(document: Mapping[str, Any], interval: str = "{} .. {}") -> 
 def known_entries(estimate: AbstractEstimate) -> dict[str, Any]:
     """Value and unit of each parameter that was not estimated; lists of a batch."""
     units = dict(estimate.units)
-    return {n: {"value": finite(estimate[n]), "unit": units.get(n, "")} for n in estimate.known}
+    return {n: {"value": finite(estimate[n]), "unit": units[n]} for n in estimate.known}
 
 
 def intervals_entry(estimate: Estimate | Refined) -> Document:
@@ -141,12 +141,11 @@ def intervals_entry(estimate: Estimate | Refined) -> Document:
 
 def parameter_entries(estimate: AbstractEstimate) -> dict[str, Any]:
     """Value, unit, standard error and interval of each estimated parameter; lists of a batch."""
-    units = dict(estimate.units)
     entries = {}
     for name, (low, high) in estimate.interval_by_name().items():
         entries[name] = {
             "value": finite(estimate[name]),
-            "unit": units.get(name, ""),
+            "unit": estimate.table[name].unit,
             "std_error": finite(estimate.standard_error(name)),
             "interval95": [finite(low), finite(high)],
         }

@@ -133,12 +133,11 @@ def _filled(row: Sequence[Panel | None], width: int) -> list[Panel | None]:
 
 def _batch(batch: AbstractEstimate) -> Chart:
     """Each member as a dot, relative to the mean over the batch."""
-    labels, units, marks = [], dict(batch.units), []
+    labels, marks = [], []
     for i, name in enumerate(batch.parameters):
         values = np.ravel(np.asarray(batch[name], float))
         mean = float(np.nanmean(values))
-        unit = f" {units[name]}" if units.get(name) else ""
-        labels.append(f"{name} = {mean:.4g}{unit}")
+        labels.append(f"{name} = {mean:.4g} {batch.table[name].unit}".rstrip())
         marks.append(Dots(_percent(values, mean), np.full(values.size, i), opacity=0.4, size=LARGE))
     axis = Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
     caption = "Members of a batch, relative to their mean."

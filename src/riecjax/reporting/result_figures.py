@@ -18,7 +18,6 @@ from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence
 from riecjax.estimation.mode_windows import linearised
-from riecjax.estimation.parameters import values_of_record
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (
     BLACK,
@@ -89,7 +88,7 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
 def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
     """Each parameter over window length, with its interval, and the estimate of a fit."""
     length = np.sqrt(np.asarray(sweep.alpha) * np.asarray(sweep.beta))
-    units, errors = dict(sweep.units), np.asarray(sweep.standard_errors)
+    errors = np.asarray(sweep.standard_errors)
     ends = {} if estimate is None else estimate.interval_by_name()
     panels: list[Panel] = []
     for j, name in enumerate(sweep.parameters):
@@ -110,7 +109,7 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
             Panel(
                 [*fit, alone],
                 Axis("window length / s", log=True),
-                Axis(labelled(name, units.get(name))),
+                Axis(labelled(name, sweep.table[name].unit)),
             )
         )
     return Chart(
@@ -244,22 +243,20 @@ def _surveyed_rows(
     estimate = result.estimate
     assert estimate.summary is not None
     summary = linearised(result.model, estimate.summary, estimate.known)
-    given = {name: float(value) for name, value in estimate.known.items()}
-    found = {name: float(estimate[name]) for name in estimate.parameters}
     for i, recording in enumerate(summary.recordings):
-        known = {n: v for n, v in values_of_record(given, i).items() if n not in found}
-        estimated = {n: v for n, v in values_of_record(found, i).items() if n not in given}
+        values = estimate.table.values_of(estimate.values, i)
+        known = {row.local for row in estimate.table.of_recording(i) if row.name in estimate.known}
         for place, equation in ((k, e) for k, stage in enumerate(recording.stages) for e in stage):
             assert equation.survey is not None
             target, *columns = np.asarray(equation.survey.rows).T
             held = dict(zip(equation.parameters, columns))
-            target = target - sum(known[n] * held.pop(n) for n in (*held,) if n in known)
+            target = target - sum(values[n] * held.pop(n) for n in (*held,) if n in known)
             # Where no term is known beforehand, an earlier stage found the coefficient that sets
             # the scale.
             if held and not target.any():
                 first = next(iter(held))
-                target = -estimated[first] * held.pop(first)
-            explained = sum((estimated[n] * x for n, x in held.items()), np.zeros(target.size))
+                target = -values[first] * held.pop(first)
+            explained = sum((values[n] * x for n, x in held.items()), np.zeros(target.size))
             yield place, target, explained, np.asarray(equation.survey.start)
 
 

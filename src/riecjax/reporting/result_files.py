@@ -19,11 +19,11 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, printable
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
+from riecjax.estimation.parameters import TABLE_KINDS, table_of_names
 from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
-from riecjax.refinement.optimum import RefinementStatus
-from riecjax.refinement.refine import Refined
+from riecjax.refinement.refine import Refined, RefinementStatus
 from riecjax.reporting.document import Document, is_intact, unread_schema
 from riecjax.reporting.tables import View
 from riecjax.reporting.verdict import reasons_in_words
@@ -40,7 +40,8 @@ NAME = "estimate"
 FORMAT = "riecjax.Estimate"
 SCHEMA = 2
 """Of what the file of an estimate holds; another one is refused."""
-KINDS = (Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding)
+OF_FITS = Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding
+KINDS = (*OF_FITS, *TABLE_KINDS)
 """What an estimate is made of, beside arrays, names, a criterion and a Summary."""
 RESULTS = "results.json"
 
@@ -249,7 +250,11 @@ def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
         return value
     if "kind" in value:
         kind = {kind.__name__: kind for kind in KINDS}[value["kind"]]
-        return kind(**{name: _unpack(of, arrays) for name, of in value["fields"].items()})
+        fields = {name: _unpack(of, arrays) for name, of in value["fields"].items()}
+        if "units" in fields:  # written before there were tables
+            beside = (fields.pop(name) for name in ("parameters", "units", "known"))
+            fields["table"] = table_of_names(*beside)
+        return kind(**fields)
     ((of, held),) = value.items()
     match of:
         case "criterion":

@@ -244,7 +244,6 @@ def _batch(estimate: AbstractEstimate) -> tuple[str, Table]:
 
     Scatter over members is not uncertainty of one of them, so both are told.
     """
-    units = dict(estimate.units)
     finite = np.isfinite(estimate.theta).all(axis=-1)
     valid = finite & np.asarray(estimate.determined)
     lost = {"not finite": np.sum(~finite), "undetermined": np.sum(finite & ~valid)}
@@ -258,7 +257,7 @@ def _batch(estimate: AbstractEstimate) -> tuple[str, Table]:
             error = f"{np.mean(estimate.standard_error(name)[valid]):.3g}"
         scatter = np.std(values - values[0], ddof=min(1, values.size - 1))
         numbers = [f"{np.mean(values):.6g}", f"{scatter:.3g}", error, span(values, ".6g")]
-        rows.append([name, *numbers, units.get(name, "")])
+        rows.append([name, *numbers, estimate.table[name].unit])
     header = ("parameter", "mean", "std over batch", "mean std error", "min .. max", "unit")
     size = " x ".join(map(str, estimate.batch_shape))
     return f"batch of {size} estimates{left_out}", Table(header, rows)
@@ -266,7 +265,7 @@ def _batch(estimate: AbstractEstimate) -> tuple[str, Table]:
 
 @view_of.register
 def _(thing: WindowSweep) -> View:
-    theta, errors, units = np.asarray(thing.theta), thing.standard_errors, dict(thing.units)
+    theta, errors, units = np.asarray(thing.theta), thing.standard_errors, dict(thing.table.units)
     rows = []
     for low, high, values, of in zip(thing.alpha, thing.beta, theta, np.asarray(errors)):
         length = f"{float(low):.3g} .. {float(high):.3g}"

@@ -27,7 +27,7 @@ from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.errors import DataError, ModelError
-from riecjax.estimation.parameters import values_of_record
+from riecjax.estimation.parameters import values_in_recording
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record
 
@@ -131,14 +131,11 @@ def errors_over_records(
         )
     model = as_model(model)
     records = [with_memories(record, model.memories) for record in records]
-    own = [values_of_record(values, i) for i in range(len(records))]
+    names = model.parameter_names
+    own = [values_in_recording(names, values, i) for i in range(len(records))]
     # Only what the equations read: other names would compile them anew.
     parts = [
-        _compiled(
-            in_motion(model, record),
-            record,
-            {name: _value(v, name) for name in model.parameter_names},
-        )
+        _compiled(in_motion(model, record), record, {name: _value(v, name) for name in names})
         for record, v in zip(records, own)
     ]
     return [list(of_equation) for of_equation in zip(*parts)]

@@ -479,7 +479,7 @@ def signal_delays(model: Model, records: Sequence[Record], estimate: Estimate) -
     **Raises:** as `summarise`.
     """
     criterion, step = estimate.criterion, float(records[0].time_step)
-    own = any(name.endswith("]") for name in estimate.parameters)
+    own = any(estimate.table[name].recording is not None for name in estimate.parameters)
     if model.has_hidden or own or not criterion.in_closed_form or estimate.summary is None:
         return []
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]

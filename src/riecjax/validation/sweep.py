@@ -19,7 +19,7 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import DataError, require
-from riecjax.estimation.parameters import ParameterPlan, Sharing, plan_parameters
+from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, namespace
@@ -71,7 +71,7 @@ class WindowSweep(Drawn, eqx.Module):
     - `relative_rms`: residual of each stage, and `noise_rms`, what of it the sensors' known noise
       makes, shape `(bands, stages)`.
     - `block_count`: blocks that hold rows.
-    - `parameters`, `units`, `stage_names`: as in an estimate.
+    - `table`, `stage_names`: as in an estimate.
     """
 
     alpha: Float[Leaf, " bands"]
@@ -81,9 +81,13 @@ class WindowSweep(Drawn, eqx.Module):
     relative_rms: Float[Array, "bands stages"]
     noise_rms: Float[Array, "bands stages"]
     block_count: Int[Array, ""]
-    parameters: tuple[str, ...] = eqx.field(static=True)
-    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    table: ParameterTable
     stage_names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of those that are estimated."""
+        return self.table.free
 
     @property
     def standard_errors(self) -> Float[Array, "bands p"]:
@@ -152,7 +156,7 @@ class WindowSweep(Drawn, eqx.Module):
         names = sorted(shares, key=lambda name: -shares[name])
         first, *others = names
         low, high = sorted(self._range(first)[:2])
-        theta, unit = self.theta[:, self.parameters.index(first)], dict(self.units).get(first)
+        theta, unit = self.theta[:, self.parameters.index(first)], self.table[first].unit
         course = (
             f"{first} goes from {float(theta[low]):.4g} with windows of {self._band(low)} to "
             f"{float(theta[high]):.4g}{f' {unit}' if unit else ''} with {self._band(high)}"
@@ -265,8 +269,8 @@ def window_sweep(
             asked.records, criterion, shortest=shortest, longest=longest, bands=bands
         )
         summary = summed(asked, bins=edges)
-    plan = plan_parameters(model, len(summary.recordings), known, per_record)
-    return _sweep(model, summary, plan, _bands(summary, shortest, longest))
+    table = plan_parameters(model, len(summary.recordings), known, per_record)
+    return _sweep(summary, table, _bands(summary, shortest, longest))
 
 
 def sweep_edges(
@@ -344,17 +348,14 @@ def _bands(
     return found
 
 
-def _sweep(
-    model: Model, summary: Summary, plan: ParameterPlan, bands: list[tuple[int, int]]
-) -> WindowSweep:
+def _sweep(summary: Summary, table: ParameterTable, bands: list[tuple[int, int]]) -> WindowSweep:
     ends = np.array([summary.lengths_of(band) for band in bands])
     short = summary.short_blocks
     # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
     used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
     every = [summary.equations(band) for band in bands]
     equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
-    theta, influence, residual, noise = _estimates(equations, plan.given, short, used, plan.sharing)
-    stages = [(label, names) for label, names in plan.stages if names]
+    theta, influence, residual, noise = _estimates(equations, table, short, used)
     return WindowSweep(
         alpha=ends[:, 0],
         beta=ends[:, 1],
@@ -363,29 +364,27 @@ def _sweep(
         relative_rms=residual,
         noise_rms=noise,
         block_count=namespace(used).sum(used),
-        parameters=tuple(name for _, names in stages for name in names),
-        units=tuple(plan.sharing.values(model.units).items()),
-        stage_names=tuple(label for label, _ in stages),
+        table=table,
+        stage_names=tuple(label for label, names in table.stages if names),
     )
 
 
 @kept_jit
 def _estimates(
     equations: list[list[NormalEquations]],
-    given: Mapping[str, Array],
+    table: ParameterTable,
     short: ShortBlocks,
     used: Int[Array, " records"],
-    sharing: Sharing,
 ) -> tuple[Array, Array, Array, Array]:
     """What a `WindowSweep` holds: theta, influence, relative r.m.s. and the noise's."""
 
     def at_length(own: list[list[NormalEquations]]) -> tuple[Array, ...]:
-        shared, _ = stages_over_records(own, sharing)
+        shared, _ = stages_over_records(own, table)
         stages = [merge_blocks(stage, short, used) for stage in shared]
-        solutions, values = solve_stages(stages, given)
+        solutions, values = solve_stages(stages, table.known)
         return (
             jnp.concatenate([stage.solution.theta for stage in solutions]),
-            block_influence(stages, given, values),
+            block_influence(stages, table.known, values),
             jnp.stack([stage.relative_rms for stage in solutions]),
             jnp.stack([stage.equations[0].noise_rms for stage in solutions]),
             jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
