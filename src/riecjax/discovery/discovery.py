@@ -20,6 +20,7 @@ from riecjax.equations.hidden_elements import (
     accelerated,
     mode_frequency,
 )
+from riecjax.equations.model import Model
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.findings import Finding
