@@ -59,10 +59,10 @@ def require_packages(use: str) -> None:
     **Raises:** `DataError` with the remedy if one is not.
     """
     words, packages, extra = NEEDS[use]
-    missing = [name for name in packages if importlib.util.find_spec(name) is None]
-    if missing:
+    lacking = [name for name in packages if importlib.util.find_spec(name) is None]
+    if lacking:
         raise DataError(
-            f"{words} {', '.join(missing)}; install {'them' if len(missing) > 1 else 'it'} by "
+            f"{words} {', '.join(lacking)}; install {'them' if len(lacking) > 1 else 'it'} by "
             f'pip install "riecjax[{extra}]".'
         )
 

@@ -67,10 +67,10 @@ def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int =
         installed = tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2])
         known = [flags for gone, flags in _GONE.items() if installed < gone]
         wanted = functools.reduce(operator.or_, known, _FLAGS | _ONCE)
-    missing = [flag for name, flag in wanted.items() if name not in flags]
-    if missing and started:
+    lacking = [flag for name, flag in wanted.items() if name not in flags]
+    if lacking and started:
         raise RuntimeError("start_jax() is too late: call it before the first JAX array is made.")
-    os.environ["XLA_FLAGS"] = " ".join([flags, *missing]).strip()
+    os.environ["XLA_FLAGS"] = " ".join([flags, *lacking]).strip()
     import jax
 
     jax.config.update("jax_enable_x64", True)

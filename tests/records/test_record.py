@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
+from riecjax.records.noise import Noise
 from riecjax.records.record import Record, stack_records
 from riecjax.records.signal import Signal
 
@@ -75,14 +76,10 @@ def test_bad_data_is_refused_in_one_line_that_says_where(arguments, words):
 
 
 @pytest.mark.parametrize("values", [1j * ramp(), jnp.asarray(1j * ramp()), ["a", "b"]])
-def test_a_record_of_arrays_refuses_what_are_no_real_numbers(values):
+@pytest.mark.parametrize("kind", [lambda values: values, Signal])
+def test_a_record_of_arrays_refuses_what_are_no_real_numbers(values, kind):
     with pytest.raises(DataError, match=r"signal 'x' (holds complex numbers|is not a list)"):
-        Record({"x": values}, 1.0)
-
-
-def test_a_signal_is_called_by_a_text():
-    with pytest.raises(DataError, match="signal's name is None"):
-        Record({None: ramp()}, 1.0)  # pyright: ignore[reportArgumentType]
+        Record({"x": kind(values)}, 1.0)
 
 
 @pytest.mark.parametrize("count", [100, 4096])
@@ -143,6 +140,43 @@ def test_missing_samples_are_marked_and_hold_the_last_value():
     np.testing.assert_array_equal(record.present(["x", "y"]), [0, 1, 0, 0, 1])
     assert record.segments(["x"]) == [slice(1, 2), slice(4, 5)]
     assert record.segments(["y"]) == [slice(0, 5)]
+
+
+X, Y = np.array([[np.nan, 1, 2, 3, 4], [0, np.nan, 2, np.nan, 4]])
+
+
+@pytest.mark.parametrize("traced", [False, True])
+def test_a_sum_of_signals_is_there_where_all_are_and_holds_its_last_value(traced):
+    def total(x, y):
+        made = 3.0 - (2 * Signal.of(x) - np.float64(0.5) * Signal.of(y)) + np.float64(0.25)
+        return made.values, made.present
+
+    some = np.array([[X, Y], [Y, Y], [Y, X], [X, X]])
+    values, present = zip(*(total(x, y) for x, y in some))
+    if traced:  # and batched
+        values, present = jax.jit(jax.vmap(total))(some[:, 0], some[:, 1])
+    for k, (x, y) in enumerate(some):
+        expected = 3 - (2 * x - 0.5 * y) + 0.25
+        known = ~np.isnan(expected)
+        np.testing.assert_array_equal(present[k], known)
+        last = [max(np.flatnonzero(known[: n + 1]), default=np.argmax(known)) for n in range(5)]
+        np.testing.assert_allclose(values[k], expected[last], rtol=1e-7)
+
+
+def test_the_noise_of_a_sum_is_that_of_its_sources_and_unknown_if_one_is():
+    noise = Noise.given({"x": 0.3, "y": 0.4}, {("x", "y"): 0.5})
+    record = Record({"x": X, "y": Y, "z": X}, 1.0).with_noise(noise)
+    x, y = record.signal("x"), record.signal("y")
+    assert (x + record.signal("z")).noise is None
+    # Var(2 x - y) of correlated x and y; a difference of samples doubles white noise's variance.
+    variance = (2 * 0.3) ** 2 + 0.4**2 - 2 * 0.5 * (2 * 0.3) * 0.4
+    made = (2 * x - y).noise
+    assert made is not None
+    assert float(noise.std("y")) == pytest.approx(0.4)
+    assert float(made.std) == pytest.approx(np.sqrt(variance))
+    assert float(made.convolved(np.array([1.0, -1.0, 0.0])).std) == pytest.approx(
+        np.sqrt(2 * variance)
+    )
 
 
 def paused(pause=5000.0):

@@ -186,6 +186,6 @@ class Assessment(Drawn):
 
         **Returns:** the path of report.html.
 
-        **Raises:** `DataError` if a package for reports is missing.
+        **Raises:** `DataError` if a package for reports is not installed.
         """
         return opened(self)

@@ -1,6 +1,6 @@
-"""What a search for missing terms found.
+"""What a search for further terms found.
 
-A hidden mode that is missing, instead of terms or beside them.
+A further hidden mode, instead of terms or beside them.
 
 An oscillator on a body rings in the body's equation. Terms of its velocity and position explain a
 part of that, one more for each thing that it does, and are no forces of the machine. Its three
@@ -76,7 +76,7 @@ class Discovery(Shown):
     - `findings`: what is amiss with the recordings, also signals that are late against the
       equations that were found.
     - `delays`, seconds by which such signals were advanced before terms were chosen.
-    - `mode`: a hidden mode that is missing, where much less is left with it; `chosen` are then
+    - `mode`: a further hidden mode, where much less is left with it; `chosen` are then
       those terms that were found without it and are told from zero beside it.
     """
 
@@ -102,7 +102,7 @@ class Discovery(Shown):
 
     @property
     def leaves_more(self) -> bool:
-        """Whether most of what is left is no noise, so that something else is missing."""
+        """Whether most of what is left is no noise, so that a model lacks something else."""
         return any(is_more_than_noise(steps[-1]) for steps in self.paths.values())
 
     @property
@@ -117,7 +117,7 @@ class Discovery(Shown):
 
 LEAVES = 0.3
 """Of the error beyond noise that terms leave, rms, what is left with a mode at most that is
-missing: a tenth of the energy."""
+added: a tenth of the energy."""
 TOLD = 3.0
 """Standard errors from zero of a term that stays beside a mode; without the mode it may have stood
 for it."""

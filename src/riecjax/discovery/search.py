@@ -184,7 +184,7 @@ def _solved(
 
 
 RATE = 0.05
-"""Of searches that add anything where nothing is missing."""
+"""Of searches that add anything where there is nothing to add."""
 SHARE = 0.01
 """Of what is unexplained: less is not worth a term, and within reach of what sums leave undone."""
 LEAST = 2e-5

@@ -57,7 +57,7 @@ class Memory:
         raise NotImplementedError
 
     def course(self, record: Record) -> Float[np.ndarray, " n"]:
-        """The state along a record, from zero on; it stays where the velocity is missing."""
+        """The state along a record, from zero on; it stays where the velocity has gaps."""
         pieces = pieces_of_way(self.velocity, record) / self.width
         moving = np.flatnonzero(pieces)
         if not moving.size:
@@ -157,9 +157,9 @@ def with_memories(record: Record, memories: Iterable[Memory]) -> Record:
 
     **Raises:** `DataError` for a velocity that the record lacks.
     """
-    missing = {one.state: one for one in memories if one.state not in record.arrays}
-    if not missing:
+    lacking = {one.state: one for one in memories if one.state not in record.arrays}
+    if not lacking:
         return record
     return record.with_signals(
-        {name: Signal(one.course(record), noise=SignalNoise()) for name, one in missing.items()}
+        {name: Signal(one.course(record), noise=SignalNoise()) for name, one in lacking.items()}
     )

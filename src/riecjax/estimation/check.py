@@ -242,7 +242,7 @@ def recording_findings(
     Each finding names the parameters that it concerns, those of equations that read its signals;
     one that names none concerns all.
 
-    **Raises:** `DataError` for a missing signal or a record shorter than a window.
+    **Raises:** `DataError` for an absent signal or a record shorter than a window.
     """
     read, record = read_of(model, recording, criterion, summed=True), recording.record
     equations = [(e, e.signals_read(record, criterion.smoothness)) for e in model.equations]

@@ -73,8 +73,8 @@ def identify(model: Equation | Model, records: Records, settings: Identify) -> E
 
     **Returns:** an [`Estimate`][].
 
-    **Raises:** `ModelError` for an unknown parameter name, a missing key, or an equation with
-    nothing to set its scale; `DataError` for a missing signal, a record shorter than a window, or
+    **Raises:** `ModelError` for an unknown parameter name, an absent key, or an equation with
+    nothing to set its scale; `DataError` for an absent signal, a record shorter than a window, or
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """

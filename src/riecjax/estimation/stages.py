@@ -78,12 +78,12 @@ def solve_rows(rows: Rows) -> Solution:
     theta = lx.linear_solve(
         lx.MatrixLinearOperator(matrix), rows.target, solver=lx.SVD(rcond=tolerance), throw=False
     ).value
-    # With fewer rows than parameters the missing singular values are zero.
-    missing = max(matrix.shape[1] - matrix.shape[0], 0)
+    # With fewer rows than parameters the further singular values are zero.
+    further = max(matrix.shape[1] - matrix.shape[0], 0)
     _, singular_values, right = jnp.linalg.svd(
-        jax.lax.stop_gradient(matrix), full_matrices=missing > 0
+        jax.lax.stop_gradient(matrix), full_matrices=further > 0
     )
-    singular_values = jnp.pad(singular_values, (0, missing))
+    singular_values = jnp.pad(singular_values, (0, further))
     return _solution(theta * scale, singular_values[::-1], right[-1], tolerance)
 
 

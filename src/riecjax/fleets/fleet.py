@@ -115,13 +115,13 @@ def _sum(
     **Raises:** `DataError` where rows cannot be kept, or the scheduler is gone; with `strict` for
     the first recording that fails.
     """
-    missing = [piece for piece in pieces if piece.identity not in store]
-    if not missing:
+    lacking = [piece for piece in pieces if piece.identity not in store]
+    if not lacking:
         return
-    done, samples = len(pieces) - len(missing), 0
+    done, samples = len(pieces) - len(lacking), 0
     tell("summing", done, len(pieces), samples)
     try:
-        for some, rows in runs.each(sum_up, order.packed, missing, lambda p: p.source.size):
+        for some, rows in runs.each(sum_up, order.packed, lacking, lambda p: p.source.size):
             if isinstance(rows, Lost):
                 rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
             failures = [row.status for row in rows if row.status != DONE]

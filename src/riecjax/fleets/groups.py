@@ -76,10 +76,10 @@ def named(rows: Iterable[Row], by: Sequence[str], allow_duplicates: bool) -> lis
             name = row.whole_name
         elif by[0] == "folder":
             name = row.name.rpartition("/")[0] or "."
-        elif missing := [key for key in by if key not in keys]:
+        elif lacking := [key for key in by if key not in keys]:
             if status == DONE:
                 status = (
-                    f"{row.name}: neither the path nor a column says the recording's {missing[0]}; "
+                    f"{row.name}: neither the path nor a column says the recording's {lacking[0]}; "
                     f"what there is: {', '.join(keys) or 'nothing'}."
                 )
         else:

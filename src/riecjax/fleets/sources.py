@@ -232,8 +232,8 @@ def recordings_of(
     for url in source.urls:
         begin = stop
         with _parquet(url, storage) as file:
-            if missing := {*columns} - {*file.schema_arrow.names}:
-                raise DataError(f"there is no column '{min(missing)}' to group by.")
+            if lacking := {*columns} - {*file.schema_arrow.names}:
+                raise DataError(f"there is no column '{min(lacking)}' to group by.")
             for keys, count in _runs(file, columns) if file.metadata.num_rows else ():
                 first, stop = stop, stop + count
                 if pieces and pieces[-1].keys == keys:

@@ -30,17 +30,17 @@ def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterat
     taken = {*given.values(), *times}
     signals = signals_of(model)
     wanted = [s for s in signals if s.name not in given]
-    missing = []
+    lacking = []
     for signal in wanted:
         try:
             column = column_named(channels, signal.name)
         except DataError:
-            missing.append(signal)
+            lacking.append(signal)
             continue
         taken.add(column)
         read[column] = signal.unit
         yield _commented(f"# map.{quoted_key(signal.name)} = {toml_value(column)}  # by its name")
-    for signal in missing:
+    for signal in lacking:
         rest = [column for column in channels.columns if column not in taken]
         found, why = _guess(signal, rest, channels)
         name = f"map.{quoted_key(signal.name)}"

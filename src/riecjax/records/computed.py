@@ -6,7 +6,6 @@ sensor's own, white and independent, it biases every estimate.
 """
 
 from collections.abc import Collection
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +14,7 @@ from riecjax.errors import DataError
 from riecjax.leaves import is_concrete
 from riecjax.records.faults.derivative_pairs import Pairs, Relation
 from riecjax.records.faults.sampled_signal import ENOUGH
+from riecjax.records.noise import Noise
 from riecjax.records.preparation import with_local_derivative
 from riecjax.records.record import Record
 from riecjax.records.remembered import remembered
@@ -84,8 +84,7 @@ def without_computed(
 
 def _with_noise_of(record: Record, signal: str, derivative: str, taps: np.ndarray) -> Record:
     """The record, of whose derivative the noise is the signal's through these taps."""
-    noise = record.signal(signal).through_taps(taps)
-    return record.with_signals({derivative: replace(record.signal(derivative), noise=noise)})
+    return record.with_noise(Noise.of({derivative: record.noise[signal].convolved(taps)}))
 
 
 @remembered(lambda signal, other, noise: (signal, other, noise))

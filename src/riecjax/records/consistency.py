@@ -90,7 +90,7 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
         signal,
         derivative,
         *(record.signal(name).with_nan for name in (signal, derivative)),
-        *(dict(record.units).get(name, "") for name in (signal, derivative)),
+        *(record.signal(name).unit for name in (signal, derivative)),
         float(record.time_step),
     ),
 )
@@ -120,7 +120,7 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
         )
         # Columns that a logger may have written in another unit, and no one converted.
         factors = {derivative: gain, signal: 1 / gain if gain else 0.0}
-        stated = {n: readings(dict(record.units).get(n, "")).values() for n in factors}
+        stated = {name: readings(record.signal(name).unit).values() for name in factors}
         units = [
             f"{name}={unit}"
             for name, factor in factors.items()
@@ -180,7 +180,7 @@ def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Regression
     rates = np.where(unknown, 0.0, rates)
     area = np.concatenate([[0.0], np.cumsum(0.5 * step * (rates[1:] + rates[:-1]))])
     found = []
-    lag, noise = SHORTEST, float(noise_level(np.where(unknown, 0.0, values), ~unknown))
+    lag, noise = SHORTEST, float(noise_level(np.where(unknown, np.nan, values)))
     while lag <= values.size // LONGEST_SHARE:
         whole = unknown_before[lag + 1 :] == unknown_before[: values.size - lag]
         if whole.sum() >= FEWEST_LAGS:
@@ -279,7 +279,7 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
     derivative, factor = pair.zeroed
     signal = pair.signal if len(names) == 2 else relation.words(derivative)[1]
     share = abs(value) * step / pair.scale / pair.rms
-    size = f"{value * factor:.3g} {dict(record.units).get(derivative, '')}".rstrip()
+    size = f"{value * factor:.3g} {record.signal(derivative).unit}".rstrip()
     per = factor * pair.scale / step
     what = f"has an offset of {size}"
     change = 0.0
@@ -321,12 +321,13 @@ def _uneven(record: Record, pair: Pair, doubt: float, or_else: str) -> Finding:
     if course.kind == "clocks":
         per = step / PPM / float(time[-1] - time[0])
         rate, start = per * course.change, float(time[0])
+        way = "falls behind" if course.change > 0 else "gets ahead of"
         remedy = course.by_one_clock(names, rate, step, start)
         reverse = course._replace(first=-course.first)
         other = reverse.by_one_clock(_sides(pair, False)[0], -rate, step, start)
         return Finding(
             "two_clocks",
-            f"{mine} {course.way} {others} evenly, {lasts} over the record: their clocks differ by "
+            f"{mine} {way} {others} evenly, {lasts} over the record: their clocks differ by "
             f"{rate:.3g} \u00b1 {per * course.error:.1g} ppm. Record both by one logger, or set "
             f"the clock that is off ({shlex.join(remedy)}, or {shlex.join(other)}).{or_else}",
             both,

@@ -13,8 +13,8 @@ LONGEST_FORMULA = 2000
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
-    present = values[~np.isnan(values)]
-    return np.asarray(present.mean() if present.size else np.nan)
+    known = values[~np.isnan(values)]
+    return np.asarray(known.mean() if known.size else np.nan)
 
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
@@ -26,7 +26,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
     "maximum": (2, np.maximum),
     "mean": (1, _mean),
 }
-"""What a formula may call, with the number of arguments. `mean` leaves missing samples out."""
+"""What a formula may call, with the number of arguments. `mean` leaves gaps out."""
 OPERATIONS: dict[type, Callable[..., np.ndarray]] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
@@ -41,8 +41,8 @@ OPERATIONS: dict[type, Callable[..., np.ndarray]] = {
 def derived(formula: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """The values of a formula of numbers, columns, `+ - * / **` and a few functions.
 
-    Nothing but these is understood, and nothing is executed. Missing samples (NaN) stay
-    missing; numbers are 64-bit floats throughout.
+    Nothing but these is understood, and nothing is executed. Gaps (NaN) stay
+    gaps; numbers are 64-bit floats throughout.
 
     **Arguments:** `columns`: name to samples, shape `(n,)`; a name that is no Python name must
     be renamed first.

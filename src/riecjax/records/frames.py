@@ -120,7 +120,7 @@ def _time_coordinate(dataset: Any, time: str | None) -> Any:
 def _numbers(series: Any) -> np.ndarray | None:
     """Numbers as floats, date-times and durations in seconds; `None` for anything else.
 
-    NaN where a value is missing, however pandas marks it.
+    NaN where there is no value, however pandas marks it.
     """
     kind = getattr(series.dtype, "kind", "O")
     if kind in "mM":

@@ -10,12 +10,14 @@ deviation. A velocity differentiated from it shares the source, and has the taps
 so covariances between signals, and between samples of one, all follow from the kernels.
 """
 
+import dataclasses
 from collections.abc import Collection, Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, require
@@ -39,7 +41,9 @@ LONGEST_KERNEL = 4001
 """Taps, past which a kernel's ends are cut off in any case."""
 
 
-class SignalNoise(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(init=False, eq=False)
+class SignalNoise:
     """What is known of the noise on one signal; without any source it has none.
 
     **Fields:**
@@ -244,7 +248,6 @@ def shortened(
 
 def noise_level(
     samples: Float[Array, "*batch n"] | Float[np.ndarray, "*batch n"],
-    present: Bool[Array, "*batch n"] | Bool[np.ndarray, "*batch n"] | None = None,
 ) -> Float[Leaf, "*batch"]:
     """Standard deviation of the white noise on a smooth signal.
 
@@ -252,10 +255,10 @@ def noise_level(
     reach, says which are of noise, and the mean square of these how large that is. Content near
     half the sampling rate counts as noise. Of a long signal it looks at stretches, evenly spread.
 
-    **Arguments:** `present`, False where a sample is missing; no difference reaches across.
+    **Arguments:** `samples`, NaN in gaps; no difference reaches across.
     """
     n = samples.shape[-1]
-    xp = namespace(samples, present)
+    xp = namespace(samples)
     if n <= DIFFERENCE_ORDER:
         return xp.zeros(samples.shape[:-1])
     places = np.arange(n)
@@ -263,11 +266,6 @@ def noise_level(
         starts = np.linspace(0, n - STRETCH, STRETCHES).astype(int)
         places = starts[:, None] + np.arange(STRETCH)
     differences = xp.diff(xp.asarray(samples)[..., places], n=DIFFERENCE_ORDER)
-    if present is not None and not (xp is np and np.all(present)):
-        there = xp.asarray(present)[..., places]
-        count = differences.shape[-1]
-        whole = [there[..., k : k + count] for k in range(DIFFERENCE_ORDER + 1)]
-        differences = xp.where(xp.stack(whole).all(0), differences, xp.nan)
     gain = np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2))
     return usual_size(differences.reshape(*samples.shape[:-1], -1)) / gain
 

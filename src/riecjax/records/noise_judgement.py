@@ -272,12 +272,9 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
         if name not in record.arrays or known.by_name[name].noise is not None:
             continue
         samples, present = record.by_name[name].values, record.by_name[name].present
-        if namespace(samples, present) is np:
-            samples = np.asarray(samples)
-            present = None if present is None else np.asarray(present)
         others = [values for other, values in record.arrays.items() if other != name]
         with np.errstate(all="ignore"):
-            level = noise_level(samples, present)
+            level = noise_level(record.by_name[name].with_nan)
             found[name] = noise_of_level(name, level, samples, present, others)
     return known.with_noise(Noise.of(found))
 
@@ -317,6 +314,7 @@ def noise_of_level(
     **Arguments:** `others`, the record's other signals.
     """
     xp = namespace(level, samples, present)
+    samples = xp.asarray(samples)
     level = xp.where(level > MOST_NOISE * xp.std(samples, axis=-1), 0.0, level)
     seen = min(samples.shape[-1], STRETCHES * STRETCH)
     freedom = np.asarray(max(seen - DIFFERENCE_ORDER, 1) / REPEATS)

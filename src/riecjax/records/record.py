@@ -168,9 +168,7 @@ class Record(Drawn, eqx.Module):
 
     def signal(self, name: str) -> Signal:
         """A signal; of a missing one, an error that says which ones exist."""
-        if name not in self.by_name:
-            raise MissingSignalError(name, tuple(self.by_name))
-        return self.by_name[name]
+        return _named(self.by_name, name)
 
     @property
     def signals(self) -> Signals:
@@ -178,7 +176,7 @@ class Record(Drawn, eqx.Module):
         return Signals(self.arrays)
 
     def __getitem__(self, name: str) -> Float[Array, " n"]:
-        samples: Any = self.signal(name).values
+        samples: Any = _named(self.by_name, name).values
         return samples
 
     @property
@@ -241,18 +239,19 @@ class Record(Drawn, eqx.Module):
 
     def with_samples(self, columns: Mapping[str, ArrayLike | Array]) -> "Record":
         """A record with other samples of these signals, NaN where they are missing."""
-        return self.with_signals({n: self.signal(n).with_samples(v) for n, v in columns.items()})
+        signals = ((n, _named(self.by_name, n), samples) for n, samples in columns.items())
+        return self.with_signals({n: Signal.of(v, s.unit, s.noise) for n, s, v in signals})
 
     def with_noise(self, noise: Noise) -> "Record":
         """The same samples; of the noise of the signals that it names, this is known."""
 
         def known(name: str, signal: Signal) -> SignalNoise | None:
-            if name in noise.kernels:
-                return noise[name]
-            # A source that is said anew is so for all that is made of it.
-            if signal.noise is None:
+            before = signal.noise or SignalNoise()
+            if name not in noise.kernels and signal.noise is None:
                 return None
-            return SignalNoise(signal.noise.kernels, {**signal.noise.freedom, **noise.freedom})
+            # A source that is said anew is so for all that is made of it.
+            freedom = {**before.freedom, **noise.freedom}
+            return SignalNoise(noise.kernels.get(name, before.kernels), freedom)
 
         return self.with_signals(
             {n: dataclasses.replace(s, noise=known(n, s)) for n, s in self.by_name.items()}
@@ -260,7 +259,7 @@ class Record(Drawn, eqx.Module):
 
     def select(self, *names: str) -> "Record":
         """A record of only these signals, in this order."""
-        return dataclasses.replace(self, by_name={name: self.signal(name) for name in names})
+        return dataclasses.replace(self, by_name={n: _named(self.by_name, n) for n in names})
 
     def part(self, start: int, stop: int) -> "Record":
         """The samples from `start` up to, not including, `stop`."""
@@ -335,6 +334,13 @@ class Record(Drawn, eqx.Module):
             stamps,
             self.skipped + earlier if stamps is None else self.elapsed[first],
         )
+
+
+# Asked of the record, each would cost a look at all of its arrays by Equinox.
+def _named(by_name: Mapping[str, Signal], name: str) -> Signal:
+    if name not in by_name:
+        raise MissingSignalError(name, tuple(by_name))
+    return by_name[name]
 
 
 WRITE_RECORD = 'rx.Record.from_samples({"x": x}, time_step=0.005), samples by name'
@@ -463,6 +469,14 @@ def runs(mask: np.ndarray) -> np.ndarray:
     Shape `(2, stretches)`; an end is the sample behind the last.
     """
     return np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).T
+
+
+def run_lengths(mask: np.ndarray) -> np.ndarray:
+    """Of each sample how many there are in its stretch in which a mask is True, 0 outside."""
+    starts, stops = runs(mask)
+    lengths = np.zeros(mask.size, int)
+    lengths[mask] = np.repeat(stops - starts, stops - starts)
+    return lengths
 
 
 TO_A_DOUBLING = 4

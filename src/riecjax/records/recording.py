@@ -84,13 +84,13 @@ class Recording(Drawn):
         )
 
     def explaining_errors(self) -> contextlib.AbstractContextManager[None]:
-        """Name the file in errors about its record, and say why a signal is missing."""
+        """Name the file in errors about its record, and say why a signal is absent."""
         return _explaining(self.source, self.renamed, self.left_out, self.part)
 
 
 @contextlib.contextmanager
 def explaining_errors(recordings: Sequence[Recording]) -> Iterator[None]:
-    """Say of a signal that is missing which recording lacks it, and why."""
+    """Say of an absent signal which recording lacks it, and why."""
     try:
         yield
     except MissingSignalError as error:
@@ -138,7 +138,7 @@ def read_recording(path: str | os.PathLike[str], settings: Reading) -> Recording
     [`Prepare`][riecjax.settings.Prepare].
 
     **Raises:** `DataError` if the file cannot be read, holds several recordings and no `part` is
-    chosen, a named column is missing, the samples do not make a record (see
+    chosen, a named column is absent, the samples do not make a record (see
     [`Record.from_samples`][]), or a step is not possible; `ModelError` for a formula that is not
     understood.
     """
@@ -238,7 +238,7 @@ def _recording(
         aligned = align(record, pairs, settings.align)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
         steps = (*first_steps, *found, *aligned.words, *last_steps)
-    replaced = {n: _why_missing(left_out, n) for n in record.arrays if n not in read}
+    replaced = {n: _why_absent(left_out, n) for n in record.arrays if n not in read}
     findings = [
         *(Finding("time_unit_doubtful", why, doubt=1.0) for why in filter(None, [selected.doubt])),
         *(Finding("unit_mismatch", why, (name,), doubt=1.0) for name, why in mismatches.items()),
@@ -274,7 +274,7 @@ def _recording(
     )
 
 
-def _why_missing(left_out: Mapping[str, str], signal: str) -> str:
+def _why_absent(left_out: Mapping[str, str], signal: str) -> str:
     """Why the column of this name, perhaps with its unit behind it, is no signal; empty if none."""
     called = (column for column in left_out if signal in (column, split_unit(column)[0]))
     return next((f"column '{c}' was left out: {left_out[c]}" for c in called), "")
@@ -284,7 +284,7 @@ def _why_missing(left_out: Mapping[str, str], signal: str) -> str:
 def _explaining(
     source: str, renamed: Mapping[str, str], left_out: Mapping[str, str], part: str = ""
 ) -> Iterator[None]:
-    """Name the file in errors about its record, and say why a signal is missing."""
+    """Name the file in errors about its record, and say why a signal is absent."""
     try:
         yield
     except DataError as error:
@@ -299,7 +299,7 @@ def _explaining(
                     f"there is no signal '{error.signal}': its column was renamed to '{taken[0]}' "
                     f"(--map {taken[0]}={error.signal}); there are: {listed}."
                 )
-            elif why := _why_missing(left_out, error.signal):
+            elif why := _why_absent(left_out, error.signal):
                 message = (
                     f"{why}, so that the record has no signal '{error.signal}'; it has: {listed}."
                 )
@@ -324,9 +324,10 @@ def _in_model_units(record: Record, model: Any, selection: Select) -> tuple[Reco
                 f"...}} (on the command line: --unit {name}=UNIT), or convert it: --scale "
                 f"{name}=FACTOR."
             )
-    named = {name: record.by_name[name] for name in units if name in record.arrays}
-    signals = {name: replace(signal, unit=units[name]) for name, signal in named.items()}
-    return record.with_signals(signals), mismatches
+    signals = record.by_name.items()
+    return record.with_signals(
+        {name: replace(signal, unit=units[name]) for name, signal in signals if name in units}
+    ), mismatches
 
 
 def common_steps(recordings: Sequence[Recording]) -> list[str]:

@@ -5,10 +5,8 @@ and its noise is the sum of theirs, source by source.
 """
 
 import dataclasses
-import numbers
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -18,11 +16,10 @@ from riecjax.leaves import Leaf, namespace
 from riecjax.records.noise import SignalNoise
 
 
-def _array(values: Any) -> Any:
-    return values if values is None or isinstance(values, jax.Array) else np.asarray(values)
-
-
-class Signal(eqx.Module):
+# A record has hundreds of them, which JAX takes apart faster than Equinox's modules.
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Signal:
     """Samples of one signal, as a [`Record`][riecjax.Record] holds them.
 
     A sample that is missing (a NaN in the file, a pause of the logger) holds the last value before
@@ -40,43 +37,28 @@ class Signal(eqx.Module):
     __array_ufunc__ = None
 
     values: Float[Leaf, "*batch n"]
-    present: Bool[Leaf, "... n"] | None
-    unit: str = eqx.field(static=True)
-    noise: SignalNoise | None
-
-    def __init__(
-        self,
-        values: ArrayLike | Array,
-        present: ArrayLike | Array | None = None,
-        unit: str = "",
-        noise: SignalNoise | None = None,
-    ):
-        self.values, self.present = _array(values), _array(present)
-        self.unit, self.noise = unit, noise
+    present: Bool[Leaf, "... n"] | None = None
+    unit: str = dataclasses.field(default="", metadata={"static": True})
+    noise: SignalNoise | None = None
 
     @classmethod
     def of(
         cls, samples: ArrayLike | Array, unit: str = "", noise: SignalNoise | None = None
     ) -> "Signal":
         """A signal of samples that are NaN where they are missing."""
-        samples = _array(samples)
         xp = namespace(samples)
-        present = ~xp.isnan(samples)
+        values = xp.asarray(samples)
+        present = ~xp.isnan(values)
         if xp is np and present.all():
-            return cls(samples, None, unit, noise)
-        return cls(_held(samples, present), present, unit, noise)
+            return cls(values, None, unit, noise)
+        return cls(_held(values, present), present, unit, noise)
 
     @property
-    def with_nan(self) -> Float[np.ndarray, "*batch n"]:
-        """The samples, NaN where they are missing."""
-        values = np.array(self.values, float)
-        if self.present is not None:
-            values[~np.asarray(self.present)] = np.nan
-        return values
-
-    def with_samples(self, samples: ArrayLike | Array) -> "Signal":
-        """Other samples, NaN where they are missing, of the same unit and noise."""
-        return Signal.of(samples, self.unit, self.noise)
+    def with_nan(self) -> Any:
+        """The samples, shape `(n,)`, NaN where they are missing; of NumPy unless traced."""
+        xp = namespace(self.values, self.present)
+        values = xp.array(self.values, float)
+        return values if self.present is None else xp.where(self.present, values, np.nan)
 
     def through_taps(self, taps: Float[np.ndarray, " taps"]) -> SignalNoise | None:
         """What is known of its noise behind a filter of an odd number of taps, the middle one for
@@ -84,7 +66,7 @@ class Signal(eqx.Module):
         return None if self.noise is None else self.noise.convolved(taps)
 
     def __mul__(self, factor: Any) -> "Signal":
-        noise = None if self.noise is None else factor * self.noise
+        noise = self.noise and factor * self.noise
         return dataclasses.replace(self, values=factor * self._array, noise=noise)
 
     __rmul__ = __mul__
@@ -94,14 +76,9 @@ class Signal(eqx.Module):
 
     def __add__(self, other: Any) -> "Signal":
         if not isinstance(other, Signal):
-            if isinstance(other, numbers.Number) and other == 0:  # where `sum` begins
-                return self
-            total = _held(self._array + _array(other), self.present)
-            return dataclasses.replace(self, values=total)
+            return dataclasses.replace(self, values=_held(self._array + other, self.present))
         # Nothing known of one, nothing known of the sum.
-        noise = None
-        if self.noise is not None and other.noise is not None:
-            noise = self.noise + other.noise
+        noise = self.noise and other.noise and self.noise + other.noise
         unit = self.unit if self.unit == other.unit else ""
         total, present = self._array + other._array, both(self.present, other.present)
         return Signal(_held(total, present), present, unit, noise)
@@ -110,6 +87,9 @@ class Signal(eqx.Module):
 
     def __sub__(self, other: Any) -> "Signal":
         return self + -1.0 * other
+
+    def __rsub__(self, other: Any) -> "Signal":
+        return -self + other
 
     @property
     def _array(self) -> Any:

@@ -23,7 +23,7 @@ FORMULA = r"(^|[;|,\t]\s*)(?=[=+@-])"
 def write_record(path: str | os.PathLike[str], record: Record) -> None:
     """Write a record to CSV, NPZ, MAT or Parquet, by the file name's ending, time as column `t`.
 
-    A missing sample is written as NaN, in CSV as an empty field; a pause is one in the times. Only
+    A gap is written as NaN, in CSV as an empty field; a pause is one in the times. Only
     Parquet keeps units. In CSV a name that a spreadsheet would take for a formula has a `'` before
     its sign, which is dropped where it is read. The file appears whole or not at all: it is written
     under a temporary name and renamed.
@@ -36,11 +36,19 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     writer = WRITERS[file.suffix.lower()]
     if "t" in record.arrays:
         raise DataError("a signal called 't' would take the place of time; give it another name.")
-    # NaN where a sample is missing, without the samples that mark pauses.
-    columns = {name: record.signal(name).with_nan for name in record.arrays}
+    # NaN in gaps, without the samples that mark pauses.
+    columns = {name: signal.with_nan for name, signal in record.by_name.items()}
     columns = {"t": np.asarray(record.time, dtype=float)} | columns
     if record.stamps is not None:
-        valid = ~_pauses(columns, float(record.time_step))
+        # Samples that mark a pause: no signal has a value there, and they are off the even grid.
+        (time, *signals), step = columns.values(), float(record.time_step)
+        empty = np.all(np.isnan(signals), axis=0)
+        off = np.abs(np.diff(time) - step) > STEP_TOLERANCE * step
+        # An empty sample beside a pause is a real one, and the pause's lies midway; at an end of a
+        # record that was cut there is nothing to lie midway of.
+        middles = 0.5 * (time[:-2] + time[2:])
+        empty[1:-1] &= np.isclose(time[1:-1], middles, rtol=0, atol=1e-6 * step)
+        valid = ~(empty & (np.append(off, False) | np.insert(off, 0, False)))
         columns = {name: values[valid] for name, values in columns.items()}
     units = dict(record.units)
     write_file(file, lambda temporary: writer(temporary, columns, units))
@@ -60,18 +68,6 @@ def check_writable(file: Path) -> None:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None
     if not os.access(file.parent, os.W_OK):
         raise DataError(f"cannot write '{file}': its folder may not be written to.")
-
-
-def _pauses(columns: Columns, step: float) -> np.ndarray:
-    """Samples that mark a pause: no signal has a value there, and they are off the even grid."""
-    time, *signals = columns.values()
-    empty = np.all(np.isnan(signals), axis=0)
-    off = np.abs(np.diff(time) - step) > STEP_TOLERANCE * step
-    # An empty sample beside a pause is a real one, and the pause's lies midway; at an end of a
-    # record that was cut there is nothing to lie midway of.
-    midway = np.ones(time.size, bool)
-    midway[1:-1] = np.isclose(time[1:-1], 0.5 * (time[:-2] + time[2:]), rtol=0, atol=1e-6 * step)
-    return empty & midway & (np.append(off, False) | np.insert(off, 0, False))
 
 
 def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:

@@ -335,8 +335,8 @@ def refine(
     - `max_steps`: steps that the search may take; fewer than it needs is a status of the result.
     - `progress`: called with the sum of squares after each step.
 
-    **Raises:** `ModelError` for unknown names, values that are missing or out of bounds, a model
-    that cannot be simulated; `DataError` for missing signals or records that are too short. A
+    **Raises:** `ModelError` for unknown names, values that are absent or out of bounds, a model
+    that cannot be simulated; `DataError` for absent signals or records that are too short. A
     search that fails raises nothing: see `status` of the result.
     """
     given = (known, bounds, priors, per_record, key, intervals, solver, max_steps, progress)

@@ -93,12 +93,12 @@ def _axes(shape: tuple[int, ...]) -> list[str]:
 
 def to_frame(source: Any) -> Any:
     """A data frame, see [`Tabled.to_frame`][riecjax.shows.Tabled.to_frame]; or of a record, its
-    signals over time in seconds, NaN where a sample is missing."""
+    signals over time in seconds, NaN where there is no sample."""
     require_packages("frame")
     import pandas
 
     if isinstance(source, Record):
-        columns = {name: source.signal(name).with_nan for name in source.arrays}
+        columns = {name: signal.with_nan for name, signal in source.by_name.items()}
         return pandas.DataFrame(columns, index=pandas.Index(np.asarray(source.time), name="t"))
     numbers, shape, entries = _columns(source)
     names = list(entries)

@@ -87,7 +87,7 @@ def write_folder(
     results.json goes first and comes last, so that it never stands beside what belongs to another
     one, wherever this ends.
 
-    **Raises:** `DataError` if the folder cannot be written, or a package for reports is missing.
+    **Raises:** `DataError` if the folder cannot be written, or without a package for reports.
     """
     require_packages("report")
     from riecjax.reporting.charts.printed import print_chart
@@ -119,7 +119,7 @@ def write_folder(
 def require_folder(folder: Path) -> None:
     """Make sure, before any work is done, that a folder can be written.
 
-    **Raises:** `DataError` if not, or if a package for reports is missing.
+    **Raises:** `DataError` if not, or without a package for reports.
     """
     require_packages("report")
     with _folder_beside(folder):

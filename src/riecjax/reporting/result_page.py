@@ -313,7 +313,7 @@ def _name(file: str) -> str:
 def write_report(assessment: Assessment, folder: str | Path) -> None:
     """Write results.json, figures and report.html to a folder, as `riecjax identify --out` does.
 
-    **Raises:** `DataError` if the folder cannot be written, or a package for reports is missing.
+    **Raises:** `DataError` if the folder cannot be written, or without a package for reports.
     """
     require_folder(Path(folder))
     document = identification_document(assessment)

@@ -111,8 +111,8 @@ def _planned(
     held = {name: jnp.asarray(value) for name, value in held.items() if name not in values}
     free = {name: jnp.asarray(value, float) for name, value in values.items()}
     system: AbstractSystem = model.build({**held, **free})
-    if missing := [name for name in channels if name not in sigma]:
-        raise ModelError(f"no noise (sigma) is given for {', '.join(missing)}.")
+    if lacking := [name for name in channels if name not in sigma]:
+        raise ModelError(f"no noise (sigma) is given for {', '.join(lacking)}.")
     made = system.simulated_names
     if unknown := [name for name in channels if name not in made]:
         raise ModelError(
@@ -171,7 +171,7 @@ def predicted_standard_errors(
     - `method`: as for [`simulate`][]; by default steps short enough for the model.
 
     **Raises:** `ModelError` for unknown names, no parameter, no channel, or noise that is not
-    given; `DataError` for a missing input.
+    given; `DataError` for an absent input.
     """
     settings = {"known": known, "initial_state": initial_state, "method": method}
     family = as_parametric_system(model, record)

@@ -54,8 +54,8 @@ def summarise(
 
     **Returns:** a [`Summary`][] of the recordings in this order.
 
-    **Raises:** `ModelError` for a missing key, for bins of a criterion that does not sum all
-    windows, or for an expression that mixes samples of a long record; `DataError` for a missing
+    **Raises:** `ModelError` for an absent key, for bins of a criterion that does not sum all
+    windows, or for an expression that mixes samples of a long record; `DataError` for an absent
     signal or a record shorter than a window.
     """
     asked = task(model, record, criterion, key, noise, at_rest)

@@ -132,7 +132,7 @@ def window_choice(
     equation on each record, from [`errors_over_records`][], if they are known.
 
     **Raises:** `ModelError` without windows, for a parameter without a value or for what is no test
-    function; `DataError` for a missing signal or records of unequal time steps.
+    function; `DataError` for an absent signal or records of unequal time steps.
     """
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate

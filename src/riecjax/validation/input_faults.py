@@ -161,14 +161,13 @@ def silent_inputs(
         for number, (record, error) in enumerate(zip(records, of_records, strict=True), 1):
             # In words, that a signal says nothing; values too large to be squared are no silence.
             with np.errstate(over="ignore", invalid="ignore"):
-                values = np.asarray(record[name], float)
-                there = record.signal(name).present
-                present = np.ones(values.size, bool) if there is None else np.asarray(there)
-                spread = float(np.std(values[present]))
+                values = record.signal(name).with_nan
+                known = values[~np.isnan(values)]
+                spread = float(np.std(known))
                 said = ""
-                if not spread > 1e-12 * float(np.max(np.abs(values))):
+                if not spread > 1e-12 * float(np.max(np.abs(known))):
                     said = "never varies"
-                elif float(noise_level(values, present)) > NOISE_ALONE * spread:
+                elif float(noise_level(values)) > NOISE_ALONE * spread:
                     said = "is noise alone"
             if not said:
                 continue

@@ -27,6 +27,7 @@ omega t) dt besides: what v is held against is x' + u, none of which is differen
 Time is in samples; v and u are in units of x per sample.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
@@ -37,7 +38,7 @@ from jaxtyping import Bool, Complex, Float
 
 from riecjax.findings import option_for
 from riecjax.records.noise import noise_level
-from riecjax.records.record import Record, runs
+from riecjax.records.record import Record, run_lengths
 from riecjax.records.remembered import remembered
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -361,11 +362,6 @@ class Course(NamedTuple):
             *option_for("--clock", late, f"{ppm:.5g}"),
         )
 
-    @property
-    def way(self) -> str:
-        """What the signal does whose delay changes evenly."""
-        return "falls behind" if self.change > 0 else "gets ahead of"
-
 
 def delay_course(
     parts: Sequence[Sequence[Piece]],
@@ -522,7 +518,9 @@ def with_sum(record: Record, relation: Relation) -> tuple[Record, str, str]:
     if relation.is_plain:
         return record, relation.signal, relation.terms[0]
     label = summed(relation.of)
-    total = sum(c * record.signal(name) for name, c in relation.of)
+    first, *rest = (c * record.signal(name) for name, c in relation.of)
+    # No column holds it, whose unit could be another one.
+    total = dataclasses.replace(sum(rest, first), unit="")
     return record.with_signals({label: total}), relation.signal, label
 
 
@@ -560,7 +558,7 @@ WINDOWS, SHORTEST_WINDOW = 12, 250
 MOST_SAMPLES, LONGEST_PIECE = 2**15, 2**13
 """Of a long record, samples that are looked at, in pieces evenly spread."""
 SHORT_GAP = 5
-"""Missing samples in a row that are filled in."""
+"""Samples of a gap that is filled in."""
 SPIKE = 5.0
 """Times that a spike leaves the median of five samples further than its neighbours range."""
 MOST_SPIKES = 0.05
@@ -646,18 +644,16 @@ class Pair(NamedTuple):
     @property
     def offset(self) -> float:
         """Of the derivative, in its unit, 0 unless it surely matters."""
-        sure = abs(self.fit.offset) > max(
-            OFFSET * self.rms, TAILS * self._sure * self.fit.errors[2]
-        )
-        return self.fit.offset * self.scale / self.step if sure else 0.0
+        return self._if_sure(self.fit.offset, OFFSET, self.fit.errors[2])
 
     @property
     def drift(self) -> float:
         """Of the derivative over the record, in its unit, 0 unless it surely matters."""
-        sure = abs(self.fit.drift) > max(
-            2 * OFFSET * self.rms, TAILS * self._sure * self.fit.errors[3]
-        )
-        return self.fit.drift * self.scale / self.step if sure else 0.0
+        return self._if_sure(self.fit.drift, 2 * OFFSET, self.fit.errors[3])
+
+    def _if_sure(self, size: float, share: float, error: float) -> float:
+        sure = abs(size) > max(share * self.rms, TAILS * self._sure * error)
+        return size * self.scale / self.step if sure else 0.0
 
 
 @remembered(
@@ -827,12 +823,10 @@ def _filled(values: np.ndarray) -> np.ndarray:
         spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=1)) + half
         if spikes.size <= MOST_SPIKES * values.size:
             found[spikes] = np.nan
-    missing = np.isnan(found)
-    if missing.any() and np.sum(~missing) > 4:
-        at, (starts, stops) = np.arange(found.size), runs(missing)
-        short = missing.copy()
-        short[missing] = np.repeat(stops - starts <= SHORT_GAP, stops - starts)
-        cubics = scipy.interpolate.Akima1DInterpolator(at[~missing], found[~missing])
+    gaps = np.isnan(found)
+    if gaps.any() and np.sum(~gaps) > 4:
+        at, short = np.arange(found.size), gaps & (run_lengths(gaps) <= SHORT_GAP)
+        cubics = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])
         found[short] = cubics(at[short])
     return found
 

@@ -114,7 +114,7 @@ def repetitions(columns: Sequence[Float[np.ndarray, " rows"]]) -> list[Repetitio
 
 def without_repetitions(record: Record) -> tuple[Record, list[Finding]]:
     """The record with rows that stand in it again as missing, and what is said of them."""
-    columns = {name: record.signal(name).with_nan for name in record.arrays}
+    columns = {name: signal.with_nan for name, signal in record.by_name.items()}
     repeated = repetitions([*columns.values()])
     if not repeated:
         return record, []

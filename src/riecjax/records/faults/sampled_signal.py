@@ -69,7 +69,7 @@ class SampledSignal(NamedTuple):
     name: str
     unit: str
     values: np.ndarray
-    """Shape (n,), NaN where missing."""
+    """Shape (n,), NaN in gaps."""
     time: np.ndarray
     """Seconds from the recording's first sample, shape (n,)."""
     time_step: float
@@ -91,7 +91,7 @@ class SampledSignal(NamedTuple):
 
     @property
     def sample_count(self) -> int:
-        """Samples that are not missing."""
+        """Samples without those of gaps."""
         return int(self.counts.sum())
 
     @property
@@ -121,14 +121,15 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    values = record.signal(name).with_nan
+    signal = record.signal(name)
+    values = signal.with_nan
     known = values[~np.isnan(values)]
     rounding = rounding_of(known)
     levels, counts = levels_of(known, rounding)
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return SampledSignal(
         name,
-        dict(record.units).get(name, ""),
+        signal.unit,
         values,
         np.asarray(record.elapsed),
         float(record.time_step),

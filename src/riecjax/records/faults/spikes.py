@@ -37,7 +37,7 @@ from riecjax.records.faults.sampled_signal import (
     resolution_of,
 )
 from riecjax.records.noise import DIFFERENCE_ORDER, NORMAL
-from riecjax.records.record import runs
+from riecjax.records.record import run_lengths
 from riecjax.records.remembered import remembered
 
 SUSPECT = 4.5
@@ -171,7 +171,7 @@ def _beyond_all(values: np.ndarray) -> Spikes | None:
     if not apart.any():
         return None
     far = sizes >= ranked[np.flatnonzero(apart)[-1]]
-    far &= ~_in_long_runs(far)
+    far &= run_lengths(far) <= LONGEST
     places = np.flatnonzero(far)
     if not places.size:
         return None
@@ -227,7 +227,7 @@ def _judged(
         sizes[suspects[new]], cleaned[suspects[new]] = (off / scale)[new], fit[new]
         reach = np.arange(-BESIDE - LONGEST, BESIDE + LONGEST + 1)
         kept[0, np.clip(suspects[new][:, None] + reach, 0, scaled.size - 1)] = np.nan
-    spikes = (sizes > 0) & ~_in_long_runs(sizes > 0)
+    spikes = (sizes > 0) & (run_lengths(sizes > 0) <= LONGEST)
     off = sizes
     for _ in range(2):  # what is dropped tells more of those beside it
         places, cleaned = np.flatnonzero(spikes), np.where(spikes, np.nan, scaled)
@@ -272,14 +272,6 @@ def _spread_out(values: Float[np.ndarray, " blocks"], length: int, count: int) -
     """Of each of so many samples what its block of a length has."""
     local = np.repeat(values, length)
     return np.pad(local, (0, max(count - local.size, 0)), mode="edge")[:count]
-
-
-def _in_long_runs(mask: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Where a mask is true for more samples in succession than a spike has."""
-    starts, stops = runs(mask)
-    inside = np.zeros(mask.size, bool)
-    inside[mask] = np.repeat(stops - starts > LONGEST, stops - starts)
-    return inside
 
 
 def _threshold(

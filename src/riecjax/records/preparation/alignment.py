@@ -47,7 +47,7 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
 
     By whole samples as they are; between samples band-limited, which loses 44 at both ends, and
     in a stretch of fewer than 1760 by polynomials of degree 7, which lose 4. What is lost beside
-    gaps becomes missing.
+    gaps joins them.
 
     **Arguments:** `seconds` by signal; negative ones delay it.
 
@@ -83,7 +83,7 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
 
     What falls behind evenly, by so many millionths of the time since the recording's first sample,
     is in time then. Band-limited, which loses 44 samples at both ends; what is lost beside gaps
-    becomes missing.
+    joins them.
 
     **Arguments:** `ppm` by signal; negative ones of a signal that gets ahead.
 

@@ -80,7 +80,7 @@ def foreign_reader(kind: str, is_trusted: bool = True) -> Iterator[None]:
 def first_sentence(error: BaseException) -> str:
     """The start of an exception's first line, or its type where it has none."""
     said = (str(error).strip().splitlines() or [""])[0][:LONGEST_REASON]
-    # A missing key says no more than its name, an end of the process no more than its status.
+    # An absent key says no more than its name, an end of the process no more than its status.
     is_bare = not said or isinstance(error, KeyError | SystemExit)
     return f"{type(error).__name__} {said}" if is_bare else said
 
@@ -95,7 +95,7 @@ class Channels:
 
     **Fields:**
 
-    - `columns`: name to samples, each a vector of 64-bit floats; NaN where a sample is missing.
+    - `columns`: name to samples, each a vector of 64-bit floats; NaN in gaps.
       Lengths may differ.
     - `units`: column to its unit, where the file states one.
     - `time_of`: column to the column with its time, in files with several time axes.
@@ -177,11 +177,11 @@ def seconds_of(stamps: np.ndarray) -> np.ndarray:
     """NumPy's date-times as seconds from the first, and durations in seconds; NaN for NaT."""
     if np.datetime_data(stamps.dtype)[0] not in ("s", "ms", "us", "ns"):
         stamps = stamps.astype(f"{stamps.dtype.kind}8[us]")
-    missing = np.isnat(stamps)
+    gaps = np.isnat(stamps)
     # Counted from the first before they become floats, which hold only 16 digits.
     if stamps.dtype.kind == "M":
-        stamps = stamps - (stamps[~missing][0] if not missing.all() else stamps[:1])
-    return np.where(missing, np.nan, stamps / np.timedelta64(1, "s"))
+        stamps = stamps - (stamps[~gaps][0] if not gaps.all() else stamps[:1])
+    return np.where(gaps, np.nan, stamps / np.timedelta64(1, "s"))
 
 
 def with_units_beside(channels: Channels, texts: Mapping[str, str]) -> Channels:

@@ -26,7 +26,7 @@ from riecjax.records.reading.channels import (
 from riecjax.records.reading.numerals import (
     GROUPED,
     compute,
-    is_missing,
+    is_gap,
     is_number,
     is_numeric,
     numbers,
@@ -377,7 +377,7 @@ def _kinds(fields: list[str], decimal: str) -> str:
 def kind_of(field: str, decimal: str) -> str:
     """What a field holds: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a number of the
     other decimal sign, which names no column; `T`, any other text."""
-    if is_missing(field):
+    if is_gap(field):
         return "M"
     if is_number(field, decimal):
         return "N"
@@ -612,7 +612,7 @@ def _parse(table: Table) -> Any:
             parse_options=pa_csv.ParseOptions(
                 delimiter=table.layout.dialect.delimiter,
                 newlines_in_values=b'"' in table.body,
-                # In a single column a blank line is a sample that is missing.
+                # In a single column a blank line is a gap.
                 ignore_empty_lines=width > 1,
             ),
             convert_options=pa_csv.ConvertOptions(

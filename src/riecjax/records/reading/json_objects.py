@@ -28,7 +28,7 @@ def read_json_lines(file: Path) -> Channels:
     """Read JSON lines: an object for each sample; blank lines count for nothing.
 
     Fields of nested objects are called `a.b`, elements of arrays `a[0]`. A field that an object
-    lacks, or has as `null`, is a sample that is missing there.
+    lacks, or has as `null`, is a gap there.
 
     **Raises:** `DataError` naming the line that is no object, and for damaged files.
     """

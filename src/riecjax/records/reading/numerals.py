@@ -39,7 +39,7 @@ def is_number(text: str, decimal: str) -> bool:
     return _NUMBER[decimal].fullmatch(text) is not None
 
 
-def is_missing(text: str) -> bool:
+def is_gap(text: str) -> bool:
     """Whether a text stands for a value that there is not."""
     return _MISSING.fullmatch(text) is not None
 

@@ -70,7 +70,7 @@ def record_from_channels(
     not decide where the record begins and at which times it is. Of these, one whose unit may be two
     is left out, with the question which it is.
 
-    **Raises:** `DataError` for a missing or ambiguous column, no time or several, and samples that
+    **Raises:** `DataError` for an absent or ambiguous column, no time or several, and samples that
     do not make a record (see [`Record.from_samples`][]); `ModelError` for a formula.
     """
     if not channels.columns:

@@ -90,7 +90,7 @@ def of_texts(values: Sequence[object]) -> tuple[np.ndarray | None, bool]:
 
 
 def of_text_column(column: Any) -> tuple[np.ndarray | None, bool]:
-    """As [`of_texts`][], of a column of strings (PyArrow); `None` where all are missing."""
+    """As [`of_texts`][], of a column of strings (PyArrow); `None` where there are none."""
     texts = stripped(column)
     if texts.null_count == len(texts):
         return None, False
@@ -278,7 +278,7 @@ def listed(names: Iterable[str]) -> str:
 class TimeColumn(NamedTuple):
     """A file's time.
 
-    **Fields:** `name` of the column; `seconds`, shape `(n,)`, NaN where it is missing; `notes`,
+    **Fields:** `name` of the column; `seconds`, shape `(n,)`, NaN in gaps; `notes`,
     what was decided, in words; `doubt`, in words, that it is time, or in this unit; empty if none.
     """
 
