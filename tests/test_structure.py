@@ -36,7 +36,6 @@ MANY_IMPORTS = {
     "riecjax.estimation.check": 22,
     "riecjax.estimation.identify": 24,
     "riecjax.estimation.mode_windows": 13,
-    "riecjax.fleets.fleet": 14,
     "riecjax.records.recording": 17,
     "riecjax.refinement.output_error": 14,
     "riecjax.reporting.result_figures": 16,
