@@ -145,7 +145,7 @@ _VISCOUS = rx.Term("c", "x", derivative=1, measured=("dx",), unit="N s/m")
 _SPRING = rx.Term("k", "x", unit="N/m")
 
 
-def mass(*terms: rx.Term | rx.Terms) -> rx.Equation:
+def mass(*terms: rx.Term) -> rx.Equation:
     """m x'' + these terms = u."""
     return rx.Equation(_INERTIA, *terms, -rx.Term(1.0, "u"), name="mass", unit="N")
 

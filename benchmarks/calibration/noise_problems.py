@@ -81,7 +81,7 @@ def _direction(signals: Mapping[str, Array]) -> Array:
     return jnp.sign(signals["dx"])
 
 
-def _dry(*friction: rx.Term | rx.Terms) -> rx.Model:
+def _dry(*friction: rx.Term) -> rx.Model:
     equation = rx.Equation(
         rx.Term("m", "x", derivative=2, measured=("dx", "ddx"), unit="kg"),
         rx.Term("k", "x", unit="N/m"),

@@ -18,8 +18,8 @@ import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 from benchmarks.measured.emps_axis import Axis
 from riecjax.discovery.discovery import Discovery
+from riecjax.equations.bases import AbstractShape
 from riecjax.equations.model import as_model
-from riecjax.equations.term import AbstractShape
 from riecjax.records.preparation import upsample
 from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.reporting.discovery import sentence
@@ -98,7 +98,7 @@ def silverbox_found(data: Path) -> dict[str, Any]:
 def _shaped(model: rx.Model) -> list[tuple[str, AbstractShape]]:
     """Laws with a width, by name."""
     every = (term for equation in model.equations for term in equation.terms)
-    named = [(term.prefix, term.basis) for term in every if isinstance(term, rx.Terms)]
+    named = [(str(term.name), term.basis) for term in every if term.basis is not None]
     return [(name, basis) for name, basis in named if isinstance(basis, AbstractShape)]
 
 

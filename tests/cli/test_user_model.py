@@ -105,6 +105,21 @@ def test_names_with_square_brackets_are_printed_as_they_are(capsys):
     assert "[N s/m]" in result.out
 
 
+def test_verbose_says_in_order_what_was_done_to_the_recording(capsys):
+    model(IMPORTS + "thing = " + EQUATION)
+    options = (
+        "--every=2 --low-pass=v=20 --remove-offset=f --shift=a=0.01 --criterion=dols --verbose"
+    )
+    result = call(capsys, "identify", "cart.csv", "--model=mine.py:thing", *options.split(" "))
+    lines = [line.partition(": ") for line in result.out.splitlines()]
+    assert [words for begins, _, words in lines if begins == "prepared"] == [
+        "advanced: a by 0.01 s",
+        "f: mean removed",
+        "zero-phase 4th-order Butterworth low-pass: v at 20 Hz",
+        "every 2nd sample",
+    ]
+
+
 FAILING = {
     "syntax error": ("def f(:\n", ("mine.py", "SyntaxError", "line 1")),
     "missing object": ("other = 1\n", ("mine.py", "no object 'thing'")),

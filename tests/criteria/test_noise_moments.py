@@ -7,8 +7,8 @@ import pytest
 import riecjax as rx
 from nightly import nightly
 from riecjax.criteria import noise_moments
+from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.model import as_model
-from riecjax.equations.term import RoofFunctions
 from riecjax.summaries.stage_sums import stage_normal_equations
 
 STEP, N, PAIRS = 0.01, 300, 150

@@ -6,8 +6,9 @@ from tests.machines import BODY
 
 import riecjax as rx
 from riecjax.criteria.criterion import DOLS
+from riecjax.equations.bases import Polynomial, roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Polynomial, Term, Terms, roof
+from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError, ModelError
 from riecjax.records.record import Record
 
@@ -95,7 +96,7 @@ def test_a_missing_signal_is_explained_with_a_remedy(term, words):
 TRAVEL = rx.difference("x1", "x2")
 
 
-def equation(*terms: rx.Term | rx.Terms) -> rx.Model:
+def equation(*terms: rx.Term) -> rx.equations.Model:
     return rx.staged(rx.Equation(*terms, -rx.Term(1.0, "F"), name="body"))
 
 

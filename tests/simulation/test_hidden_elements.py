@@ -10,9 +10,9 @@ from tests.machines import LAG_MODEL as MODEL
 from tests.machines import LAG_TRUTH as TRUTH
 
 import riecjax as rx
+from riecjax.equations.expressions import difference
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
-from riecjax.equations.term import difference
 from riecjax.refinement.objective import ByCoefficients, as_parametric_system
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.linearisation import linearise
@@ -302,7 +302,7 @@ def test_validation_starts_a_spring_at_the_map():
     assert start == pytest.approx(expected, rel=1e-9)
 
 
-def body(damper: rx.Term | rx.Terms) -> rx.Equation:
+def body(damper: rx.Term) -> rx.Equation:
     """The body of the machines with another damper."""
     inertia, _, *others = BODY.terms
     return rx.Equation(inertia, damper, *others, name="body", unit="N")

@@ -21,10 +21,9 @@ from riecjax.criteria.test_functions import (
 )
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
 from riecjax.equations.model import Model
-from riecjax.equations.term import Term
 from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
-from riecjax.records.preparation import with_local_derivative
+from riecjax.records.preparation.filtering import local_slope
 from riecjax.records.record import Record
 from riecjax.settings import Contradiction, Fit
 
@@ -116,7 +115,7 @@ def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Rec
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
     # Derivatives that boxcars would read of linear terms, and that no sensor measured.
     lacking = []
-    for term in (t for e in model.equations for t in e.terms if isinstance(t, Term)):
+    for term in (t for e in model.equations for t in e.terms if t.is_linear):
         name = term.measured[0] if term.measured else "a velocity"
         for record in records if term.derivative == 2 else ():
             made = isinstance(term.of, str) and record.noise.is_made_of(name, term.of)
@@ -175,6 +174,7 @@ def with_velocities(model: Model, record: Record) -> tuple[Record, list[str]]:
                 name, of = error.signal, below.get(error.signal)
                 if of not in record.arrays or not is_concrete(record):
                     break
-            record, width = with_local_derivative(record, of, name)
-            steps.append(f"{name}: slope of {of} by local polynomials, {width:.3g} s to each side")
+            op = local_slope(record, of)
+            record = record.through({name: op})
+            steps.append(op.words.format(name))
     return record, steps

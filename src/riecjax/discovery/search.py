@@ -45,9 +45,10 @@ from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, renamed
+from riecjax.equations.bases import DeadZone, Saturation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model
-from riecjax.equations.term import AbstractShape, AbstractTerm, DeadZone, Saturation, Term, Terms
+from riecjax.equations.term import AbstractTerm
 from riecjax.records.recording import Recording
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.stage_sums import sum_of_equations
@@ -534,28 +535,24 @@ def without_twins(
     own = zip(names, (equation.terms for equation in model.equations), strict=True)
     there = [(name, term) for name, terms in own for term in terms]
     offered = [(one, (one.equation or names[0], members([one])[0].terms[0])) for one in candidates]
-    beyond = {_signal(pair) for _, pair in offered if _has_shape(pair[1], DeadZone)}
+    beyond = {_signal(pair) for _, pair in offered if isinstance(pair[1].basis, DeadZone)}
     there += [pair for one, pair in offered if one.name in chosen]
     straight = {
         _signal((name, term))
         for name, term in there
-        if _has_shape(term, DeadZone) or (isinstance(term, Term) and not term.derivative)
+        if isinstance(term.basis, DeadZone) or (term.is_linear and not term.derivative)
     }
     return [
         one
         for one, pair in offered
-        if not (_has_shape(pair[1], Saturation) and _signal(pair) in straight & beyond)
+        if not (isinstance(pair[1].basis, Saturation) and _signal(pair) in straight & beyond)
     ]
 
 
 def _signal(place: tuple[str, AbstractTerm]) -> tuple[str, object]:
     """Of which equation and of what a term is."""
     equation, term = place
-    return equation, getattr(term, "of", None)
-
-
-def _has_shape(term: AbstractTerm, kind: type[AbstractShape]) -> bool:
-    return isinstance(term, Terms) and isinstance(term.basis, kind)
+    return equation, term.of
 
 
 def without_taken(

@@ -1,3 +1,10 @@
+from .bases import AbstractBasis as AbstractBasis
+from .bases import DeadZone as DeadZone
+from .bases import Friction as Friction
+from .bases import RoofFunctions as RoofFunctions
+from .bases import Saturation as Saturation
+from .bases import Stribeck as Stribeck
+from .expressions import faster_than as faster_than
 from .memories import BoucWen as BoucWen
 from .memories import Dahl as Dahl
 from .memories import Elapsed as Elapsed
@@ -5,10 +12,4 @@ from .model import AtRest as AtRest
 from .model import as_model as as_model
 from .model import with_rests as with_rests
 from .quantity import Quantity as Quantity
-from .term import AbstractBasis as AbstractBasis
-from .term import DeadZone as DeadZone
-from .term import Friction as Friction
-from .term import RoofFunctions as RoofFunctions
-from .term import Saturation as Saturation
-from .term import Stribeck as Stribeck
-from .term import faster_than as faster_than
+from .term import AbstractTerm as AbstractTerm

@@ -16,13 +16,14 @@ measured: what is simulated of them is what the sensors would show.
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, constant, signals_read
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
@@ -34,7 +35,7 @@ from riecjax.equations.hidden_elements import (
 )
 from riecjax.equations.memories import Memory
 from riecjax.equations.quantity import FrozenDict, Quantity
-from riecjax.equations.term import AbstractTerm, Expression, Term, constant, signals_read
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require, users_code
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.faults.derivative_pairs import Relation
@@ -46,14 +47,10 @@ if TYPE_CHECKING:
     from riecjax.simulation.system import AbstractSystem
 
 
-def _is_of(term: AbstractTerm, signal: str) -> TypeGuard[Term]:
-    return isinstance(term, Term) and term.of == signal
-
-
 def _refuse_functions(equation: Equation, signal: str) -> None:
     """Refuse a function of the signal: in it, an offset or a gain is no coefficient."""
     for term in equation.terms:
-        if signal in signals_read(term.of) and not _is_of(term, signal):
+        if signal in signals_read(term.of) and term.signal != signal:
             raise ModelError(
                 f"{equation.name}: the term of {' and '.join(term.parameters) or 'no coefficient'} "
                 f"is a function of '{signal}', in which an unknown offset or gain is no "
@@ -313,11 +310,8 @@ class Model(Shown, eqx.Module):
         def extended(equation: Equation) -> Sequence[AbstractTerm]:
             # What is differentiated most often stands for the inertia, a named coefficient first;
             # of a force element, which has none, what it was given.
-            first = min(
-                equation.terms, key=lambda t: (-getattr(t, "derivative", 0), not t.parameters)
-            )
-            sign = getattr(first, "number" if isinstance(first, Term) else "sign", 1.0)
-            turned = is_concrete(sign) and float(np.asarray(sign)) < 0
+            first = min(equation.terms, key=lambda t: (-t.derivative, not t.parameters))
+            turned = is_concrete(first.factor) and float(np.asarray(first.factor)) < 0
             own = added.get(next(rest), ())
             return (*equation.terms, *(-term if turned else term for term in own))
 
@@ -349,7 +343,7 @@ class Model(Shown, eqx.Module):
 
         def terms(equation: Equation) -> list[AbstractTerm]:
             _refuse_functions(equation, signal)
-            own = [t for t in equation.terms if _is_of(t, signal) and t.derivative == 0]
+            own = [t for t in equation.terms if t.signal == signal and t.derivative == 0]
             if not own:
                 return [*equation.terms]
             if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
@@ -360,9 +354,13 @@ class Model(Shown, eqx.Module):
                 )
             if len(own) > 1:
                 raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
-            name, number = own[0].name, -own[0].number
+            name, number = own[0].name, -own[0].factor
             label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
-            unit = units.get(signal, own[0].unit) if name is None else equation.unit
+            unit = (
+                units.get(signal, own[0].unit if isinstance(own[0].unit, str) else "")
+                if name is None
+                else equation.unit
+            )
             return [*equation.terms, Term(label, constant, unit=unit, sign=number)]
 
         unread = f"no equation has a term of '{signal}' itself, so that none tells of its offset."
@@ -370,16 +368,15 @@ class Model(Shown, eqx.Module):
 
     def _with_gain(self, signal: str) -> "Model":
         def changed(term: AbstractTerm) -> AbstractTerm:
-            if not _is_of(term, signal):
+            if term.signal != signal:
                 return term
             if term.name is not None:
                 raise ModelError(
                     f"the gain of '{signal}' cannot be told apart from '{term.name}', which "
                     f"multiplies it: {term.name} comes out multiplied by the gain."
                 )
-            order, number = term.derivative, term.number
-            measured = term.measured
-            return Term(f"gain_{signal}", term.of, derivative=order, measured=measured, sign=number)
+            order, measured, factor = term.derivative, term.measured, term.factor
+            return Term(f"gain_{signal}", term.of, derivative=order, measured=measured, sign=factor)
 
         def terms(equation: Equation) -> list[AbstractTerm]:
             _refuse_functions(equation, signal)

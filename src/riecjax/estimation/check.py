@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
-from riecjax.equations.term import RoofFunctions, Terms
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
@@ -269,9 +269,9 @@ def _break_points(model: Model, summary: Summary) -> Iterator[Finding]:
         for prefix, ends in survey.reach.items():
             reach.setdefault(prefix, []).append(np.asarray(ends))
     for term in (term for equation in model.equations for term in equation.terms):
-        if not (isinstance(term, Terms) and isinstance(term.basis, RoofFunctions)):
+        if not isinstance(term.basis, RoofFunctions):
             continue
-        least, most = np.min(reach[term.prefix]), np.max(reach[term.prefix])
+        least, most = np.min(reach[str(term.name)]), np.max(reach[str(term.name)])
         points = np.asarray(term.basis.break_points)
         # The end segments are continued: what counts is data past the last but one.
         idle = [points[0]] if least > points[1] else []
@@ -284,7 +284,7 @@ def _break_points(model: Model, summary: Summary) -> Iterator[Finding]:
             listed = " and ".join(f"{point:g}" for point in idle)
             yield Finding(
                 "break_points_outside",
-                f"{term.prefix}: the data reach from {least:.3g} to {most:.3g}, "
+                f"{term.name}: the data reach from {least:.3g} to {most:.3g}, "
                 f"far from the break point at {listed}, whose value is extrapolated. Move it into "
                 f"the reach of the data.",
                 parameters=tuple(term.parameters),

@@ -35,8 +35,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant
 from riecjax.equations.model import Model
-from riecjax.equations.term import constant
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding
 from riecjax.linear_algebra import factor_of_gram

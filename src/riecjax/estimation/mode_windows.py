@@ -301,7 +301,7 @@ def _outline(model: Model) -> Outline:
     stages = tuple(
         tuple((e.equation.name, e.all_parameters) for e in stage) for stage in model.expanded
     )
-    return Outline(stages, tuple(model.units.items()), "")
+    return Outline(stages, model.parameter_names, tuple(model.units.items()), "")
 
 
 def _mixed_sums(

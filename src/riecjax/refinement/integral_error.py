@@ -28,6 +28,7 @@ by the parameters as signals. So every criterion, all windows in closed form amo
 equations that are not linear: refinement expands, solves, and expands again.
 """
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -35,16 +36,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, require_no_slip, told_apart
-from riecjax.equations.term import AbstractTerm, Term, both_present
+from riecjax.equations.term import AbstractTerm, Term, combined
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import all_normal_equations
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
     AbstractMisfit,
@@ -61,7 +63,7 @@ from riecjax.refinement.objective import (
 )
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
 
-Levels = dict[int, Float[Array, " n"]]
+Levels = dict[int, Signal]
 """Samples of what is left to be differentiated so many times."""
 
 
@@ -154,21 +156,24 @@ class ParametricBalance(eqx.Module):
         """
         held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in self.parameters}
         moving = tuple(name for name in self.parameters if name in free)
-        levels, present = self._levels(record, held, smoothness)
+        levels = self._levels(record, held, smoothness)
         name, unit, where = self.label(held)
-        arrays: dict[str, Array] = {}
+        arrays: dict[str, Leaf] = {}
         terms: list[AbstractTerm] = []
         for order, level in levels.items():
-            arrays[f"~:{order}"] = level
+            arrays[f"~:{order}"] = level.values
             terms.append(Term(1.0, f"~:{order}", derivative=order))
         for parameter in moving:
             along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
             _, slopes = jax.jvp(
-                lambda at: self._levels(record, at, smoothness)[0], (held,), (along,)
+                lambda at: {k: v.values for k, v in self._levels(record, at, smoothness).items()},
+                (held,),
+                (along,),
             )
             for order, slope in slopes.items():
                 arrays[f"~:{order}/{parameter}"] = slope
                 terms.append(Term(parameter, f"~:{order}/{parameter}", derivative=order))
+        present = combined(lambda *values: values[0], *levels.values()).present
         signals = {name: Signal(values, present) for name, values in arrays.items()}
         equation = Equation(*terms, name=name, unit=unit, where=where)
         return equation, record.with_signals(signals)
@@ -182,9 +187,7 @@ class ParametricBalance(eqx.Module):
     def _built(self, values: Values) -> Equation | AbstractBalance:
         return self.model if isinstance(self.model, Equation) else self.model.build(values)
 
-    def _levels(
-        self, record: Record, values: Values, smoothness: int
-    ) -> tuple[Levels, Bool[Array, " n"] | None]:
+    def _levels(self, record: Record, values: Values, smoothness: int) -> Levels:
         levels: Levels = {}
         balance = self._built(values)
         if not isinstance(balance, Equation):
@@ -201,7 +204,7 @@ class ParametricBalance(eqx.Module):
                         f"{balance.name}.{part.__name__} must return one number for each of the "
                         f"{record.sample_count} samples; it returned shape {level.shape}."
                     )
-                levels[order] = jnp.broadcast_to(level, (record.sample_count,))
+                levels[order] = Signal(jnp.broadcast_to(level, (record.sample_count,)))
             if not levels:
                 raise ModelError(
                     f"{balance.name}: a balance needs a force, a momentum or a first moment."
@@ -213,22 +216,20 @@ class ParametricBalance(eqx.Module):
                     f"derivative, rx.Hat(), or write its inertia as a momentum of a recorded "
                     f"velocity."
                 )
-            return levels, record.present(signals.read)
-        present = None
+            present = record.present(signals.read)
+            return {order: Signal(level.values, present) for order, level in levels.items()}
         for term in balance.terms:
             # As criteria read it: derivatives that the test function cannot take off are recorded.
             read = max(term.derivative - smoothness, 0)
-            sampled = term.samples(record, read)
             coefficients = [values[name] for name in term.parameters]
-            total = (
-                jnp.stack(coefficients) @ sampled.values
-                if coefficients
-                else jnp.sum(sampled.values, axis=0)
-            )
-            order = term.derivative - read
-            levels[order] = levels[order] + total if order in levels else total
-            present = both_present(present, sampled.present)
-        return levels, present
+
+            def total(columns: Float[Array, "columns n"], weights=coefficients) -> Array:
+                return jnp.stack(weights) @ columns if weights else jnp.sum(columns, axis=0)
+
+            level, order = combined(total, term.samples(record, read)), term.derivative - read
+            before = levels.get(order)
+            levels[order] = level if before is None else combined(operator.add, before, level)
+        return levels
 
 
 Balances = Equation | Model | AbstractBalance | AbstractParametric | Sequence["Balances"]

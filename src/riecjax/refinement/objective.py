@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression
 from riecjax.equations.model import Model, as_model, require_no_slip
-from riecjax.equations.term import Expression
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers

@@ -5,17 +5,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, constant
 from riecjax.equations.model import Model
-from riecjax.equations.term import (
-    AbstractShape,
-    AbstractTerm,
-    Expression,
-    Polynomial,
-    RoofFunctions,
-    Term,
-    Terms,
-    constant,
-)
+from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete
 
 Signed = tuple[bool, str]
@@ -68,43 +60,21 @@ def _sum(parts: list[Signed]) -> str:
 
 def _parts(term: AbstractTerm) -> list[Signed]:
     """The summands of a term."""
-    if isinstance(term, Term):
-        return [_of_term(term)]
-    if isinstance(term, Terms):
-        return _of_basis(term)
-    of = f"{type(term).__name__}({expression_in_words(term.of)})"
-    return [(False, " ".join((*term.parameters[:1], of)))]
-
-
-def _of_term(term: Term) -> Signed:
-    number, name = term.number, term.name
-    if term.known is not None and is_concrete(number, term.known):
-        number, name = np.asarray(number) * np.asarray(term.known), None
-    minus, size = _number(number)
-    of = "" if term.of is constant else expression_in_words(term.of)
-    if not isinstance(term.of, str) and of and (" - " in of or term.derivative):
+    factor, of = term.factor, expression_in_words(term.of)
+    if not term.is_linear:
+        minus, size = _number(factor)
+        front = "" if size == "1" else f"{size} "
+        return [(minus, f"{front}{words}") for words in term.words(of)]
+    name = next(iter(term.parameters), "")
+    if term.known_values and is_concrete(factor, term.known_values):
+        factor, name = np.asarray(factor) * np.asarray(term.known_values[name]), ""
+    minus, size = _number(factor)
+    if term.of is constant:
+        of = ""
+    elif not isinstance(term.of, str) and (" - " in of or term.derivative):
         of = f"({of})"
-    factors = ("" if size == "1" else size, name or "", of + "'" * term.derivative)
-    return minus, " ".join(filter(None, factors)) or size
-
-
-def _of_basis(term: Terms) -> list[Signed]:
-    minus, size = _number(term.sign)
-    of = expression_in_words(term.of)
-    front = "" if size == "1" else f"{size} "
-    if isinstance(term.basis, Polynomial):
-        base = of if of.isidentifier() else f"({of})"
-        powers = {0: "", 1: f" {base}"}
-        shown = [powers.get(p, f" {base}^{p}") for p in term.basis.exponents]
-        return [(minus, f"{front}{name}{of}") for name, of in zip(term.parameters, shown)]
-    if isinstance(term.basis, AbstractShape):
-        width = term.basis.width
-        at = f"; {float(width):.4g}" if is_concrete(width) else ""
-        law = type(term.basis).__name__.lower()
-        return [(minus, f"{front}{term.parameters[0]} {law}({of}{at})")]
-    roof = isinstance(term.basis, RoofFunctions)
-    name = "R" if roof else type(term.basis).__name__.lower()
-    return [(minus, f"{front}{term.prefix} {name}({of})")]
+    factors = ("" if size == "1" else size, name, of + "'" * term.derivative)
+    return [(minus, " ".join(filter(None, factors)) or size)]
 
 
 def _number(number: Leaf) -> Signed:

@@ -13,7 +13,7 @@ from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Terms, evaluate
+from riecjax.equations.term import AbstractTerm, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence
@@ -288,8 +288,8 @@ def identified_curves(result: Assessment) -> list[IdentifiedCurve]:
         for equation in result.model.stages[stage.stage]:
             for term in equation.terms:
                 shared = all(name in result.estimate for name in term.parameters)
-                if isinstance(term, Terms) and shared and term.prefix not in found:
-                    found[term.prefix] = _curve(result.estimate, equation, term, record)
+                if term.basis is not None and shared and term.name not in found:
+                    found[str(term.name)] = _curve(result.estimate, equation, term, record)
     return list(found.values())
 
 
@@ -320,11 +320,14 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
     )
 
 
-def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) -> IdentifiedCurve:
-    variable, present = evaluate(term.of, record)
-    x = np.asarray(variable) if present is None else np.asarray(variable)[np.asarray(present)]
+def _curve(
+    estimate: Estimate, equation: Equation, term: AbstractTerm, record: Record
+) -> IdentifiedCurve:
+    sampled = evaluate(term.of, record)
+    variable = np.asarray(sampled.values)
+    x = variable if sampled.present is None else variable[np.asarray(sampled.present)]
     grid = np.linspace(x.min(), x.max(), GRID)
-    functions = np.asarray(eqx.filter_jit(term.basis)(jnp.asarray(grid)))
+    functions = np.asarray(eqx.filter_jit(term.functions)(jnp.asarray(grid)))
     values = np.array([float(estimate[name]) for name in term.parameters])
     # sqrt(b(x)^T C b(x)): the covariance of the coefficients, those held at a value left out.
     free = [i for i, name in enumerate(term.parameters) if name in estimate.parameters]
@@ -334,19 +337,19 @@ def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) 
     label = term.of if isinstance(term.of, str) else getattr(term.of, "__name__", "variable")
     name = label.strip("_").replace("_", " ")
     return IdentifiedCurve(
-        name=term.prefix,
+        name=str(term.name),
         # Coefficients of a roof or a step are values of the curve, whose unit is the equation's.
         unit=equation.unit,
         of=labelled(name, dict(record.units).get(name)),
         x=grid,
         y=values @ functions,
         error=np.sqrt(np.maximum(variance, 0)),
-        samples=_samples(estimate, equation, term, record, np.asarray(variable)),
+        samples=_samples(estimate, equation, term, record, variable),
     )
 
 
 def _samples(
-    estimate: Estimate, equation: Equation, term: Terms, record: Record, variable: np.ndarray
+    estimate: Estimate, equation: Equation, term: AbstractTerm, record: Record, variable: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """The curve's value by the rest of the equation, at every sample.
 
@@ -358,7 +361,7 @@ def _samples(
     except DataError:
         return None  # a derivative that is not recorded
     valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
-    x, y = variable[valid], np.asarray(rows.target)[valid] / float(term.sign)
+    x, y = variable[valid], np.asarray(rows.target)[valid] / float(term.factor)
     return x[:MOST_POINTS], y[:MOST_POINTS]
 
 

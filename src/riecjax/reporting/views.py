@@ -169,10 +169,7 @@ def _(thing: ModeEvidence) -> View:
 @view_of.register
 def _(thing: Summary) -> View:
     host, outline = on_host(thing), thing.outline
-    every = dict.fromkeys(n for stage in outline.stages for _, own in stage for n in own)
-    # Columns that hidden elements add are no parameters.
-    names = [name for name in every if not name.endswith("'")]
-    lines = [f"parameters: {parameters_in_words(names, dict(outline.units))}"]
+    lines = [f"parameters: {parameters_in_words(outline.parameters, dict(outline.units))}"]
     for i, one in enumerate(host.recordings, start=1):
         lines.append(
             f"recording {i}: {span(one.samples, 'd')} samples at {span(1 / one.time_step, '.6g')} "

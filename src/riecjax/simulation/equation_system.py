@@ -46,6 +46,7 @@ an answer do not, a least slope stands in for them.
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -56,25 +57,16 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, difference, label_of, signals_read
 from riecjax.equations.hidden_elements import (
     HiddenMode,
     ModeParameters,
-    SeriesSpring,
-    element_sign,
+    SpringElement,
     inertia_sign,
-    stiffness_name,
+    with_springs,
 )
 from riecjax.equations.model import Model, as_model
-from riecjax.equations.term import (
-    AbstractTerm,
-    Expression,
-    RoofFunctions,
-    Term,
-    Terms,
-    difference,
-    label_of,
-    signals_read,
-)
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.linear_algebra import solve_few
@@ -108,7 +100,7 @@ class ModeStates(NamedTuple):
         inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
         if inertia.derivative != 1:
             terms = [t for e in equations for t in e.terms if t.of == inertia.of]
-            named = (t for t in terms if isinstance(t, Term) and t.derivative and t.measured)
+            named = (t for t in terms if t.derivative and t.measured)
             body = next((t.measured[0] for t in named), f"d{inertia.of}")
         return cls(f"{name}_deflection", f"{name}_velocity", body, parameters, units)
 
@@ -135,12 +127,9 @@ def with_forces(
     states = tuple(ModeStates.of(number, mode, equations) for number, mode in enumerate(modes))
     carrying = []
     for equation in equations:
-        terms = list(equation.terms)
-        for mode, own in zip(modes, states):
-            if (inertia := mode.inertia(equation)) is not None:
-                terms += own.force(inertia_sign(inertia))
-        is_carrying = len(terms) > len(equation.terms)
-        carrying.append(equation.of_terms(*terms) if is_carrying else equation)
+        inertias = [(hidden, mode.inertia(equation)) for mode, hidden in zip(modes, states)]
+        forces = (hidden.force(inertia_sign(inertia)) for hidden, inertia in inertias if inertia)
+        carrying.append(equation.of_terms(*equation.terms, *itertools.chain(*forces)))
     return tuple(carrying), states
 
 
@@ -148,88 +137,6 @@ def carried_states(modes: Iterable[ModeStates]) -> dict[str, str]:
     """States of modes to what they start from: the body's velocity, or nothing."""
     pairs = (((mode.deflection, ""), (mode.velocity, mode.body)) for mode in modes)
     return dict(itertools.chain.from_iterable(pairs))
-
-
-LEAST_SLOPE = 0.01
-"""Of a map, as a share of its mean slope."""
-
-
-class SpringElement(eqx.Module):
-    """A force element with a spring in series.
-
-    **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
-    `stiffness`, the name of the spring's parameter; `points`, break points of the element's law,
-    `None` of a linear one.
-    """
-
-    element: AbstractTerm
-    state: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    stiffness: str = eqx.field(static=True)
-    points: Float[Array, " points"] | None = None
-
-    def rate(
-        self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
-    ) -> Float[Array, " 1"]:
-        """Time derivative of the force."""
-        own = jnp.stack([values[n] for n in self.element.parameters])
-        points = self.points
-        if points is None:
-            inner = force / own[0]
-        else:
-            inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
-        return values[self.stiffness] * (velocity - inner)
-
-    def static(
-        self, velocity: Float[Array, " n"], values: Mapping[str, Array]
-    ) -> Float[Array, " n"]:
-        """The force at a velocity that does not change: the spring takes up none of it."""
-        own = jnp.stack([values[n] for n in self.element.parameters])
-        points = self.points
-        if points is None:
-            return own[0] * velocity
-        return RoofFunctions(points).interpolate(_rising(own, points), velocity)
-
-
-def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
-    """The same map where it rises, and one of least slope where it does not."""
-    mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
-    least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
-    rises = jnp.maximum(jnp.diff(forces), least)
-    return forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
-
-
-def with_springs(
-    equations: tuple[Equation, ...], springs: Sequence[SeriesSpring]
-) -> tuple[tuple[Equation, ...], tuple[SpringElement, ...]]:
-    """Equations that hold elements' forces in the elements' places, and these elements.
-
-    **Raises:** `ModelError` for an element whose law has no inverse that is known.
-    """
-    found = []
-    for number, spring in enumerate(springs):
-        first, force = next(
-            (e, equation.unit)
-            for equation in equations
-            if (e := spring.element(equation)) is not None
-        )
-        basis, law = (first.basis, first.prefix) if isinstance(first, Terms) else (None, spring.of)
-        if basis is not None and not isinstance(basis, RoofFunctions):
-            raise ModelError(
-                f"a spring in series with {law} needs the inverse of its law, which is known of "
-                f"one coefficient and of roof functions (rx.roof) only."
-            )
-        name = "series_force" if number == 0 else f"series_{number + 1}_force"
-        points = None if basis is None else basis.break_points
-        found.append(SpringElement(first, name, force, stiffness_name(number), points))
-    replaced = []
-    for equation in equations:
-        terms = []
-        for term in equation.terms:
-            name = next((f.state for f, s in zip(found, springs) if s.of in term.parameters), None)
-            terms.append(term if name is None else Term(element_sign(term), name))
-        replaced.append(equation.of_terms(*terms))
-    return tuple(replaced), tuple(found)
 
 
 class Motion(NamedTuple):
@@ -296,9 +203,8 @@ def read_structure(
     leading = {motion.names[-1] for motion in motions}
 
     def is_dynamic(term: AbstractTerm) -> bool:
-        if isinstance(term.of, str):
-            return derivative_name(term.of, term, motions) in leading
-        return bool(term.derivative or leading & set(signals_read(term.of)))
+        is_moving = term.signal is None and term.derivative > 0
+        return is_moving or bool(leading & {*signals_read(expression_read(term, motions))})
 
     # A static equation determines its first plain signal with a number for coefficient.
     moving = {name for motion in motions for name in motion.names} | set(rates)
@@ -306,9 +212,8 @@ def read_structure(
     for equation in equations:
         if any(map(is_dynamic, equation.terms)):
             continue
-        known = (t.of for t in equation.terms if not (t.parameters or t.derivative))
-        plain = (of for of in known if isinstance(of, str))
-        free = next((of for of in plain if of not in moving), None)
+        known = (t.signal for t in equation.terms if not (t.parameters or t.derivative))
+        free = next((of for of in known if of is not None and of not in moving), None)
         if free is None:
             raise ModelError(
                 f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no "
@@ -333,47 +238,44 @@ def read_structure(
             f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
             f"unknown(s) ({', '.join(unknowns)}). {remedy}"
         )
-    settled = {*structure.states, *unknowns}
-    terms = [(equation.name, term) for equation in equations for term in equation.terms]
+    terms = [term for equation in equations for term in equation.terms]
     read: list[Expression] = []
-    for name, term in (*terms, *((label, one.element) for one in elements)):
-        if not isinstance(term, Term | Terms):
-            raise ModelError(
-                f"{name} cannot be simulated: {type(term).__name__} is a term of an unknown kind."
-            )
-        of = term.of
-        read.append(derivative_name(of, term, motions) if isinstance(of, str) else of)
+    for term in (*terms, *(spring.element for spring in elements)):
+        if not term.is_linear and term.basis is None:
+            try:
+                jax.eval_shape(term.functions, jnp.zeros(1))
+            except ModelError as error:
+                raise ModelError(f"{label} cannot be simulated: {error}") from None
+        read.append(expression_read(term, motions))
+    settled = {*structure.states, *unknowns}
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
     # Whether the time derivatives of expressions follow from the states and the unknowns.
     # d/dt f(x) = f'(x) x' reads the first derivatives of what f reads, which states have. The
     # second reads theirs in turn, which only a signal has whose own second derivative leads.
     positions = {motion.signal for motion in structure.motions if len(motion.names) == 3}
-    for equation in equations:
-        for term in equation.terms:
-            if not term.derivative or isinstance(term.of, str):
-                continue
-            allowed = set(structure.states) if term.derivative == 1 else positions
-            if beyond := [name for name in signals_read(term.of) if name not in allowed]:
-                raise ModelError(
-                    f"{label} cannot be simulated: derivative {term.derivative} of the expression "
-                    f"{label_of(term.of)} needs derivatives of {', '.join(beyond)}, which no "
-                    f"equation leads to. Where a term reads a recorded derivative, write "
-                    f"Term('NAME', '{beyond[0]}', derivative=2, measured=('d{beyond[0]}', "
-                    f"'dd{beyond[0]}')) instead (derivative=1 of a velocity)."
-                )
+    for term in terms:
+        if not term.derivative or term.signal is not None:
+            continue
+        allowed = set(structure.states) if term.derivative == 1 else positions
+        if beyond := [name for name in signals_read(term.of) if name not in allowed]:
+            raise ModelError(
+                f"{label} cannot be simulated: derivative {term.derivative} of the expression "
+                f"{label_of(term.of)} needs derivatives of {', '.join(beyond)}, which no equation "
+                f"leads to. Where a term reads a recorded derivative, write Term('NAME', "
+                f"'{beyond[0]}', derivative=2, measured=('d{beyond[0]}', 'dd{beyond[0]}')) instead "
+                f"(derivative=1 of a velocity)."
+            )
     leading = set(unknowns)
     implicit = frozenset(
         (i, j)
         for i, equation in enumerate(equations)
         for j, term in enumerate(equation.terms)
-        if not (isinstance(term, Term) and isinstance(term.of, str))
-        and (term.derivative or leading & set(signals_read(term.of)))
+        if term.signal is None and (term.derivative or leading & set(signals_read(term.of)))
     )
     structure = structure._replace(implicit=implicit)
-    functions = [(t.of, t.basis if isinstance(t, Terms) else None) for _, t in terms]
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
-    return structure._replace(reversing=reversing_states(functions, structure.states, signals))
+    return structure._replace(reversing=reversing_states(terms, structure.states, signals))
 
 
 def _motions(
@@ -383,31 +285,29 @@ def _motions(
     rates: Mapping[str, Expression],
 ) -> tuple[Motion, ...]:
     """State signals in order of appearance, with the order of their leading derivative."""
-    terms = [
-        term
-        for equation in equations
-        for term in equation.terms
-        if isinstance(term.of, str) and term.of not in inputs and term.of not in rates
+    differentiated = [term for equation in equations for term in equation.terms if term.derivative]
+    moving = [
+        (term.signal, term.derivative, term.measured)
+        for term in differentiated
+        if term.signal is not None and term.signal not in inputs and term.signal not in rates
     ]
-    of_signals = [term for term in terms if isinstance(term, Term) and term.derivative > 0]
     names: dict[str, str] = {}
-    for term in of_signals:
-        for lower, higher in zip((str(term.of), *term.measured), term.measured):
+    for name, _, measured in moving:
+        for lower, higher in zip((name, *measured), measured):
             names.setdefault(lower, higher)
-    for term in of_signals:
-        name = str(term.of)
-        for _ in range(term.derivative):
+    for name, derivative, _ in moving:
+        for _ in range(derivative):
             name = names.setdefault(name, f"d{name}")
     below = {higher: lower for lower, higher in names.items()}
-    positions = {str(term.of) for term in of_signals}
+    positions = {name for name, _, _ in moving}
     order: dict[str, int] = {}
-    for term in of_signals:
+    for name, derivative, _ in moving:
         # A derivative of a velocity is one of the position, where the position is in the equations.
-        ancestors = [str(term.of)]
+        ancestors = [name]
         while ancestors[-1] in below:
             ancestors.append(below[ancestors[-1]])
         steps = max(i for i, name in enumerate(ancestors) if name in positions)
-        signal, rise = ancestors[steps], term.derivative + steps
+        signal, rise = ancestors[steps], derivative + steps
         order[signal] = max(order.get(signal, 0), rise)
     motions = []
     for signal, rise in order.items():
@@ -424,33 +324,31 @@ def _motions(
             "it holds no derivative of a signal, so it is static and says nothing about motion. "
             "Write what moves as a derivative, such as Term('m', 'x', derivative=2)."
         )
-        for term in (term for equation in equations for term in equation.terms):
-            if term.derivative and not isinstance(term.of, str):
-                why = (
-                    f"it holds a derivative of the expression {label_of(term.of)} (of "
-                    f"{', '.join(signals_read(term.of))}) and no derivative of a signal, so that "
-                    f"no signal is a state. Make the expression a signal first (on the command "
-                    f"line: --derive NAME=FORMULA), and write the term of that name."
-                )
-                break
+        if of := next((term.of for term in differentiated if term.signal is None), None):
+            why = (
+                f"it holds a derivative of the expression {label_of(of)} (of "
+                f"{', '.join(signals_read(of))}) and no derivative of a signal, so that no signal "
+                f"is a state. Make the expression a signal first (on the command line: --derive "
+                f"NAME=FORMULA), and write the term of that name."
+            )
         raise ModelError(f"{label} cannot be simulated: {why}")
     return tuple(motions)
 
 
-def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]) -> str:
-    """Under which name a term's derivative of a signal is to be read."""
-    if not term.derivative:
-        return signal
+def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
+    """A term's expression; of a signal, the name of the derivative that is to be read."""
+    signal = term.signal
+    if signal is None or not term.derivative:
+        return term.of
     for motion in motions:
         if signal in motion.names:
             return motion.names[motion.names.index(signal) + term.derivative]
-    measured = term.measured if isinstance(term, Term) else ()
-    if term.derivative > len(measured):
+    if term.derivative > len(term.measured):
         raise ModelError(
             f"a derivative of {signal} is needed and cannot be formed: name the signal that holds "
             f"it (measured=...)."
         )
-    return measured[term.derivative - 1]
+    return term.measured[term.derivative - 1]
 
 
 class EquationSystem(AbstractSystem):
@@ -589,8 +487,8 @@ class EquationSystem(AbstractSystem):
                     )
                     rest = rest + value
                     columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
-                elif isinstance(term, Term) and isinstance(term.of, str):
-                    name = derivative_name(term.of, term, self.structure.motions)
+                elif term.signal is not None:
+                    name = str(expression_read(term, self.structure.motions))
                     columns = {name: self._term(term, {name: zero + 1})} if name in zeros else {}
                     rest = rest if columns else rest + self._term(term, signals)
                 else:
@@ -602,26 +500,35 @@ class EquationSystem(AbstractSystem):
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
         values = [self.values[name] for name in term.parameters]
-        if isinstance(term, Terms):
-            x = self._expression(term, signals)
-            return jnp.asarray(term.sign) * term.basis.interpolate(jnp.stack(values), x)[0]
-        assert isinstance(term, Term)
-        factor = jnp.asarray(term.number) * (values[0] if values else 1.0)
-        return factor * self._expression(term, signals)[0]
+        factor, basis = jnp.asarray(term.factor), term.basis
+        if basis is not None:
+            law = partial(basis.interpolate, jnp.stack(values))
+            return factor * self._expression(term, signals, law)[0]
+        columns = self._expression(term, signals, term.functions)[:, 0]
+        if len(values) > 1:
+            return factor * jnp.stack(values) @ columns
+        return factor * (values[0] if values else 1.0) * columns[0]
 
-    def _expression(self, term: AbstractTerm, signals: dict[str, Array]) -> Float[Array, " 1"]:
-        """The term's expression, differentiated in time as often as the term says.
+    def _expression(
+        self,
+        term: AbstractTerm,
+        signals: dict[str, Array],
+        function: Callable[[Array], Array] = lambda x: x,
+    ) -> Array:
+        """A function of the term's expression, differentiated in time as the term says.
 
         Of an expression f of states x the chain rule gives d/dt f = f'(x) x', a forward derivative
         along the flow, and of that once more the second: no formula is differentiated by hand.
         """
-        if isinstance(term.of, str):
-            return signals[derivative_name(term.of, term, self.structure.motions)]
-        of = term.of
+        of = expression_read(term, self.structure.motions)
+        if isinstance(of, str) and term.signal is not None:
+            return function(signals[of])
 
         def level(states: dict[str, Array]) -> Array:
             # A constant may be one number for all samples.
-            return jnp.atleast_1d(jnp.asarray(of(Signals({**signals, **states}))))
+            known = Signals({**signals, **states})
+            samples = known[of] if isinstance(of, str) else of(known)
+            return function(jnp.atleast_1d(jnp.asarray(samples)))
 
         def rate(function: Callable[[dict[str, Array]], Array]):
             def along_motion(states: dict[str, Array]) -> Array:
@@ -735,7 +642,7 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
         if float(system.values[mode.parameters.mass]) == 0:
             raise ModelError(f"{label} cannot be simulated: {mode.parameters.mass} is zero.")
     for one in system.elements:
-        if isinstance(one.element, Term) and float(system.values[one.element.parameters[0]]) == 0:
+        if one.element.is_linear and float(system.values[one.element.parameters[0]]) == 0:
             which = one.element.parameters[0]
             raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
     state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])

@@ -23,11 +23,13 @@ from riecjax.records.record import Record
 class Outline(eqx.Module):
     """The equations that recordings are summed for, as far as sums depend on them.
 
-    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter;
-    `fingerprint` of the equations' terms, empty where their numbers were traced.
+    **Fields:** `stages`, each equation's name and its columns; `parameters`, the columns but for
+    those that hidden elements add; `units` by parameter; `fingerprint` of the equations' terms,
+    empty where their numbers were traced.
     """
 
     stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     fingerprint: str = eqx.field(static=True)
 
@@ -40,7 +42,9 @@ class Outline(eqx.Module):
             equations = [[_described(e) for e in stage] for stage in model.stages]
             written = json.dumps(equations, sort_keys=True, default=_without_address)
             fingerprint = hashlib.sha256(written.encode()).hexdigest()
-        return cls(stages, tuple(model.units.items()), fingerprint)
+        columns = (c for e in model.equations for t in e.terms for c in t.columns)
+        parameters = tuple(dict.fromkeys(c.name for c in columns if not c.order))
+        return cls(stages, parameters, tuple(model.units.items()), fingerprint)
 
     def is_of(self, other: "Outline") -> bool:
         """Whether both are of the same equations, as far as that is known."""

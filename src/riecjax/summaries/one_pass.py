@@ -25,9 +25,9 @@ from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
 from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
 from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
+from riecjax.equations.expressions import evaluate
 from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
-from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
@@ -304,11 +304,11 @@ def _surveyed(
     real = jnp.arange(record.sample_count) < blocks.unpadded
     for term in equation.terms:
         term = term.term if isinstance(term, InMotion) else term
-        if isinstance(term, Terms):
-            argument, _ = evaluate(term.of, record)
+        if term.basis is not None:
+            argument = evaluate(term.of, record).values
             low = jnp.min(argument, where=real, initial=jnp.inf)
             high = jnp.max(argument, where=real, initial=-jnp.inf)
-            reaches[term.prefix] = jnp.stack([low, high])[None]
+            reaches[str(term.name)] = jnp.stack([low, high])[None]
     at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
     return Surveyed(
         values,

@@ -16,7 +16,6 @@ from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
-from riecjax.equations.term import Terms
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.computed import without_computed
@@ -80,7 +79,7 @@ def task(
     if maps := [
         f"'{spring.of}'"
         for spring in model.springs
-        if any(isinstance(spring.element(e), Terms) for e in model.equations)
+        if any((t := spring.element(e)) and not t.is_linear for e in model.equations)
     ]:
         raise ModelError(
             f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "

@@ -14,7 +14,6 @@ from jaxtyping import Float
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
-from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off
 from riecjax.records.noise import noise_level
@@ -85,8 +84,8 @@ def drifting_inputs(
 
 def _only_input(equation: Equation) -> str | None:
     """The signal of an equation's only known term."""
-    inputs = [t.of for t in equation.terms if not t.parameters and isinstance(t, Term)]
-    return inputs[0] if len(inputs) == 1 and isinstance(inputs[0], str) else None
+    inputs = [t.signal for t in equation.terms if not t.parameters]
+    return inputs[0] if len(inputs) == 1 else None
 
 
 def _finding(

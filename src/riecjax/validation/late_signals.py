@@ -663,7 +663,7 @@ def advanced(record: Record, signals: Sequence[str], shift: float, reach: int) -
 def unfiltered(record: Record, signals: Sequence[str], lag: float, reach: int) -> Record:
     """The same with a first-order low-pass of a time constant in samples taken off them."""
     near = record.part(reach - SLOPE.size // 2, record.sample_count - reach + SLOPE.size // 2)
-    return lead(near, dict.fromkeys(signals, lag * float(record.time_step)))
+    return near.through(lead(near, lag * float(record.time_step)), *signals)
 
 
 Undo = Callable[[Record, Sequence[str], float, int], Record]

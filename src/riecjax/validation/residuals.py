@@ -45,7 +45,6 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
 from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths, with_memories
 from riecjax.equations.model import Model, as_model, told_apart
-from riecjax.equations.term import Term
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, Records, as_records
@@ -1036,8 +1035,8 @@ def residual_tests(
         residual = residual._replace(
             bodies=accelerated(equation),
             carrying=tuple(m.on for m in model.modes if m.inertia(equation) is not None),
-            dampers=tuple(name for name, term in free.items() if isinstance(term, Term)),
-            maps=tuple(name for name, term in free.items() if not isinstance(term, Term)),
+            dampers=tuple(name for name, term in free.items() if term.is_linear),
+            maps=tuple(name for name, term in free.items() if not term.is_linear),
             loop=loop,
             parameters=equation.parameters,
             names=tuple(sorted(named)),

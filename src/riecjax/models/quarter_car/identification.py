@@ -79,7 +79,7 @@ def _spring() -> Term:
     return Term("K_s", "x2", unit="N/m")
 
 
-def _damper(break_points: Points) -> Terms:
+def _damper(break_points: Points) -> Term:
     return Terms("F", RoofFunctions(break_points), of=suspension_velocity, unit="N")
 
 
