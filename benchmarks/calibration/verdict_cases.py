@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import difference, odd
 from riecjax.equations.model import Model, as_model, simultaneous
-from riecjax.equations.term import Term, difference, odd
+from riecjax.equations.term import Term
 from riecjax.records.record import Record
 
 RATE = 200.0

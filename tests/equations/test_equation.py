@@ -96,7 +96,7 @@ def test_a_missing_signal_is_explained_with_a_remedy(term, words):
 TRAVEL = rx.difference("x1", "x2")
 
 
-def equation(*terms: rx.Term) -> rx.equations.Model:
+def equation(*terms: rx.Term) -> rx.Model:
     return rx.staged(rx.Equation(*terms, -rx.Term(1.0, "F"), name="body"))
 
 

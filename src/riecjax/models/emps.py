@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, constant, odd
+from riecjax.equations.expressions import constant, odd
+from riecjax.equations.term import Term
 from riecjax.records.record import Signals
 
 

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import even, odd
 from riecjax.equations.model import simultaneous
-from riecjax.equations.term import Term, even, odd
+from riecjax.equations.term import Term
 from riecjax.records.record import Signals
 from riecjax.simulation.equation_system import EquationSystem, equation_system
 
