@@ -30,7 +30,6 @@ MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
     "riecjax.assessment.assess": 28,
-    "riecjax.assessment.assessment": 13,
     "riecjax.assessment.refining": 21,
     "riecjax.assessment.trust": 21,
     "riecjax.discovery.discover": 23,

@@ -90,7 +90,7 @@ def _dry(*friction: rx.Term) -> rx.Model:
         name="rig",
         unit="N",
     )
-    return rx.Model("rig", "with dry friction", procedure=lambda: equation, derived={"dx": "x"})
+    return rx.Model("rig", "with dry friction", stages=equation, derived={"dx": "x"})
 
 
 DRY_BY_BASIS = _dry(rx.Terms("f", rx.friction(), "dx"))

@@ -32,8 +32,9 @@ from .equations.expressions import odd as odd
 from .equations.expressions import product as product
 from .equations.hidden_elements import HiddenMode as HiddenMode
 from .equations.hidden_elements import SeriesSpring as SeriesSpring
-from .equations.procedure import simultaneous as simultaneous
-from .equations.procedure import staged as staged
+from .equations.model import Model as Model
+from .equations.model import simultaneous as simultaneous
+from .equations.model import staged as staged
 from .equations.term import Term as Term
 from .equations.term import Terms as Terms
 from .errors import DataError as DataError
@@ -48,7 +49,6 @@ from .estimation.identify import identify as identify
 from .findings import Finding as Finding
 from .fleets.fleet import fleet as fleet
 from .models.catalogue import find_model as find_model
-from .models.model import Model as Model
 from .records.frames import from_dataframe as from_dataframe
 from .records.frames import from_dataset as from_dataset
 from .records.noise import Noise as Noise

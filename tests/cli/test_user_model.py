@@ -13,8 +13,8 @@ UNITS = {"m": "kg", "c": "N s/m", "k": "N/m^3"}
 IMPORTS = """
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
-from riecjax.equations.procedure import simultaneous, staged
-from riecjax.models.model import Model, Quantity
+from riecjax.equations.model import Model, simultaneous, staged
+from riecjax.equations.quantity import Quantity
 """
 EQUATION = 'Equation(Term("m", "a"), Term("c", "v"), -Term(1.0, "f"), name="cart")'
 
@@ -61,13 +61,13 @@ def test_an_equation_of_a_file(capsys):
         (f"thing = simultaneous({EQUATION})", "mine.py:thing"),
         (f"def thing():\n    return {EQUATION}", "mine.py:thing"),
         (
-            f"def thing():\n    return Model('it', '', procedure=lambda: {EQUATION})",
+            f"def thing():\n    return Model('it', '', stages={EQUATION})",
             "mine.py:thing",
         ),
         # Where a file has one, it needs no name.
         (f"cart = {EQUATION}\nprocedure = staged(cart)", "mine.py"),
         (f"_part = {EQUATION}\nboth = staged(_part)\nsame = both", "mine.py"),
-        (f"cart = {EQUATION}\nthing = Model('it', '', procedure=lambda: cart)", "mine.py"),
+        (f"cart = {EQUATION}\nthing = Model('it', '', stages=cart)", "mine.py"),
     ],
 )
 def test_what_a_model_may_be(capsys, definition, reference):
@@ -126,11 +126,11 @@ FAILING = {
     "exception": ("raise RuntimeError('first\\nsecond')\n", ("RuntimeError: first second",)),
     "import of nothing": ("import no_such_module\n", ("no_such_module",)),
     "exit": ("import sys\nsys.exit(0)\n", ("mine.py",)),
-    "wrong kind": ("thing = 3\n", ("'thing'", "not a Model, an Equation or a Procedure")),
+    "wrong kind": ("thing = 3\n", ("'thing'", "not a Model or an Equation")),
     "function that fails": ("def thing():\n    return {}['a']\n", ("mine.py", "KeyError")),
     "function with arguments": ("def thing(a):\n    return a\n", ("mine.py", "argument")),
     "model of the wrong kind": (
-        IMPORTS + "thing = Model('thing', '', procedure=lambda: 3)\n",
+        IMPORTS + "thing = Model('thing', '', stages=3)\n",
         ("Equation",),
     ),
     "model for simulation only": (IMPORTS + "thing = Model('it', '')\n", ("not identified",)),

@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Key
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
 from riecjax.memory import REMEDY, require_memory
-from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.uncertainty.intervals import AbstractIntervals, Naive
@@ -35,14 +34,12 @@ def size_of(value: ArrayLike) -> float:
 class Asked(NamedTuple):
     """What is asked: a model, a criterion, and recordings to estimate from (`fitted`).
 
-    **Fields:** `procedure`, the model's equations, built once: equations that are built anew may
-    hold other functions, and would be compiled anew; `held`, the last parts of recordings if
+    **Fields:** `held`, the last parts of recordings if
     those are held out, and `further` recordings, both to validate on; `key` of random windows;
     `settings`, known values and parameters per record; `intervals`.
     """
 
     model: Model
-    procedure: Procedure
     criterion: AbstractCriterion
     fitted: list[Recording]
     held: list[Recording]
@@ -62,7 +59,7 @@ class Asked(NamedTuple):
         **Raises:** as [`identify`][riecjax.identify].
         """
         return identify(
-            self.procedure,
+            self.model,
             records,
             self.criterion,
             key=self.key,
@@ -72,7 +69,7 @@ class Asked(NamedTuple):
 
 
 def require_memory_to_assess(
-    procedure: Procedure,
+    model: Model,
     records: Sequence[Record],
     criterion: AbstractCriterion,
     *,
@@ -86,10 +83,10 @@ def require_memory_to_assess(
     samples = sum(record.sample_count for record in records)
     peak = 0.0
     for record in records:
-        each = len(procedure.equations) + len(record.arrays)
+        each = len(model.equations) + len(record.arrays)
         peak += record.sample_count * BYTES_PER_SAMPLE * each
         if criterion.needs_key:
-            rows = float(criterion.row_count(record) or 0) * (len(procedure.parameters) + 1)
+            rows = float(criterion.row_count(record) or 0) * (len(model.parameter_names) + 1)
             peak += rows * BYTES_PER_ROW
     verb = "checking" if checking else "assessing"
     require_memory(f"{verb} the model on {samples} samples", peak, REMEDY)

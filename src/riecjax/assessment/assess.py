@@ -14,7 +14,7 @@ from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
+from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import (
     Check,
@@ -32,7 +32,6 @@ from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
-from riecjax.models.model import as_model
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
 from riecjax.settings import Assess, taking
@@ -49,9 +48,7 @@ if TYPE_CHECKING:
 
 
 @taking(Assess)
-def assess(
-    model: Equation | Procedure | HasProcedure, recordings: Records, settings: Assess
-) -> "Assessment":
+def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "Assessment":
     """Identify a model's parameters from recordings, and find out how far to trust them.
 
     What `riecjax identify` does: [`check`][], [`identify`][], [`refine`][] where that is warranted
@@ -82,43 +79,42 @@ def assess(
     `IdentifiabilityError` for what [`Check.answerable`][] denies. What cannot be tested or
     simulated raises nothing: it is a finding.
     """
-    model = as_model(model)
-    procedure = with_rests(model.build_procedure(), settings.at_rest)
-    recordings = ready(procedure, recordings, settings.noise)
+    model = with_rests(as_model(model), settings.at_rest)
+    recordings = ready(model, recordings, settings.noise)
     plain = [each.record for each in recordings]
-    criterion = criterion_for(settings, procedure, model.band, plain)
+    criterion = criterion_for(settings, model, model.band, plain)
 
     def concerned(some: Sequence[Recording]) -> list[Recording]:
         """The recordings with what is said of signals that the criterion reads."""
-        return [each.concerning(read_of(procedure, each, criterion)) for each in some]
+        return [each.concerning(read_of(model, each, criterion)) for each in some]
 
     fitted, held = concerned(recordings), []
     if settings.hold_out is not None:
         fitted, held = map(list, zip(*(each.split(settings.hold_out) for each in fitted)))
     further: Any = settings.validate_on
-    further = concerned(ready(procedure, further)) if further else []
+    further = concerned(ready(model, further)) if further else []
     plan = {"known": settings.known, "per_record": settings.per_record}
     intervals = intervals_of(settings.intervals)
-    parts = model, procedure, criterion, fitted, held, further, settings.key, plan, intervals
-    with naming_copies(procedure, fitted, criterion):
+    parts = model, criterion, fitted, held, further, settings.key, plan, intervals
+    with naming_copies(model, fitted, criterion):
         return _answer(Asked(*parts), settings)
 
 
 def _answer(asked: Asked, settings: Assess) -> "Assessment":
-    procedure, records, criterion = asked.procedure, asked.records, asked.criterion
-    require_memory_to_assess(procedure, records, criterion)
+    model, records, criterion = asked.model, asked.records, asked.criterion
+    require_memory_to_assess(model, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
-    table = plan_parameters(procedure, len(records), **asked.settings)
+    table = plan_parameters(model, len(records), **asked.settings)
     # Read once: all that follows is made from these sums.
-    sweep = settings.sweep and not procedure.has_hidden
+    sweep = settings.sweep and not model.has_hidden
     bins = None
     if sweep and criterion.in_closed_form:
         with contextlib.suppress(DataError):  # too short a record, which the check says
             bins = sweep_edges(records, criterion)
     with explaining_errors(asked.fitted):
-        summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
-    estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
-    evidence, ordinary = _about_hidden(procedure, estimate, summary, table.known)
+        summary = summarise(model, records, criterion, key=asked.key, bins=bins, survey=True)
+    estimate = on_host(estimate_of(model, summary, **asked.settings, intervals=asked.intervals))
+    evidence, ordinary = _about_hidden(model, estimate, summary, table.known)
     excited = excitations(ordinary, table)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
@@ -133,8 +129,8 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     from riecjax.assessment.assessment import Assessment
 
     checked = check_sums(
-        procedure,
-        ready(procedure, records),
+        model,
+        ready(model, records),
         criterion,
         key=asked.key,
         **asked.settings,
@@ -147,23 +143,20 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
         failed = [*failed, *refining.outside_bounds(estimate, settings.bounds)]
-    residuals, choice, untested = trust.what_is_left(procedure, records, estimate, asked.again)
+    residuals, choice, untested = trust.what_is_left(model, records, estimate, asked.again)
 
-    def estimated_otherwise(procedure: Procedure) -> Estimate:
-        summary = summarise(procedure, records, criterion, key=asked.key)
-        return estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals)
+    def estimated_otherwise(model: Model) -> Estimate:
+        summary = summarise(model, records, criterion, key=asked.key)
+        return estimate_of(model, summary, **asked.settings, intervals=asked.intervals)
 
-    resting = at_rest_findings(procedure, records, estimate, estimated_otherwise)
+    resting = at_rest_findings(model, records, estimate, estimated_otherwise)
     over_lengths = None
     if sweep and summary.criterion.windows is not None:
         swept = records if summary.bins is None else summary
         with contextlib.suppress(DataError):  # too short for any other length
-            over_lengths = on_host(
-                window_sweep(procedure, swept, summary.criterion, **asked.settings)
-            )
+            over_lengths = on_host(window_sweep(model, swept, summary.criterion, **asked.settings))
     return Assessment(
-        model=asked.model,
-        procedure=procedure,
+        model=model,
         recordings=asked.fitted,
         validated_on=asked.further,
         checked=checked,
@@ -180,10 +173,9 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
 
 
 def assess_summary(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     summary: Summary,
     *,
-    procedure: Procedure | None = None,
     lengths: Summary | None = None,
     findings: Sequence[Finding] = (),
     known: Mapping[str, float | Array] | None = None,
@@ -195,8 +187,6 @@ def assess_summary(
     **Arguments:** `model`, `known` and `intervals` as for [`assess`][riecjax.assess];
 
     - `summary` of recordings by [`summarise`][riecjax.summarise].
-    - `procedure`: what the model builds, where that is there already: equations that are built once
-      compile once.
     - `lengths`: sums of the same recordings in bins of window lengths, for drift.
     - `findings` of the recordings, each with the parameters that it concerns, or for all; see
       [`recording_findings`][riecjax.estimation.recording_findings].
@@ -207,20 +197,18 @@ def assess_summary(
     from riecjax.assessment.assessment import Assessment
 
     model = as_model(model)
-    procedure = model.build_procedure() if procedure is None else procedure
-    found = on_host(estimate_of(procedure, summary, known=known, intervals=intervals))
-    table = plan_parameters(procedure, len(summary.recordings), known, ())
-    evidence, ordinary = _about_hidden(procedure, found, summary, table.known)
+    found = on_host(estimate_of(model, summary, known=known, intervals=intervals))
+    table = plan_parameters(model, len(summary.recordings), known, ())
+    evidence, ordinary = _about_hidden(model, found, summary, table.known)
     excited = excitations(ordinary, table)
     raise_if_refused(excited)
     told = [*findings, *(finding for stage in excited for finding in stage.findings())]
     sweep = None
-    if lengths is not None and not procedure.has_hidden:
+    if lengths is not None and not model.has_hidden:
         with contextlib.suppress(DataError):  # too short for any
-            sweep = on_host(window_sweep(procedure, lengths, known=known))
+            sweep = on_host(window_sweep(model, lengths, known=known))
     return Assessment(
         model=model,
-        procedure=procedure,
         recordings=(),
         validated_on=(),
         checked=Check(told, excited, ()),
@@ -231,16 +219,16 @@ def assess_summary(
 
 
 def _about_hidden(
-    procedure: Procedure, estimate: Estimate, summary: Summary, known: Mapping[str, Array]
+    model: Model, estimate: Estimate, summary: Summary, known: Mapping[str, Array]
 ) -> tuple[list["ModeEvidence"], Summary]:
     """What speaks for hidden modes, and the sums, linearised about hidden elements."""
-    if not procedure.has_hidden:
+    if not model.has_hidden:
         return [], summary
     from riecjax.estimation.evidence import mode_evidence
     from riecjax.estimation.mode_windows import linearised
 
-    evidence = mode_evidence(procedure, estimate) if procedure.modes else []
-    return evidence, linearised(procedure, summary, known)
+    evidence = mode_evidence(model, estimate) if model.modes else []
+    return evidence, linearised(model, summary, known)
 
 
 class Answering(NamedTuple):
@@ -261,7 +249,7 @@ class Answering(NamedTuple):
 
 
 def check_answering(
-    model: Equation | Procedure | HasProcedure, records: Records, settings: CheckSettings
+    model: Equation | Model, records: Records, settings: CheckSettings
 ) -> Answering:
     """[`check`][], and where noise rules out an answer by windows, whether refinement has one.
 
@@ -271,23 +259,22 @@ def check_answering(
 
     **Raises:** as [`check`][].
     """
-    described = as_model(model)
-    procedure, recordings = described.build_procedure(), as_recordings(records)
+    model, recordings = as_model(model), as_recordings(records)
     plain, key = [each.record for each in recordings], settings.key
-    criterion = criterion_for(settings, procedure, described.band, plain)
-    require_memory_to_assess(procedure, plain, criterion, checking=True)
+    criterion = criterion_for(settings, model, model.band, plain)
+    require_memory_to_assess(model, plain, criterion, checking=True)
     plan = {"known": settings.known, "per_record": settings.per_record}
-    summary = summarise(procedure, recordings, criterion, key=key, survey=True)
-    looked = ready(procedure, recordings)
-    checked = check_sums(procedure, looked, criterion, key=key, summary=summary, **plan)
+    summary = summarise(model, recordings, criterion, key=key, survey=True)
+    looked = ready(model, recordings)
+    checked = check_sums(model, looked, criterion, key=key, summary=summary, **plan)
     if checked.refusal is None or checked.refusal.code != "unidentifiable":
         return Answering(checked, criterion, None)
     # Not earlier: to import all that simulates takes seconds.
     from riecjax.assessment.refining import answered
 
-    parts = (described, procedure, criterion, recordings, [], [], key, plan, Sandwich())
+    parts = (model, criterion, recordings, [], [], key, plan, Sandwich())
     try:
-        start = on_host(estimate_of(procedure, summary, **plan, intervals=Sandwich()))
+        start = on_host(estimate_of(model, summary, **plan, intervals=Sandwich()))
     except IdentifiabilityError:
         return Answering(checked, criterion, None)
     refinement, _, _ = answered(Asked(*parts), start, True, Assess())

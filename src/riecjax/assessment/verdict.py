@@ -138,7 +138,7 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     if "uneven_errors" in by:
         # The zero of an input's sensor, where its equation has no constant term yet.
         names = {e.name for e in _equations(assessment) if e.has_constant_part}
-        for equation in assessment.procedure.equations:
+        for equation in assessment.model.equations:
             if equation.name in names and all(t.of is not constant for t in equation.terms):
                 known = [t for t in equation.terms if t.signal and not t.parameters]
                 inputs = [str(t.signal) for t in known if t.derivative == 0]

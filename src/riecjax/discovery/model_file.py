@@ -25,7 +25,7 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     table = found.estimate.table
     of_mode = {n: v for n, v in values.items() if isinstance(table[n].element, ModeParameters)}
     added: dict[str, list[str]] = {}
-    first = found.start.build_procedure().equation_names[0][0]
+    first = found.start.equation_names[0][0]
     own = False
     for one in (chosen.candidate for chosen in found.chosen):
         lines = [term.source for term in one.terms]

@@ -8,8 +8,8 @@ from .expressions import faster_than as faster_than
 from .memories import BoucWen as BoucWen
 from .memories import Dahl as Dahl
 from .memories import Elapsed as Elapsed
-from .procedure import AtRest as AtRest
-from .procedure import HasProcedure as HasProcedure
-from .procedure import Procedure as Procedure
-from .procedure import with_rests as with_rests
+from .model import AtRest as AtRest
+from .model import as_model as as_model
+from .model import with_rests as with_rests
+from .quantity import Quantity as Quantity
 from .term import AbstractTerm as AbstractTerm

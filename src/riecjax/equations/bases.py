@@ -30,6 +30,10 @@ class AbstractBasis(eqx.Module):
         """Every function at every sample."""
         raise NotImplementedError
 
+    def interpolate(self, values: Float[Array, " functions"], x: Float[Array, " n"]) -> Array:
+        """`sum values_i f_i(x)`, which some know without forming their functions."""
+        return values @ self(x)
+
     def words(self, name: str, of: str) -> list[str]:
         """The summands of `sum_i name_i basis_i(of)` in words."""
         return [f"{name} {type(self).__name__.lower()}({of})"]

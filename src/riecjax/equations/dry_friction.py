@@ -31,7 +31,7 @@ from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, combined, evaluate
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
@@ -90,16 +90,16 @@ class InMotion(AbstractTerm):
         return eqx.tree_at(lambda own: own.term, self, -self.term)
 
 
-def in_motion(procedure: Procedure, record: Record) -> Procedure:
-    """The procedure with equations weighted where a velocity with dry friction rests.
+def in_motion(model: Model, record: Record) -> Model:
+    """The model with equations weighted where a velocity with dry friction rests.
 
     The same unless rests are to be masked, and under trace; and of hidden elements.
     """
-    if procedure.at_rest == "keep" or procedure.has_hidden:
-        return procedure
-    rests = rests_of(procedure, record)
+    if model.at_rest == "keep" or model.has_hidden:
+        return model
+    rests = rests_of(model, record)
     if not rests:
-        return procedure
+        return model
 
     def of(equation: Equation) -> Equation:
         own = _jumping_at_rest(equation, record, rests)
@@ -108,14 +108,14 @@ def in_motion(procedure: Procedure, record: Record) -> Procedure:
             return equation
         return equation.of_terms(*terms)
 
-    stages = tuple(tuple(map(of, stage)) for stage in procedure.stages)
-    unchanged = all(a is b for s, t in zip(stages, procedure.stages) for a, b in zip(s, t))
-    return procedure if unchanged else replace(procedure, stages=stages)
+    stages = tuple(tuple(map(of, stage)) for stage in model.stages)
+    unchanged = all(a is b for s, t in zip(stages, model.stages) for a, b in zip(s, t))
+    return model if unchanged else replace(model, stages=stages)
 
 
-def rests_of(procedure: Procedure, record: Record) -> dict[str, Rest]:
+def rests_of(model: Model, record: Record) -> dict[str, Rest]:
     """Rests of the signals at whose zero some equation jumps, by signal; none under trace."""
-    if not is_concrete(procedure, record) or is_under_trace():
+    if not is_concrete(model, record) or is_under_trace():
         return {}
     if next(iter(record.arrays.values())).ndim != 1:
         return {}
@@ -123,7 +123,7 @@ def rests_of(procedure: Procedure, record: Record) -> dict[str, Rest]:
     found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}
     if not found:
         return {}
-    jumping = {n for e in procedure.equations for n in _jumping_at_rest(e, record, found)}
+    jumping = {n for e in model.equations for n in _jumping_at_rest(e, record, found)}
     return {name: rest for name, rest in found.items() if name in jumping}
 
 

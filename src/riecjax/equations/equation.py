@@ -1,6 +1,6 @@
 """An equation of motion, linear in its parameters."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -139,7 +139,7 @@ class Equation(Shown, eqx.Module):
         return signals.read
 
 
-def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
+def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[str]:
     """Expressions whose value at one sample depends on others, as `equation: name` (not under jit).
 
     A mean, a difference between neighbours or a filter would see only a chunk of the record, or

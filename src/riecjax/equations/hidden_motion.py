@@ -22,7 +22,7 @@ from riecjax.equations.hidden_elements import (
     SpringParameters,
     inertia_sign,
 )
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
@@ -35,9 +35,9 @@ LONGEST_START = 0.25
 
 
 def with_hidden_motion(
-    procedure: Procedure, record: Record, values: Mapping[str, Array]
-) -> tuple[Procedure, Record]:
-    """A procedure without hidden elements, and the record with their motion, for these values.
+    model: Model, record: Record, values: Mapping[str, Array]
+) -> tuple[Model, Record]:
+    """A model without hidden elements, and the record with their motion, for these values.
 
     Samples are marked missing until the start is forgotten, of a record and after each gap.
 
@@ -45,10 +45,10 @@ def with_hidden_motion(
     """
     added = _Added(record, {})
     stages = tuple(
-        tuple(_without_hidden(equation, procedure, added, values) for equation in stage)
-        for stage in procedure.stages
+        tuple(_without_hidden(equation, model, added, values) for equation in stage)
+        for stage in model.stages
     )
-    return Procedure(stages), record.with_signals(added.signals)
+    return Model(stages=stages), record.with_signals(added.signals)
 
 
 class _Added(NamedTuple):
@@ -65,15 +65,15 @@ class _Added(NamedTuple):
 
 
 def _without_hidden(
-    equation: Equation, procedure: Procedure, added: _Added, values: Mapping[str, Array]
+    equation: Equation, model: Model, added: _Added, values: Mapping[str, Array]
 ) -> Equation:
     terms = list(equation.terms)
-    for number, spring in enumerate(procedure.springs):
+    for number, spring in enumerate(model.springs):
         names = SpringParameters.of(number, spring)
         for place, term in enumerate(terms):
             if spring.of in term.parameters:
                 terms[place] = _lagging(term, names, added, values)
-    for number, mode in enumerate(procedure.modes):
+    for number, mode in enumerate(model.modes):
         names = ModeParameters.of(number)
         inertia = mode.inertia(equation)
         if inertia is None:

@@ -13,7 +13,7 @@ import numpy as np
 from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import odd
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.equations.term import Term
 from riecjax.records.record import Record
 
@@ -93,14 +93,14 @@ def motions_and_unread(
     return motions, [name for name in unread if name not in positions][:MOST_UNREAD]
 
 
-def reading_velocities(procedure: Procedure) -> Procedure:
+def reading_velocities(model: Model) -> Model:
     """The same equations with a term that reads each velocity that they have a name for."""
-    names = [name for stage in procedure.equation_names for name in stage]
+    names = [name for stage in model.equation_names for name in stage]
     added: dict[str, list[Term]] = {}
-    for name, equation in zip(names, procedure.equations, strict=True):
+    for name, equation in zip(names, model.equations, strict=True):
         velocities = {t.measured[0] for t in equation.terms if t.signal and t.measured}
         added[name] = [Term(f"{name} {v}", odd(v, 2)) for v in sorted(velocities)]
-    return procedure.with_terms(added)
+    return model.with_terms(added)
 
 
 def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:

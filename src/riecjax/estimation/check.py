@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
@@ -99,7 +99,7 @@ def raise_if_not_carried(
 
 @contextlib.contextmanager
 def naming_copies(
-    procedure: Procedure, recordings: Sequence[Recording], criterion: AbstractCriterion
+    model: Model, recordings: Sequence[Recording], criterion: AbstractCriterion
 ) -> Iterator[None]:
     """Say of a refusal that one signal is a copy of another, where that is why.
 
@@ -109,7 +109,7 @@ def naming_copies(
         yield
     except IdentifiabilityError as error:
         for one in recordings:
-            names = read_of(procedure, one, criterion)
+            names = read_of(model, one, criterion)
             found = check_signals(one.record, names, computed=one.computed)
             for copy in (finding for finding in found if finding.code == COPIED):
                 raise IdentifiabilityError(f"{copy.message} {error}", COPIED) from None
@@ -126,9 +126,7 @@ def refusal_by(findings: Iterable[Finding]) -> Finding | None:
 
 
 @taking(CheckSettings)
-def check(
-    model: Equation | Procedure | HasProcedure, records: Records, settings: CheckSettings
-) -> Check:
+def check(model: Equation | Model, records: Records, settings: CheckSettings) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
     Nothing is estimated but hidden modes, whose shapes the regressors depend on, and nothing that
@@ -139,7 +137,7 @@ def check(
     """
     return check_sums(
         model,
-        ready(as_procedure(model), records, settings.noise),
+        ready(as_model(model), records, settings.noise),
         settings,
         key=settings.key,
         known=settings.known,
@@ -148,7 +146,7 @@ def check(
 
 
 def check_sums(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     recordings: list[Recording],
     criterion: AbstractCriterion | Fit,
     *,
@@ -164,21 +162,19 @@ def check_sums(
     what [`excitations`][] says of it, if they were asked.
     """
     asked = task(model, recordings, criterion, key)
-    procedure, plain, criterion, _ = asked
-    read = [read_of(procedure, one, criterion, summary is not None) for one in recordings]
-    table = plan_parameters(procedure, len(plain), known, per_record)
+    model, plain, criterion, _ = asked
+    read = [read_of(model, one, criterion, summary is not None) for one in recordings]
+    table = plan_parameters(model, len(plain), known, per_record)
     summary = summed(asked, survey=True) if summary is None else summary
-    if procedure.has_hidden:
+    if model.has_hidden:
         from riecjax.estimation.mode_windows import linearised
 
-        summary = linearised(procedure, summary, table.known)
+        summary = linearised(model, summary, table.known)
     excited = excitations(summary, table) if excited is None else excited
-    settings = procedure, table, summary
+    settings = model, table, summary
     # Deviations from the mean are no regressors of hidden elements.
-    constant = (
-        () if procedure.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
-    )
-    sensors = [of_sensors(procedure, one, names) for one, names in zip(recordings, read)]
+    constant = () if model.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
+    sensors = [of_sensors(model, one, names) for one, names in zip(recordings, read)]
 
     def is_for_all(finding: Finding) -> bool:
         """Whether what is proposed does no harm to recordings without the fault."""
@@ -205,7 +201,7 @@ def check_sums(
         ),
         *_windows(plain, criterion),
         *_quadrature(summary),
-        *_break_points(procedure, summary),
+        *_break_points(model, summary),
         *constant,
         *(finding for stage in excited for finding in stage.findings()),
     ]
@@ -213,19 +209,19 @@ def check_sums(
 
 
 def read_of(
-    procedure: Procedure, recording: Recording, criterion: AbstractCriterion, summed: bool = False
+    model: Model, recording: Recording, criterion: AbstractCriterion, summed: bool = False
 ) -> tuple[str, ...]:
     """Names of the signals that a criterion reads; errors name the recording."""
     with recording.explaining_errors():
-        return signals_read(procedure, recording.record, criterion, summed)
+        return signals_read(model, recording.record, criterion, summed)
 
 
-def of_sensors(procedure: Procedure, recording: Recording, read: Collection[str]) -> list[Finding]:
+def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> list[Finding]:
     """What is amiss with the sensors of one recording, of which these signals are read."""
     record, computed = recording.record, recording.computed
-    pairs = [p for e in procedure.equations for p in e.derivatives if {*p} <= {*read}]
+    pairs = [p for e in model.equations for p in e.derivatives if {*p} <= {*read}]
     # Of an input that no equation reads, as a road, a recording may tell all the same.
-    known = [one for one in procedure.kinematics if {*one.names} <= {*record.arrays}]
+    known = [one for one in model.kinematics if {*one.names} <= {*record.arrays}]
     of_signals = check_signals(record, read, computed=computed, pairs=pairs)
     # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
     # Nor are rows lost where one signal alone jumps.
@@ -239,7 +235,7 @@ def of_sensors(procedure: Procedure, recording: Recording, read: Collection[str]
 
 
 def recording_findings(
-    procedure: Procedure, recording: Recording, criterion: AbstractCriterion
+    model: Model, recording: Recording, criterion: AbstractCriterion
 ) -> list[Finding]:
     """What is amiss with one recording and its sensors, as far as a criterion reads it.
 
@@ -248,8 +244,8 @@ def recording_findings(
 
     **Raises:** `DataError` for an absent signal or a record shorter than a window.
     """
-    read, record = read_of(procedure, recording, criterion, summed=True), recording.record
-    equations = [(e, e.signals_read(record, criterion.smoothness)) for e in procedure.equations]
+    read, record = read_of(model, recording, criterion, summed=True), recording.record
+    equations = [(e, e.signals_read(record, criterion.smoothness)) for e in model.equations]
 
     def concerned(finding: Finding) -> tuple[str, ...]:
         reading = [equation for equation, names in equations if {*finding.signals} & names]
@@ -261,18 +257,18 @@ def recording_findings(
         else finding._replace(parameters=concerned(finding))
         for finding in (
             *recording.concerning(read).findings,
-            *of_sensors(procedure, recording, read),
+            *of_sensors(model, recording, read),
         )
     ]
 
 
-def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
+def _break_points(model: Model, summary: Summary) -> Iterator[Finding]:
     """Roof functions past the reach of the data, whose values would be extrapolated."""
     reach: dict[str, list[Float[np.ndarray, "2"]]] = {}
     for survey, _ in _surveys(summary):
         for prefix, ends in survey.reach.items():
             reach.setdefault(prefix, []).append(np.asarray(ends))
-    for term in (term for equation in procedure.equations for term in equation.terms):
+    for term in (term for equation in model.equations for term in equation.terms):
         if not isinstance(term.basis, RoofFunctions):
             continue
         least, most = np.min(reach[str(term.name)]), np.max(reach[str(term.name)])

@@ -37,7 +37,7 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding
 from riecjax.linear_algebra import factor_of_gram
@@ -68,15 +68,13 @@ Rows = Float[np.ndarray, " rows"]
 
 # Values too large to be squared are for the fit to refuse.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def constant_targets(
-    procedure: Procedure, table: ParameterTable, summary: Summary
-) -> list[Finding]:
+def constant_targets(model: Model, table: ParameterTable, summary: Summary) -> list[Finding]:
     """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
     **Arguments:** `summary`, with a constant beside all equations.
     """
     findings = []
-    for seen in _averaged(procedure, table, summary):
+    for seen in _averaged(model, table, summary):
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
@@ -88,13 +86,13 @@ def constant_targets(
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def wrong_zeros(procedure: Procedure, table: ParameterTable, summary: Summary) -> Iterator[Finding]:
+def wrong_zeros(model: Model, table: ParameterTable, summary: Summary) -> Iterator[Finding]:
     """`wrong_zero` of equations that motion explains, and a fit with the means does not.
 
     Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
     are left out that read what an earlier stage finds.
     """
-    for seen in itertools.chain.from_iterable(_averaged(procedure, table, summary)):
+    for seen in itertools.chain.from_iterable(_averaged(model, table, summary)):
         names = {*table.everywhere(seen.equation.parameters)}
         if not names <= {*seen.names, *table.known}:
             continue
@@ -125,11 +123,9 @@ def wrong_zeros(procedure: Procedure, table: ParameterTable, summary: Summary) -
         )
 
 
-def _averaged(
-    procedure: Procedure, table: ParameterTable, summary: Summary
-) -> Iterator[list["_Averaged"]]:
+def _averaged(model: Model, table: ParameterTable, summary: Summary) -> Iterator[list["_Averaged"]]:
     """The equations of each stage."""
-    for number, stage in enumerate(procedure.stages):
+    for number, stage in enumerate(model.stages):
         _, unknown = table.stages[number]
         sums = zip(*(recording.stages[number] for recording in summary.recordings))
         yield [_Averaged(e, table, summary, of, unknown) for e, of in zip(stage, sums)]

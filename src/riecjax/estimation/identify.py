@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate
@@ -43,9 +43,7 @@ from riecjax.uncertainty.intervals import (
 
 
 @taking(Identify)
-def identify(
-    model: Equation | Procedure | HasProcedure, records: Records, settings: Identify
-) -> Estimate:
+def identify(model: Equation | Model, records: Records, settings: Identify) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
     [`summarise`][] and [`estimate`][] in a row. Works eagerly, with every check, and under
@@ -80,27 +78,25 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    recordings = ready(as_procedure(model), records, settings.noise)
+    recordings = ready(as_model(model), records, settings.noise)
     asked = task(model, recordings, settings, settings.key, settings.at_rest)
-    table = plan_parameters(
-        asked.procedure, len(asked.records), settings.known, settings.per_record
-    )
+    table = plan_parameters(asked.model, len(asked.records), settings.known, settings.per_record)
     intervals = intervals_of(settings.intervals)
     with explaining_errors(recordings):
-        found = _estimated(asked.procedure, summed(asked), table, intervals)
+        found = _estimated(asked.model, summed(asked), table, intervals)
 
-    def otherwise(procedure: Procedure) -> Estimate:
-        other = summed(asked._replace(procedure=procedure))
-        return _estimated(procedure, other, table, intervals)
+    def otherwise(model: Model) -> Estimate:
+        other = summed(asked._replace(model=model))
+        return _estimated(model, other, table, intervals)
 
-    resting = at_rest_findings(asked.procedure, asked.records, found, otherwise)
+    resting = at_rest_findings(asked.model, asked.records, found, otherwise)
     # What recordings say of signals that are read; bare records say nothing.
     doubts = [
         finding
         for one in recordings
         if one.findings
         for finding in one.concerning(
-            signals_read(asked.procedure, one.record, asked.criterion)
+            signals_read(asked.model, one.record, asked.criterion)
         ).findings
     ]
     doubts = (*doubts, *resting)
@@ -108,7 +104,7 @@ def identify(
 
 
 def estimate(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     summaries: Summary | Sequence[Summary],
     *,
     known: Mapping[str, float | Array] | None = None,
@@ -134,26 +130,26 @@ def estimate(
     **Raises:** as [`identify`][], and `ModelError` for a Summary of another model, or for summaries
     that cannot be merged.
     """
-    procedure, summary = as_procedure(model), as_summary(summaries)
-    summary.require_model(procedure)
-    table = plan_parameters(procedure, len(summary.recordings), known, per_record)
-    return _estimated(procedure, summary, table, intervals_of(intervals))
+    model, summary = as_model(model), as_summary(summaries)
+    summary.require_model(model)
+    table = plan_parameters(model, len(summary.recordings), known, per_record)
+    return _estimated(model, summary, table, intervals_of(intervals))
 
 
 def _estimated(
-    procedure: Procedure,
+    model: Model,
     summary: Summary,
     table: ParameterTable,
     intervals: AbstractIntervals,
 ) -> Estimate:
     equations = summary.equations()
     modes, short = None, summary.short_blocks
-    if procedure.has_hidden:
+    if model.has_hidden:
         if table.per_record:
             raise ModelError("per_record has no meaning yet for a model with hidden elements.")
         from riecjax.estimation.mode_windows import find_modes
 
-        modes = find_modes(procedure, summary, table.known)
+        modes = find_modes(model, summary, table.known)
         equations = modes.equations
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
@@ -164,7 +160,7 @@ def _estimated(
     if modes is not None:
         from riecjax.estimation.mode_windows import find_modes
 
-        other = find_modes(procedure, summary, table.known, rank=1)
+        other = find_modes(model, summary, table.known, rank=1)
         beside = _solve(sums._replace(equations=other.equations), *settings, None)
         # Which lengths tell most of hidden elements is a choice among nearly equals, and what the
         # model and its integrals leave out weighs differently in each. As in an average over models
@@ -182,7 +178,7 @@ def _estimated(
         # Sums that were made under jit have no constant to tell means from motion by.
         with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
         if with_constant and modes is None:
-            for finding in constant_targets(procedure, table, summary):
+            for finding in constant_targets(model, table, summary):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
@@ -192,10 +188,10 @@ def _estimated(
         raise_if_unidentifiable(fit.stages, table)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
-    whole = [summary.band == summary.in_law] * len(procedure.stages)
+    whole = [summary.band == summary.in_law] * len(model.stages)
     if modes is not None:
         whole = [band is None and all_of_law for band, all_of_law in zip(modes.bands, whole)]
-    each = [len(of) if known else np.nan for of, known in zip(procedure.stages, whole)]
+    each = [len(of) if known else np.nan for of, known in zip(model.stages, whole)]
     return Estimate(
         theta=fit.theta,
         uncertainty=fit.uncertainty,
@@ -205,7 +201,7 @@ def _estimated(
         table=table,
         criterion=summary.criterion,
         stage_names=tuple(table.stages[stage.stage][0] for stage in fit.stages),
-        equation_names=tuple(procedure.equation_names[stage.stage] for stage in fit.stages),
+        equation_names=tuple(model.equation_names[stage.stage] for stage in fit.stages),
         block_count=fit.block_count,
         block_length=fit.block_length,
         rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
@@ -214,7 +210,7 @@ def _estimated(
 
 
 class _Fit(NamedTuple):
-    """What `Estimate` takes from a fit; and of each stage of the procedure, those that find nothing
+    """What `Estimate` takes from a fit; and of each stage of the model, those that find nothing
     included, the `totals` to refuse it by."""
 
     theta: Float[Array, " p"]

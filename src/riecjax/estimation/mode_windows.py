@@ -22,7 +22,7 @@ from riecjax.equations.hidden_elements import (
     ModeParameters,
     SpringParameters,
 )
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.hidden_modes import ModeStage, Values, as_asked, search
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace, on_host
@@ -52,7 +52,7 @@ class FoundModes(NamedTuple):
     shown: Bool[Array, ""]
 
 
-def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int = 0) -> FoundModes:
+def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> FoundModes:
     """The hidden elements of each stage, in the windows that tell most of them.
 
     Short windows show a fast mode, or a lag, and much noise; which of the lengths tells most is
@@ -65,7 +65,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
     stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
     signal that tells of an element never moves.
     """
-    for number, _ in enumerate(procedure.modes):
+    for number, _ in enumerate(model.modes):
         names = ModeParameters.of(number)
         held = [name for name in names if name in given]
         if held and len(held) < 3:
@@ -73,7 +73,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 f"of a hidden mode all of {', '.join(names)} are known or none; got "
                 f"{', '.join(held)}."
             )
-    for number, spring in enumerate(procedure.springs):
+    for number, spring in enumerate(model.springs):
         coefficient, stiffness = SpringParameters.of(number, spring)
         if stiffness in given and coefficient not in given:
             raise ModelError(
@@ -85,13 +85,13 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
     shown = jnp.array(True)
     equations = summary.equations()
     looked_at = is_concrete(equations, known) and not is_under_trace()
-    for i, expanded in enumerate(procedure.expanded):
+    for i, expanded in enumerate(model.expanded):
         stage = ModeStage.of(expanded, equations[i], known)
         used, at, band = equations[i], jnp.zeros(0), None
         if stage.sought:
-            where = tuple(search_band(procedure, summary, names) for names in stage.sought)
+            where = tuple(search_band(model, summary, names) for names in stage.sought)
             wanted = tuple(
-                procedure.mode_named(names) if isinstance(names, ModeParameters) else None
+                model.mode_named(names) if isinstance(names, ModeParameters) else None
                 for names in stage.sought
             )
             # The sums over the windows that tell most of the stage's elements.
@@ -111,13 +111,13 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
             finite = looked_at and all(bool(np.isfinite(e.moments).all()) for e in equations[i])
             if finite and not bool(np.isfinite(at).all()):
                 raise IdentifiabilityError(
-                    f"{', '.join(procedure.equation_names[i])}: nothing in the record tells of the "
+                    f"{', '.join(model.equation_names[i])}: nothing in the record tells of the "
                     f"hidden element, as a signal that it acts on never moves. Check that signal's "
                     f"channel, or excite it.",
                     "not_excited",
                 )
         # What no later equation with an element asks for is left to the fit.
-        later = [e for stage in procedure.expanded[i:] for e in stage if e.elements]
+        later = [e for stage in model.expanded[i:] for e in stage if e.elements]
         asked = {name for e in later for name in e.all_parameters}
         mixes = []
         if any(e.elements for e in expanded) or asked.intersection(stage.linear):
@@ -219,11 +219,9 @@ def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " 
     return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
 
 
-def search_band(
-    procedure: Procedure, summary: Summary, names: HiddenParameters
-) -> tuple[Leaf, Leaf]:
+def search_band(model: Model, summary: Summary, names: HiddenParameters) -> tuple[Leaf, Leaf]:
     """Hertz between which to look for a mode, or for the corner of a spring's lag."""
-    hz = procedure.mode_named(names).hz if isinstance(names, ModeParameters) else None
+    hz = model.mode_named(names).hz if isinstance(names, ModeParameters) else None
     if hz is not None:
         steps = [one.time_step for one in summary.recordings]
         rate = 1 / max(map(float, steps)) if is_concrete(steps) else np.inf
@@ -252,7 +250,7 @@ Band = tuple[int, int]
 """Bins of window lengths, first and one beyond the last."""
 
 
-def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary:
+def linearised(model: Model, summary: Summary, known: Values) -> Summary:
     """Sums of regressors about the hidden elements that these sums say (not under jit).
 
     Of a model without any, and of sums that are linearised already, the Summary itself.
@@ -260,13 +258,13 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
     **Returns:** a Summary of all windows together, each stage's of those it is solved from; without
     the constant, which tells of no combination of columns.
     """
-    if not procedure.has_hidden or summary.outline.is_of(_outline(procedure)):
+    if not model.has_hidden or summary.outline.is_of(_outline(model)):
         return summary
-    found = find_modes(procedure, summary, known)
+    found = find_modes(model, summary, known)
     # An equation without elements, or whose values nothing asks for, stays as it is.
     mixes = [
         [mix if e.elements else np.eye(1 + len(e.parameters)) for e, mix in zip_longest(stage, own)]
-        for stage, own in zip(procedure.expanded, on_host(found.mixes))
+        for stage, own in zip(model.expanded, on_host(found.mixes))
     ]
     recordings = [
         dataclasses.replace(
@@ -275,7 +273,7 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
                 tuple(
                     _mixed_sums(e, mix, sums, band or summary.band) for e, mix, sums in zip(*parts)
                 )
-                for *parts, band in zip(procedure.expanded, mixes, one.stages, found.bands)
+                for *parts, band in zip(model.expanded, mixes, one.stages, found.bands)
             ),
         )
         for one in summary.recordings
@@ -283,18 +281,18 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
     return dataclasses.replace(
         summary,
         recordings=tuple(recordings),
-        outline=_outline(procedure),
+        outline=_outline(model),
         edges=None,
         in_law=(0, 1),
         band=(0, 1),
     )
 
 
-def _outline(procedure: Procedure) -> Outline:
+def _outline(model: Model) -> Outline:
     stages = tuple(
-        tuple((e.equation.name, e.all_parameters) for e in stage) for stage in procedure.expanded
+        tuple((e.equation.name, e.all_parameters) for e in stage) for stage in model.expanded
     )
-    return Outline(stages, procedure.parameters, tuple(procedure.units.items()), "")
+    return Outline(stages, model.parameter_names, tuple(model.units.items()), "")
 
 
 def _mixed_sums(

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import namespace
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
@@ -134,7 +134,7 @@ class StageSolution(eqx.Module):
     **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
     the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
     per unit of its parameter, and where it acts if that is in bursts; `equations`, what is left of
-    each; `parameters` found here; `stage` its place in the procedure.
+    each; `parameters` found here; `stage` its place in the model.
     """
 
     solution: Solution
@@ -250,7 +250,7 @@ def _shrinkage(
 
 
 def all_normal_equations(
-    procedure: Procedure,
+    model: Model,
     table: ParameterTable,
     records: list[Record],
     criterion: AbstractCriterion,
@@ -258,7 +258,7 @@ def all_normal_equations(
 ) -> list[NormalEquations]:
     """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
     every = [
-        stage_normal_equations(procedure, record, criterion, key, blocks=True)
+        stage_normal_equations(model, record, criterion, key, blocks=True)
         for record, key in zip(records, keys)
     ]
     return [_over_records(stack_normal_equations(parts), table) for parts in zip(*every)]

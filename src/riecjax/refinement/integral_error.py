@@ -41,7 +41,7 @@ from jaxtyping import Array, Float, Key
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip, told_apart
+from riecjax.equations.model import Model, require_no_slip, told_apart
 from riecjax.equations.term import AbstractTerm, Term, combined
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import ParameterTable
@@ -120,7 +120,7 @@ class AbstractBalance(eqx.Module):
 class ParametricBalance(eqx.Module):
     """An equation of motion for every value of its parameters.
 
-    **Fields:** `model`, an `Equation`, or something that builds an `AbstractBalance`.
+    **Fields:** `model`, an `Equation`, or something that builds one or an `AbstractBalance`.
     """
 
     model: Equation | AbstractParametric
@@ -179,17 +179,19 @@ class ParametricBalance(eqx.Module):
 
     def label(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
         """Name and unit of the equation, and where it is to be trusted."""
-        if isinstance(self.model, Equation):
-            return self.model.name, self.model.unit, self.model.where
-        module = self.model.build(values)
-        return module.name, module.unit, type(module).where
+        built = self._built(values)
+        where = built.where if isinstance(built, Equation) else type(built).where
+        return built.name, built.unit, where
+
+    def _built(self, values: Values) -> Equation | AbstractBalance:
+        return self.model if isinstance(self.model, Equation) else self.model.build(values)
 
     def _levels(self, record: Record, values: Values, smoothness: int) -> Levels:
         levels: Levels = {}
-        if not isinstance(self.model, Equation):
+        balance = self._built(values)
+        if not isinstance(balance, Equation):
             timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
             signals = timed.signals
-            balance = self.model.build(values)
             for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
                 with users_code(f"{balance.name}.{part.__name__}"):
                     level = part(signals)
@@ -215,7 +217,7 @@ class ParametricBalance(eqx.Module):
                 )
             present = record.present(signals.read)
             return {order: Signal(level.values, present) for order, level in levels.items()}
-        for term in self.model.terms:
+        for term in balance.terms:
             # As criteria read it: derivatives that the test function cannot take off are recorded.
             read = max(term.derivative - smoothness, 0)
             coefficients = [values[name] for name in term.parameters]
@@ -229,14 +231,7 @@ class ParametricBalance(eqx.Module):
         return levels
 
 
-Balances = (
-    Equation
-    | Procedure
-    | HasProcedure
-    | AbstractBalance
-    | AbstractParametric
-    | Sequence["Balances"]
-)
+Balances = Equation | Model | AbstractBalance | AbstractParametric | Sequence["Balances"]
 """What equation errors can be formed of: one equation of motion or several."""
 
 
@@ -251,20 +246,18 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
         return (ParametricBalance(ByFields(model)),)
     if isinstance(model, Equation | AbstractParametric):
         return (ParametricBalance(model),)
-    if isinstance(model, Procedure):
+    if isinstance(model, Model):
         if model.has_hidden:
             raise ModelError(
                 "hidden modes and springs have states of their own, which no integral of the "
                 "equations shows: refine by rx.OutputError()."
             )
-        return tuple(ParametricBalance(e) for stage in model.stages for e in stage)
+        return tuple(map(ParametricBalance, model.equations))
     if isinstance(model, Sequence):
         return tuple(balance for part in model for balance in as_balances(part))
-    if hasattr(model, "build_procedure"):
-        return as_balances(model.build_procedure())
     raise ModelError(
         f"a {type(model).__name__} has no equation of motion to integrate; give an Equation, a "
-        f"Procedure, a Model, an AbstractBalance, or several of them."
+        f"Model, an AbstractBalance, or several of them."
     )
 
 
@@ -326,7 +319,7 @@ class IntegralMisfit(AbstractMisfit):
                 for record, own in zip(self.records, of_record)
             ]
             (equations,) = all_normal_equations(
-                Procedure(((expanded[0][0],),)),
+                Model(stages=((expanded[0][0],),)),
                 self.table,
                 [record for _, record in expanded],
                 self.criterion,

@@ -37,7 +37,7 @@ def discovery_document(
     **Arguments:** `command`: the arguments of `riecjax` that made it; `model_file`, where the model
     was written to.
     """
-    procedure = found.model.build_procedure()
+    model = found.model
     return {
         "schema": SCHEMA,
         "model": found.start.name,
@@ -79,7 +79,7 @@ def discovery_document(
         "known": known_entries(found.estimate),
         "equation": "; ".join(
             [
-                *map(equation_in_words, procedure.equations),
+                *map(equation_in_words, model.equations),
                 *([f"with {_mode_in_words(found.mode)}"] if found.mode else []),
             ]
         ),
@@ -165,7 +165,7 @@ def _something_else(found: Discovery) -> str:
     if not found.leaves_more:
         return beside
     left = " Most of what is left is no noise: something that is no candidate is missing"
-    bodies = {on: "" for e in found.model.build_procedure().equations for on in accelerated(e)}
+    bodies = {on: "" for e in found.model.equations for on in accelerated(e)}
     if found.mode is not None:
         return f"{left} too.{beside} Add terms to the model by hand."
     if not bodies:

@@ -6,7 +6,7 @@ import numpy as np
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, constant
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete
 
@@ -27,16 +27,16 @@ def equation_in_words(equation: Equation) -> str:
     return f"{_sum(left)} = {_sum(right) if right else '0'}"
 
 
-def procedure_in_words(procedure: Procedure) -> list[str]:
+def model_in_words(model: Model) -> list[str]:
     """A line for each equation, with the stage that solves it, and one for each hidden element."""
     lines = []
-    for i, (stage, names) in enumerate(zip(procedure.stages, procedure.equation_names)):
-        number = f"{i + 1}. " if len(procedure.stages) > 1 else ""
+    for i, (stage, names) in enumerate(zip(model.stages, model.equation_names)):
+        number = f"{i + 1}. " if len(model.stages) > 1 else ""
         lines += [f"{number}{name}: {equation_in_words(one)}" for name, one in zip(names, stage)]
-    for mode in procedure.modes:
+    for mode in model.modes:
         near = "" if mode.hz is None else f", near {mode.hz:g} Hz"
         lines.append(f"with a hidden mode on {mode.on}{near}")
-    lines += [f"with a spring in series with {spring.of}" for spring in procedure.springs]
+    lines += [f"with a spring in series with {spring.of}" for spring in model.springs]
     return lines
 
 

@@ -205,11 +205,11 @@ def held_out_figure(held: HeldOut, about: str = "") -> Chart:
 
 def _fit_figure(result: Assessment) -> Chart:
     """Each stage's rows, measured against explained, and what is left of them."""
-    estimate, procedure = result.estimate, result.procedure
+    estimate, model = result.estimate, result.model
     rows = list(_surveyed_rows(result))
     above, beneath = [], []
     for stage, name in zip(estimate.stages, estimate.stage_names):
-        held = estimate.criterion.row_unit(procedure.stages[stage.stage][0].unit)
+        held = estimate.criterion.row_unit(model.stages[stage.stage][0].unit)
         unit = f" / ({held})" if held else ""
         of_stage = [arrays for place, *arrays in rows if place == stage.stage]
         measured, explained, start = (np.concatenate(arrays) for arrays in zip(*of_stage))
@@ -241,7 +241,7 @@ def _surveyed_rows(
     what known terms give), what is explained of it, and when the rows' windows start."""
     estimate = result.estimate
     assert estimate.summary is not None
-    summary = linearised(result.procedure, estimate.summary, estimate.known)
+    summary = linearised(result.model, estimate.summary, estimate.known)
     for i, recording in enumerate(summary.recordings):
         values = estimate.table.values_of(estimate.values, i)
         known = {row.local for row in estimate.table.of_recording(i) if row.name in estimate.known}
@@ -284,7 +284,7 @@ def identified_curves(result: Assessment) -> list[IdentifiedCurve]:
     found: dict[str, IdentifiedCurve] = {}
     record = result.recordings[0].record
     for stage in result.estimate.stages:
-        for equation in result.procedure.stages[stage.stage]:
+        for equation in result.model.stages[stage.stage]:
             for term in equation.terms:
                 shared = all(name in result.estimate for name in term.parameters)
                 if term.basis is not None and shared and term.name not in found:

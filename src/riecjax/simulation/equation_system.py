@@ -18,16 +18,11 @@ accelerations, so the residuals r of all equations are affine in z,
 
     r(z) = r0 + J z,    and they vanish at    z = -J^-1 r0,
 
-which is what a solver of differential equations asks for. r0 is r(0). Column i of J is the forward
-derivative of r along e_i: exact for any expression that reads z linearly, where a difference
-quotient would round, and all columns share one linearisation. J holds masses and their couplings;
-for one unknown z is a division.
-
-Hidden modes attached to a system that was written by hand.
-
-Where the body's acceleration is coupled to no other, as in m v' = F(x, u), a force f that is taken
-from the body changes v' by f / m and nothing else: the system need not be known from the inside.
-Whether that is so, its equations tell.
+which is what a solver of differential equations asks for. J holds masses and their couplings. A
+term of an unknown itself gives its factor to J, and a term of known signals its value to r0; only
+where an expression reads unknowns J is its forward derivative, exact for any that reads them
+linearly, where a difference quotient would round. An equation with one unknown left is a division,
+which orders most mechanisms; what stays coupled is solved together.
 
 Hidden modes written out for a simulation: two more states each, and their force on the body.
 
@@ -51,6 +46,7 @@ an answer do not, a least slope stands in for them.
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -69,10 +65,10 @@ from riecjax.equations.hidden_elements import (
     inertia_sign,
     with_springs,
 )
-from riecjax.equations.procedure import Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, users_code
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
@@ -156,7 +152,8 @@ class Structure(NamedTuple):
     **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
     `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
     zero the equations jump; `modes` that are hidden, each two further states; `forces` of elements
-    with a spring in series, each a state.
+    with a spring in series, each a state; `implicit`, places of terms that are functions of
+    unknowns; `listed`, signals in the model's order.
     """
 
     motions: tuple[Motion, ...]
@@ -166,13 +163,21 @@ class Structure(NamedTuple):
     reversing: tuple[str, ...] = ()
     modes: tuple[ModeStates, ...] = ()
     forces: tuple[str, ...] = ()
+    implicit: frozenset[tuple[int, int]] = frozenset()
+    listed: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Signals and derivatives below the leading one, those with a rate, and hidden ones."""
+        """Signals and derivatives below the leading one, those with a rate, and hidden ones.
+
+        In the order in which the model lists them, if it does.
+        """
         lower = (name for motion in self.motions for name in motion.names[:-1])
         hidden = (name for mode in self.modes for name in (mode.deflection, mode.velocity))
-        return (*lower, *(name for name, _ in self.rates), *hidden, *self.forces)
+        place = {name: i for i, name in enumerate(self.listed)}
+        plain = [*lower, *(name for name, _ in self.rates)]
+        plain.sort(key=lambda name: place.get(name, len(place)))
+        return (*plain, *hidden, *self.forces)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -261,6 +266,14 @@ def read_structure(
                 f"'{beyond[0]}', derivative=2, measured=('d{beyond[0]}', 'dd{beyond[0]}')) instead "
                 f"(derivative=1 of a velocity)."
             )
+    leading = set(unknowns)
+    implicit = frozenset(
+        (i, j)
+        for i, equation in enumerate(equations)
+        for j, term in enumerate(equation.terms)
+        if term.signal is None and (term.derivative or leading & set(signals_read(term.of)))
+    )
+    structure = structure._replace(implicit=implicit)
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
     return structure._replace(reversing=reversing_states(terms, structure.states, signals))
 
@@ -426,8 +439,12 @@ class EquationSystem(AbstractSystem):
     ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Float[Array, " n"]]:
         """r0 and J at a point, and the residuals of some values of the unknowns."""
         signals = self._known_signals(state, inputs)
-        whole = self._with_unknowns(signals, unknowns[:, None])
-        return *self._linear(signals), self._residuals(whole)
+        rows, names = self._rows(signals), self.structure.unknowns
+        none = jnp.zeros_like(unknowns[0])
+        slopes = [jnp.stack([slopes.get(name, none) for name in names]) for _, slopes in rows]
+        whole = {**signals, **dict(zip(names, unknowns[:, None]))}
+        found = [sum((self._term(t, whole) for t in e.terms), start=none) for e in self.equations]
+        return jnp.stack([rest for rest, _ in rows]), jnp.stack(slopes), jnp.stack(found)
 
     # Signals have shape (1,), so that an expression written for the samples of a record needs no
     # second version for a point.
@@ -437,34 +454,57 @@ class EquationSystem(AbstractSystem):
 
     def _solved(self, signals: dict[str, Array]) -> dict[str, Array]:
         """Known signals and unknowns."""
-        rest, slopes = self._linear(signals)
-        return self._with_unknowns(signals, solve_few(slopes, -rest)[:, None])
+        rows = dict(enumerate(self._rows(signals)))
+        solution: dict[str, Array] = {}
 
-    def _with_unknowns(self, signals: dict[str, Array], unknown: Array) -> dict[str, Array]:
-        return {**signals, **dict(zip(self.structure.unknowns, unknown))}
+        def without_solved(rest: Array, slopes: dict[str, Array]) -> Array:
+            return sum((slopes[n] * solution[n] for n in slopes if n in solution), start=rest)
 
-    def _linear(self, signals: dict[str, Array]) -> tuple[Array, Array]:
-        count = len(self.structure.unknowns)
-        zero = jnp.zeros((count, 1), next(iter(signals.values())).dtype)
-        residuals, push = jax.linearize(
-            lambda z: self._residuals(self._with_unknowns(signals, z)), zero
-        )
-        along = jnp.eye(count, dtype=zero.dtype)
-        return residuals, jnp.stack([push(along[i][:, None]) for i in range(count)], axis=-1)
+        # An equation with one unknown left is a division; those that are coupled remain.
+        while single := [i for i, (_, slopes) in rows.items() if len({*slopes} - {*solution}) == 1]:
+            rest, slopes = rows.pop(single[0])
+            (name,) = {*slopes} - {*solution}
+            solution[name] = -without_solved(rest, slopes) / slopes[name]
+        coupled = [name for name in self.structure.unknowns if name not in solution]
+        if coupled:
+            rest = jnp.stack([without_solved(*row) for row in rows.values()])
+            none = jnp.zeros_like(rest[0])
+            matrix = [jnp.stack([row[1].get(n, none) for n in coupled]) for row in rows.values()]
+            solution |= dict(zip(coupled, solve_few(jnp.stack(matrix), -rest)))
+        return signals | {name: value[None] for name, value in solution.items()}
 
-    def _residuals(self, signals: dict[str, Array]) -> Float[Array, " equations"]:
-        """What each equation leaves of one sample of all signals and unknowns."""
-        zero = jnp.zeros((), next(iter(signals.values())).dtype)
-        sums = [
-            sum((self._term(term, signals) for term in equation.terms), start=zero)
-            for equation in self.equations
-        ]
-        return jnp.stack(sums)
+    def _rows(self, signals: dict[str, Array]) -> list[tuple[Array, dict[str, Array]]]:
+        """Of each equation r0, and those columns of J in which it may be other than zero."""
+        zero = jnp.zeros((1,), next(iter(signals.values())).dtype)
+        zeros = dict.fromkeys(self.structure.unknowns, zero)
+        rows = []
+        for i, equation in enumerate(self.equations):
+            rest, slopes = zero[0], {}
+            for j, term in enumerate(equation.terms):
+                if (i, j) in self.structure.implicit:
+                    value, push = jax.linearize(
+                        lambda unknowns, term=term: self._term(term, {**signals, **unknowns}), zeros
+                    )
+                    rest = rest + value
+                    columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
+                elif term.signal is not None:
+                    name = str(expression_read(term, self.structure.motions))
+                    columns = {name: self._term(term, {name: zero + 1})} if name in zeros else {}
+                    rest = rest if columns else rest + self._term(term, signals)
+                else:
+                    rest, columns = rest + self._term(term, signals), {}
+                for name, column in columns.items():
+                    slopes[name] = slopes[name] + column if name in slopes else column
+            rows.append((rest, slopes))
+        return rows
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
-        columns = self._expression(term, signals, term.functions)[:, 0]
         values = [self.values[name] for name in term.parameters]
-        factor = jnp.asarray(term.factor)
+        factor, basis = jnp.asarray(term.factor), term.basis
+        if basis is not None:
+            law = partial(basis.interpolate, jnp.stack(values))
+            return factor * self._expression(term, signals, law)[0]
+        columns = self._expression(term, signals, term.functions)[:, 0]
         if len(values) > 1:
             return factor * jnp.stack(values) @ columns
         return factor * (values[0] if values else 1.0) * columns[0]
@@ -527,8 +567,8 @@ class EquationSystem(AbstractSystem):
 
 
 def equation_system(
-    model: Equation | Procedure,
-    values: Mapping[str, Array | float],
+    model: Equation | Model,
+    values: Mapping[str, Leaf | float],
     *,
     rates: Mapping[str, Expression] | None = None,
     inputs: Sequence[str] = (),
@@ -555,7 +595,7 @@ def equation_system(
     - `values`: value of every coefficient, scalars; for those with a `known` value it may be left
       out. Others are ignored.
     - `rates`: further states by their time derivative, signal name to expression: kinematics such
-      as `{"x2": difference("x3", "x4")}` that no coefficient appears in.
+      as `{"x2": difference("x3", "x4")}` that no coefficient appears in; by default the model's.
     - `inputs`: signals to take as inputs although their derivative appears, as of a base that is
       moved; the derivative is an input too, under its name from `measured`.
     - `units`: signal name to unit.
@@ -565,26 +605,29 @@ def equation_system(
     third order or of an expression of inputs; or, with values that can be looked at, if the
     leading coefficient is zero or the unknowns do not enter linearly.
     """
-    procedure = as_procedure(model)
-    equations = tuple(equation for stage in procedure.stages for equation in stage)
+    model = as_model(model)
+    equations, listed = model.equations, (*model.signals, *model.inputs)
     label = " + ".join(equation.name for equation in equations)
-    known: dict[str, Any] = {**procedure.known, **values}
-    names = procedure.parameters
+    known: dict[str, Any] = {**model.known, **values}
+    names = model.parameter_names
     if missing := [name for name in names if name not in known]:
         raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
     numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
     for name, number in numbers.items():
         if number.shape != ():
             raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    equations, elements = with_springs(equations, procedure.springs)
-    equations, modes = with_forces(equations, procedure.modes)
-    rates = {**{one.state: one for one in procedure.memories}, **(rates or {})}
+    equations, elements = with_springs(equations, model.springs)
+    equations, modes = with_forces(equations, model.modes)
+    further = model.rates if rates is None else rates
+    rates = {**{memory.state: memory for memory in model.memories}, **further}
     structure = read_structure(label, equations, rates, frozenset(inputs), modes, elements)
+    structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
     own = {k: v for m in modes for k, v in zip((m.deflection, m.velocity), m.units)}
     own |= {one.state: one.unit for one in elements}
-    named = tuple(sorted((own | dict(units or {})).items()))
+    given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
+    named = tuple(sorted((given | own | dict(units or {})).items()))
     system = EquationSystem(equations, numbers, structure, named, elements)
-    if is_concrete(equations, numbers):
+    if is_concrete(equations, numbers) and not is_under_trace():
         _check_solvable(label, system)
     return system
 
@@ -626,121 +669,3 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
         raise ModelError(
             f"{label} cannot be simulated: {', '.join(unknowns)} must enter its equations linearly."
         )
-
-
-class Attachment(NamedTuple):
-    """How a mode of a procedure is attached: its states, and the body's mass, named or known, by
-    which the body's acceleration is the force on it divided."""
-
-    states: ModeStates
-    body_mass: str | float
-
-
-class WithModes(AbstractSystem):
-    """A system some of whose bodies carry hidden modes.
-
-    Exact where a body's acceleration is coupled to no other. Outputs are those of the system
-    without modes: forces that depend on its states, not accelerations.
-
-    **Fields:** `inner`, the system; `modes`; `values` of these and of their bodies' masses.
-    """
-
-    inner: AbstractSystem
-    modes: tuple[Attachment, ...] = eqx.field(static=True)
-    values: dict[str, Leaf]
-
-    @property
-    def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's, then deflection and velocity of each mode."""
-        names = [n for m in self.modes for n in (m.states.deflection, m.states.velocity)]
-        units = [unit for mode in self.modes for unit in mode.states.units]
-        return (*self.inner.states, *zip(names, units))
-
-    @property
-    def inputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's."""
-        return self.inner.inputs
-
-    @property
-    def outputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's."""
-        return self.inner.outputs
-
-    @property
-    def reversing(self) -> tuple[str, ...]:
-        """The system's."""
-        return self.inner.reversing
-
-    @property
-    def velocity_of(self) -> Mapping[str, str]:
-        """The system's."""
-        return self.inner.velocity_of
-
-    @property
-    def carried(self) -> Mapping[str, str]:
-        """The modes' states."""
-        return {**self.inner.carried, **carried_states(mode.states for mode in self.modes)}
-
-    def derivative(self, state: State, inputs: Inputs) -> State:
-        """Time derivative of the state, each body's less what its modes take."""
-        count = len(self.inner.states)
-        flow = self.inner.derivative(state[:count], inputs)
-        signals = dict(zip(self.state_names, state))
-        rates = []
-        for names, body_mass in self.modes:
-            own = names.rates(signals, self.values)
-            body = self.values[body_mass] if isinstance(body_mass, str) else body_mass
-            taken = self.values[names.parameters.mass] * own[names.velocity] / body
-            flow = flow.at[self.inner.state_names.index(names.body)].add(-taken)
-            rates += [own[names.deflection], own[names.velocity]]
-        return jnp.concatenate([flow, jnp.stack(rates)])
-
-    def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
-        """The system's."""
-        return self.inner.output(state[: len(self.inner.states)], inputs)
-
-
-def attachments(procedure: Procedure, inner: AbstractSystem) -> tuple[Attachment, ...] | None:
-    """How modes of a procedure are attached to the system that it is of.
-
-    **Returns:** `None` where the body's velocity is no state of the system, or where the equations
-    say that its acceleration is coupled to others. Of equations that cannot be simulated, it is
-    taken for granted that it is not.
-    """
-    equations = [equation for stage in procedure.stages for equation in stage]
-    found = []
-    for number, mode in enumerate(procedure.modes):
-        states = ModeStates.of(number, mode, equations)
-        inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
-        mass = abs(float(inertia.factor)) if inertia.name is None else inertia.name
-        if states.body not in inner.state_names:
-            return None
-        found.append(Attachment(states, mass))
-    generic = np.random.default_rng(0).uniform(0.5, 1.5, len(procedure.parameters))
-    values = dict(zip(procedure.parameters, generic))
-    try:
-        system = equation_system(procedure, values)
-    except ModelError:
-        return tuple(found)
-    return tuple(found) if all(_uncoupled(system, one, values) for one in found) else None
-
-
-def _uncoupled(system: EquationSystem, one: Attachment, values: Mapping[str, float]) -> bool:
-    """Whether a mode's spring accelerates its body by force over mass, and changes nothing else."""
-    unknowns = system.structure.unknowns
-    state = np.random.default_rng(1).uniform(0.2, 0.9, len(system.states))
-    level = jnp.asarray(np.linspace(0.3, 0.7, len(system.inputs)))
-    none = jnp.zeros(len(unknowns))
-    stretched = state + (np.array(system.state_names) == one.states.deflection)
-    before, slopes, _ = system.probed(jnp.asarray(state), level, none)
-    after, _, _ = system.probed(jnp.asarray(stretched), level, none)
-    change = -np.linalg.solve(np.asarray(slopes), np.asarray(after - before))
-    bodies = [motion for motion in system.structure.motions if one.states.body in motion.names]
-    if not bodies:
-        return False
-    mass = values[one.body_mass] if isinstance(one.body_mass, str) else one.body_mass
-    expected = np.zeros(len(unknowns))
-    stiffness = values[one.states.parameters.stiffness]
-    expected[unknowns.index(bodies[0].names[-1])] = -stiffness / mass
-    rounding = 1e3 * np.finfo(change.dtype).eps
-    return bool(np.allclose(change, expected, rtol=rounding, atol=rounding * np.max(abs(expected))))

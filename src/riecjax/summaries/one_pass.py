@@ -26,8 +26,8 @@ from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
 from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.expressions import evaluate
+from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
-from riecjax.equations.procedure import Procedure
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
@@ -120,7 +120,7 @@ class Surveyed(NamedTuple):
 
 @kept_jit
 def of_all_windows(
-    procedure: Procedure,
+    model: Model,
     criterion: AbstractCriterion,
     part: Part,
     lengths: tuple[Lengths, ...],
@@ -174,7 +174,7 @@ def of_all_windows(
         return WindowSet(start, start + criterion.test_function.length_multiple * lag)
 
     reach = lengths[-1].reach
-    return _in_chunks(procedure, criterion, part, sums_of, some_windows, reach, request)
+    return _in_chunks(model, criterion, part, sums_of, some_windows, reach, request)
 
 
 def with_constant(columns: Columns) -> Columns:
@@ -191,7 +191,7 @@ def without_constant(moments: Array) -> tuple[Array, Array]:
 
 @kept_jit
 def of_rows(
-    procedure: Procedure,
+    model: Model,
     criterion: AbstractCriterion,
     part: Part,
     key: Key[Array, ""] | None,
@@ -210,12 +210,12 @@ def of_rows(
         return (sums._replace(of_source=jax.tree.map(lambda s: s[None, None], found.of_source)),)
 
     every = WindowSet(drawn.start[None], drawn.stop[None])
-    return _in_chunks(procedure, criterion, part, sums_of, lambda _: every, 0, request)
+    return _in_chunks(model, criterion, part, sums_of, lambda _: every, 0, request)
 
 
 @kept_jit
 def all_rows(
-    procedure: Procedure, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
+    model: Model, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
 ) -> list[list[Rows]]:
     """Every row of each equation of each stage."""
     drawn = criterion.draw(part.record, key, part.held)
@@ -224,11 +224,11 @@ def all_rows(
         columns = sampled_columns(equation, part.record, criterion.smoothness)
         return criterion.rows_of(columns, drawn, part.held)
 
-    return [[rows(equation) for equation in stage] for stage in procedure.stages]
+    return [[rows(equation) for equation in stage] for stage in model.stages]
 
 
 def _in_chunks(
-    procedure: Procedure,
+    model: Model,
     criterion: AbstractCriterion,
     part: Part,
     sums_of: Callable[[NoisyColumns, Record, StartBlocks], tuple[BlockSums, ...]],
@@ -260,7 +260,7 @@ def _in_chunks(
                 survey = surveyed(equation, noisy.columns, added, record, blocks)
             return PartSums(sums_of(noisy, record, blocks), survey)
 
-        return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
+        return [[of_equation(equation) for equation in stage] for stage in model.stages]
 
     def surveyed(
         equation: Equation, columns: Columns, added: Columns, record: Record, blocks: StartBlocks
@@ -372,7 +372,7 @@ class OnePass:
     to the rest: then see [`stretch_starts`][].
     """
 
-    procedure: Procedure
+    model: Model
     record: Record
     criterion: AbstractCriterion
     key: Key[Array, ""] | None
@@ -402,7 +402,7 @@ class OnePass:
 
         **Raises:** `ModelError` for an expression that mixes samples of a long recording.
         """
-        equations = [e for stage in self.procedure.stages for e in stage]
+        equations = self.model.equations
         mixing = mixing_expressions(equations, self.record)
         if mixing and (self.count > PART or self.criterion.in_chunks(self.record)):
             raise ModelError(
@@ -424,7 +424,7 @@ class OnePass:
             np.asarray(np.nan if offered is None else float(offered)),
             np.asarray(last - first),
             np.asarray(self.step),
-            digest_of(self.procedure, self.record, self.criterion, self.key, self.bins),
+            digest_of(self.model, self.record, self.criterion, self.key, self.bins),
             self.record.noise,
         )
         # The order of axes in memory is one in which NumPy adds up: it must survive a file.
@@ -442,7 +442,7 @@ class OnePass:
             self.count, self.record.time_step, self.criterion.test_function.length_multiple
         )
         band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
-        given = (self.procedure, self.criterion)
+        given = (self.model, self.criterion)
         parts = [
             jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, band, layout.request))
             for part in self._parts(layout, reach)
@@ -475,14 +475,14 @@ class OnePass:
                 sums.number,
                 _survey(surveys, float(self.record.skipped)) if surveys else None,
                 None,
-                self.procedure.stages[i][j].parameters,
+                self.model.stages[i][j].parameters,
                 sums.noise,
                 sums.of_source,
                 sums.constant,
             )
             return found.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
 
-        shape = [len(stage) for stage in self.procedure.stages]
+        shape = [len(stage) for stage in self.model.stages]
         return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
 
     def _lengths(self, windows: AllWindows) -> tuple[Lengths, ...]:
@@ -541,13 +541,13 @@ class OnePass:
         request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(self.survey))
         layout = _Layout(block, n, _filled(n) if fill else None, request)
         (part,) = self._parts(layout, 0)
-        given = (self.procedure, self.criterion, part, self.key)
+        given = (self.model, self.criterion, part, self.key)
         found = jax.tree.map(np.asarray, of_rows(*given, request))
         stages = self._stages([found], block, 1)
         # Whether some stage's moments lose more digits than its rows would. What is not finite is
         # for the fit to refuse.
         totals = []
-        for stage, names in zip(stages, self.procedure.stage_parameters):
+        for stage, names in zip(stages, self.model.stage_parameters):
             apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
             totals.append(np.asarray(sum_of_equations(apart, names).total().gram))
         if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in totals):

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.record import Record
@@ -22,16 +22,14 @@ NOTICED = 0.02
 the equation error then decides how far parameters scatter."""
 
 
-def with_less_noise(
-    procedure: Procedure, record: Record, criterion: AbstractCriterion
-) -> Procedure:
-    """The procedure whose first derivatives are read from the sensor that adds less noise.
+def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) -> Model:
+    """The model whose first derivatives are read from the sensor that adds less noise.
 
     The same unless boxcars are summed, where the position has little noise, and where nothing is
     known of the velocity's own. Under trace a term is of both sensors, with a factor of 0 and 1.
     """
     if criterion.windows is None or criterion.test_function.smoothness != 1:
-        return procedure
+        return model
 
     def read(term: AbstractTerm) -> list[AbstractTerm]:
         if not _has_both(term, record):
@@ -53,7 +51,7 @@ def with_less_noise(
             return equation
         return equation.of_terms(*(each for term in equation.terms for each in read(term)))
 
-    return Procedure(tuple(tuple(map(of, stage)) for stage in procedure.stages))
+    return Model(stages=tuple(tuple(map(of, stage)) for stage in model.stages))
 
 
 def _has_both(term: AbstractTerm, record: Record) -> bool:

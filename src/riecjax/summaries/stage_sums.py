@@ -1,4 +1,4 @@
-"""What a procedure's equations make of records: sums of its equations, or of its stages.
+"""What a model's equations make of records: sums of its equations, or of its stages.
 
 Equations of a stage, records and blocks of time add up, so that one table of moments for each
 equation, record and short block is all that needs to be kept.
@@ -15,8 +15,8 @@ from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
+from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns
-from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations, short_blocks, sum_of_equations
 from riecjax.summaries.sums import EquationSums, RecordingSums
@@ -24,7 +24,7 @@ from riecjax.summaries.sums import EquationSums, RecordingSums
 
 @eqx.filter_jit
 def stage_normal_equations(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -37,14 +37,12 @@ def stage_normal_equations(
     `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
     length one.
     """
-    parts = _of_equations(procedure, record, criterion, key, blocks)
-    return [
-        sum_of_equations(stage, names) for stage, names in zip(parts, procedure.stage_parameters)
-    ]
+    parts = _of_equations(model, record, criterion, key, blocks)
+    return [sum_of_equations(stage, names) for stage, names in zip(parts, model.stage_parameters)]
 
 
 def traced_sums(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -54,7 +52,7 @@ def traced_sums(
 
     `apart`: windows of each length by themselves, where the test function asks for that.
     """
-    parts = _of_equations_compiled(procedure, record, criterion, key, True, apart)
+    parts = _of_equations_compiled(model, record, criterion, key, True, apart)
 
     if not apart:
         parts = jax.tree.map(lambda leaf: leaf[None], parts)
@@ -80,7 +78,7 @@ def traced_sums(
 
 
 def _of_equations(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -101,7 +99,7 @@ def _of_equations(
         noisy = criterion.noisy_columns(equation, record)
         return moments_of_drawn(criterion, noisy, record, drawn, cut)
 
-    return [[of(equation) for equation in stage] for stage in procedure.stages]
+    return [[of(equation) for equation in stage] for stage in model.stages]
 
 
 def moments_of_drawn(

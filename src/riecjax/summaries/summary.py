@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.linear_algebra import factor_of_gram, joined_factor
@@ -373,9 +373,9 @@ class Summary(Shown, eqx.Module):
 
         return cls(**from_bytes(content))
 
-    def require_model(self, procedure: Procedure) -> None:
-        """Raise `ModelError` unless these are sums of the procedure's equations."""
-        if not self.outline.is_of(Outline.of(procedure.linear)):
+    def require_model(self, model: Model) -> None:
+        """Raise `ModelError` unless these are sums of the model's equations."""
+        if not self.outline.is_of(Outline.of(model.linear)):
             held = self.outline.stages
             named = "; ".join(" + ".join(name for name, _ in stage) for stage in held)
             raise ModelError(

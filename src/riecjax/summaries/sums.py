@@ -75,7 +75,7 @@ class RecordingSums(eqx.Module):
 
     **Fields:**
 
-    - `stages`: equations of each stage of the procedure.
+    - `stages`: equations of each stage of the model.
     - `blocks`: how many short blocks of time hold the recording; arrays may be longer.
     - `block_seconds`: that each of them lasts.
     - `offered`: rows there would be of one equation without gaps and masks; NaN if not known.

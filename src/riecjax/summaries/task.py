@@ -14,13 +14,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
-from riecjax.equations.procedure import (
-    AtRest,
-    HasProcedure,
-    Procedure,
-    as_procedure,
-    with_rests,
-)
+from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.computed import without_computed
@@ -36,7 +30,7 @@ LARGEST = 1e150
 
 
 def default_criterion(
-    model: Equation | Procedure | HasProcedure, records: Records, noise: GivenNoise = "auto"
+    model: Equation | Model, records: Records, noise: GivenNoise = "auto"
 ) -> AbstractCriterion:
     """What [`identify`][] takes where no criterion is given.
 
@@ -46,25 +40,25 @@ def default_criterion(
 
     **Raises:** `DataError` for a missing signal.
     """
-    procedure = as_procedure(model)
-    recordings = [each.record for each in ready(procedure, records, noise)]
-    return suited(procedure, getattr(model, "band", None), recordings)
+    model = as_model(model)
+    recordings = [each.record for each in ready(model, records, noise)]
+    return suited(model, getattr(model, "band", None), recordings)
 
 
 class Task(NamedTuple):
-    """What is to be summed: a procedure's equations on records, by a criterion fitted to them.
+    """What is to be summed: a model's equations on records, by a criterion fitted to them.
 
     `keys`: what each record's random windows are drawn with.
     """
 
-    procedure: Procedure
+    model: Model
     records: list[Record]
     criterion: AbstractCriterion
     keys: list[Key[Array, ""] | None]
 
 
 def task(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     recordings: Sequence[Recording],
     criterion: "AbstractCriterion | Fit | None",
     key: Key[Array, ""] | None,
@@ -76,11 +70,11 @@ def task(
 
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
-    procedure = with_rests(as_procedure(model), at_rest)
+    model = with_rests(as_model(model), at_rest)
     band = getattr(model, "band", None)
     sampled = [each.record for each in recordings]
-    criterion = criterion_for(criterion, procedure, band, sampled)
-    _require_derivatives(procedure, criterion)
+    criterion = criterion_for(criterion, model, band, sampled)
+    _require_derivatives(model, criterion)
     require_key(key)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
@@ -93,7 +87,7 @@ def task(
             # A value that is read and too large to be squared.
             sizes = {name: float(np.max(np.abs(values))) for name, values in record.arrays.items()}
             huge = [name for name, size in sizes.items() if size > LARGEST]
-            for name in huge and signals_read(procedure, record, criterion):
+            for name in huge and signals_read(model, record, criterion):
                 if name in huge:
                     place = int(np.argmax(np.abs(record.arrays[name])))
                     raise DataError(
@@ -103,14 +97,14 @@ def task(
                         f"rx.records.repair_outliers(record)); else scale the signals to SI units."
                     )
     plain = [recording.record for recording in recordings]
-    return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
+    return Task(model, plain, criterion.fitted(plain), record_keys(key, len(plain)))
 
 
-def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> None:
+def _require_derivatives(model: Model, criterion: AbstractCriterion) -> None:
     """Raise `ModelError` unless a criterion takes off what hidden elements put before terms."""
-    if not procedure.has_hidden:
+    if not model.has_hidden:
         return
-    most = max(t.derivative for stage in procedure.linear.stages for e in stage for t in e.terms)
+    most = max(t.derivative for stage in model.linear.stages for e in stage for t in e.terms)
     if criterion.smoothness < most or not criterion.in_closed_form:
         raise ModelError(
             f"hidden modes and springs need all windows of a test function that takes {most} "
@@ -121,15 +115,15 @@ def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> 
         )
 
 
-def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
+def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
     """Recordings with the velocities that only functions read, and with their noise judged.
 
     **Raises:** `ModelError` for springs of which no sums tell.
     """
     if maps := [
         f"'{spring.of}'"
-        for spring in procedure.springs
-        if any((t := spring.element(e)) and not t.is_linear for e in procedure.equations)
+        for spring in model.springs
+        if any((t := spring.element(e)) and not t.is_linear for e in model.equations)
     ]:
         raise ModelError(
             f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
@@ -140,11 +134,11 @@ def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") ->
 
     def of(recording: Recording) -> Recording:
         with recording.explaining_errors():
-            record, steps = with_velocities(procedure, recording.record)
+            record, steps = with_velocities(model, recording.record)
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
-            record, found = without_computed(record, procedure.derivatives, known)
-            record = with_memories(record, procedure.memories)
+            record, found = without_computed(record, model.derivatives, known)
+            record = with_memories(record, model.memories)
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
@@ -169,9 +163,9 @@ def require_key(key: object) -> None:
 
 
 def signals_read(
-    procedure: Procedure, record: Record, criterion: AbstractCriterion, summed: bool = False
+    model: Model, record: Record, criterion: AbstractCriterion, summed: bool = False
 ) -> tuple[str, ...]:
-    """Names of the record's signals that a criterion reads for a procedure's equations.
+    """Names of the record's signals that a criterion reads for a model's equations.
 
     Raises what `identify` would raise of this one record, before any arithmetic; where it was
     `summed`, that raised it.
@@ -179,10 +173,10 @@ def signals_read(
     **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
     for an expression that fails, and for windows that hidden elements cannot have.
     """
-    _require_derivatives(procedure, criterion)
+    _require_derivatives(model, criterion)
     criterion.check(record)
     read: set[str] = set()
-    for stage in procedure.stages:
+    for stage in model.stages:
         for equation in stage:
             try:
                 read |= equation.signals_read(record, criterion.smoothness)

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Records, as_records
@@ -113,7 +113,7 @@ class WindowChoice(eqx.Module):
 
 
 def window_choice(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records,
     estimate: Estimate | Mapping[str, float | Array],
     *,

@@ -26,8 +26,8 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
+from riecjax.equations.model import Model, as_model
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_in_recording
 from riecjax.leaves import Leaf, namespace
@@ -149,7 +149,7 @@ class EquationError(eqx.Module):
 
 
 def equation_error(
-    model: Equation | Procedure | HasProcedure, record: Record, values: Mapping[str, float | Array]
+    model: Equation | Model, record: Record, values: Mapping[str, float | Array]
 ) -> tuple[EquationError, ...]:
     """The equation error of every equation of a model, in the order of its stages.
 
@@ -162,14 +162,14 @@ def equation_error(
     **Raises:** `ModelError` for a parameter without a value, `DataError` for a missing signal or
     a record of fewer than three samples.
     """
-    procedure = as_procedure(model)
-    given = {name: _value(values, name) for name in procedure.parameters}
-    if procedure.has_hidden:
+    model = as_model(model)
+    given = {name: _value(values, name) for name in model.parameter_names}
+    if model.has_hidden:
         from riecjax.equations.hidden_motion import with_hidden_motion
 
-        procedure, record = with_hidden_motion(procedure, record, given)
+        model, record = with_hidden_motion(model, record, given)
     errors = []
-    for equation in procedure.equations:
+    for equation in model.equations:
         # The boxcar, if the record holds every derivative that it needs.
         weight = Boxcar()
         try:
@@ -210,7 +210,7 @@ def equation_error(
 
 
 def errors_over_records(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Sequence[Record],
     values: Mapping[str, float | Array],
 ) -> list[list[EquationError]]:
@@ -227,13 +227,13 @@ def errors_over_records(
             f"residuals over several records need one time step; there are {listed} s. Bring the "
             f"records to one rate first (riecjax.resample)."
         )
-    procedure = as_procedure(model)
-    records = [with_memories(record, procedure.memories) for record in records]
-    names = procedure.parameters
+    model = as_model(model)
+    records = [with_memories(record, model.memories) for record in records]
+    names = model.parameter_names
     own = [values_in_recording(names, values, i) for i in range(len(records))]
     # Only what the equations read: other names would compile them anew.
     parts = [
-        _compiled(in_motion(procedure, record), record, {name: _value(v, name) for name in names})
+        _compiled(in_motion(model, record), record, {name: _value(v, name) for name in names})
         for record, v in zip(records, own)
     ]
     return [list(of_equation) for of_equation in zip(*parts)]

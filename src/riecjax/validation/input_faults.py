@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off
 from riecjax.records.noise import noise_level
@@ -37,7 +37,7 @@ FOLLOWS = 0.999
 # Values too large to be squared drift nowhere.
 @np.errstate(over="ignore", invalid="ignore")
 def drifting_inputs(
-    procedure: Procedure,
+    model: Model,
     records: Sequence[Record],
     errors: Sequence[Sequence[EquationError]],
     estimate: Estimate,
@@ -59,7 +59,7 @@ def drifting_inputs(
     (record,) = records
     time = np.asarray(record.time)
     line = (time - 0.5 * (time[0] + time[-1])) / (time[-1] - time[0])
-    for index, (equation, (error,)) in enumerate(zip(procedure.equations, errors, strict=True)):
+    for index, (equation, (error,)) in enumerate(zip(model.equations, errors, strict=True)):
         if (name := _only_input(equation)) is None:
             continue
         left = _left(error, np.asarray(error.centred(record[name])))
@@ -70,7 +70,7 @@ def drifting_inputs(
         for shape in (line, np.ones_like(line)):
             less = record.with_signals({name: record[name] - jnp.asarray(unit * shape)})
             others.append(again([less]))
-            (still,) = errors_over_records(procedure, [less], others[-1].values)[index]
+            (still,) = errors_over_records(model, [less], others[-1].values)[index]
             rest = _left(still, np.asarray(still.centred(less[name])))
             response.append(np.zeros(2) if rest is None else (left.line - rest.line) / unit)
         drift = np.linalg.lstsq(np.transpose(response), left.line, MOST_TAKEN)[0]

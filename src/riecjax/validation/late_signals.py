@@ -43,7 +43,7 @@ from jaxtyping import Float
 
 from riecjax import tails
 from riecjax.equations.hidden_elements import accelerated
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, option_for
 from riecjax.records.faults.derivative_pairs import Course, changing
@@ -104,7 +104,7 @@ class Search:
     `most`, the largest k; `kept`, sums by k, of which those of 0 may be another search's.
     """
 
-    procedure: Procedure
+    model: Model
     estimate: Estimate
     undone: Callable[[int], list[Record]]
     most: int
@@ -128,7 +128,7 @@ class Search:
                 own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
             bins = None if own is not None or made.edges is None else np.asarray(made.edges)
             records = self.undone(count)
-            task = Task(self.procedure, records, criterion, record_keys(None, len(records)))
+            task = Task(self.model, records, criterion, record_keys(None, len(records)))
             surveyed = made.recordings[0].stages[0][0].survey is not None
             summary = summed(task, bins=bins, survey=surveyed)
             stages = (sum_of_equations(stage).flattened() for stage in summary.equations())
@@ -431,9 +431,7 @@ class SignalDelay(NamedTuple):
         return self.otherwise**2 > least
 
 
-def signal_delays(
-    procedure: Procedure, records: Sequence[Record], estimate: Estimate
-) -> list[SignalDelay]:
+def signal_delays(model: Model, records: Sequence[Record], estimate: Estimate) -> list[SignalDelay]:
     """The delay of each input, and of each motion against the first (not under jit).
 
     Of one that is late it is told whether a first-order low-pass explains it better. None are
@@ -444,12 +442,12 @@ def signal_delays(
     """
     criterion, step = estimate.criterion, float(records[0].time_step)
     own = any(estimate.table[name].recording is not None for name in estimate.parameters)
-    if procedure.has_hidden or own or not criterion.in_closed_form or estimate.summary is None:
+    if model.has_hidden or own or not criterion.in_closed_form or estimate.summary is None:
         return []
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
     reach = min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
-    read = {n for each in records for n in signals_read(procedure, each, criterion, summed=True)}
-    groups = _clocks(procedure, read)
+    read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
+    groups = _clocks(model, read)
     if reach < 3 or int(estimate.block_count) < FEWEST_GROUPS or not groups:
         return []
     level, unmoved = LEVEL / len(groups), {}
@@ -459,7 +457,7 @@ def signal_delays(
             return [undo(each, signals, count * unit / step, reach) for each in records]
 
         # Without a shift all are the same records. Filters describe their noise otherwise.
-        made = Search(procedure, estimate, undone, most, {**(unmoved if undo is advanced else {})})
+        made = Search(model, estimate, undone, most, {**(unmoved if undo is advanced else {})})
         unmoved.setdefault(0, made.sums(0))
         return made
 
@@ -493,26 +491,22 @@ def signal_delays(
     return found
 
 
-def late_signals(
-    procedure: Procedure, records: Sequence[Record], estimate: Estimate
-) -> Iterator[Finding]:
+def late_signals(model: Model, records: Sequence[Record], estimate: Estimate) -> Iterator[Finding]:
     """`late_signal`, `low_passed`, `two_clocks` or `lost_rows`: what explains most of what is left.
 
     **Raises:** as [`signal_delays`][].
     """
-    one = late_cause(procedure, records, estimate)
+    one = late_cause(model, records, estimate)
     if one is not None:
         yield finding_of(one, records[0])
 
 
-def late_cause(
-    procedure: Procedure, records: Sequence[Record], estimate: Estimate
-) -> SignalDelay | None:
+def late_cause(model: Model, records: Sequence[Record], estimate: Estimate) -> SignalDelay | None:
     """The delay that explains nearly all of what is left, if one does.
 
     **Raises:** as [`signal_delays`][].
     """
-    delays = signal_delays(procedure, records, estimate)
+    delays = signal_delays(model, records, estimate)
     errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
 
     def matters(one: SignalDelay) -> bool:
@@ -586,18 +580,18 @@ def finding_of(one: SignalDelay, record: Record) -> Finding:
     )
 
 
-def _clocks(procedure: Procedure, read: set[str]) -> list[tuple[str, ...]]:
+def _clocks(model: Model, read: set[str]) -> list[tuple[str, ...]]:
     """Signals that are shifted together: inputs one by one, a motion with its derivatives.
 
     All at once cannot be late against an equation, so that the first body's motion is left out, or
     the first signal.
     """
     groups: list[set[str]] = [{name} for name in sorted(read)]
-    for equation in procedure.equations:
+    for equation in model.equations:
         for pair in equation.derivatives:
             one = set().union(*(g for g in groups if g & {*pair}))
             groups = [g for g in groups if not g & {*pair}] + ([one] if one else [])
-    bodies = [name for e in procedure.equations for name in accelerated(e)]
+    bodies = [name for e in model.equations for name in accelerated(e)]
     groups.sort(key=lambda g: (not g & {*bodies[:1]}, sorted(g)))
     return [tuple(sorted(g)) for g in groups[1:]]
 

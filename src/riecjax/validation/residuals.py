@@ -44,7 +44,7 @@ from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
 from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths, with_memories
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, told_apart
+from riecjax.equations.model import Model, as_model, told_apart
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, Records, as_records
@@ -872,7 +872,7 @@ LARGEST_LAG_SHARE = 10
 class ResidualTests(Drawn, eqx.Module):
     """What every equation of a model leaves unexplained; see [`residual_tests`][].
 
-    **Fields:** `equations`, in the order of the procedure's stages; `faults` of sensors that
+    **Fields:** `equations`, in the order of the model's stages; `faults` of sensors that
     explain what some of them leave.
     """
 
@@ -892,7 +892,7 @@ class ResidualTests(Drawn, eqx.Module):
 
 
 def residual_tests(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records,
     estimate: Estimate | Mapping[str, float | Array],
     *,
@@ -915,8 +915,8 @@ def residual_tests(
     **Raises:** `ModelError` for a parameter without a value; `DataError` for a missing signal,
     records of unequal time steps or too short ones.
     """
-    procedure = as_procedure(model)
-    recordings = [with_memories(record, procedure.memories) for record in as_records(records)]
+    model = as_model(model)
+    recordings = [with_memories(record, model.memories) for record in as_records(records)]
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     if windows is None and isinstance(estimate, Estimate):
         windows = estimate.criterion.windows
@@ -929,12 +929,12 @@ def residual_tests(
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
     first = recordings[0]
-    reads = [e.signals_read(first, of[0].span) for e, of in zip(procedure.equations, errors)]
-    pairs = (pair for equation in procedure.equations for pair in equation.derivatives)
+    reads = [e.signals_read(first, of[0].span) for e, of in zip(model.equations, errors)]
+    pairs = (pair for equation in model.equations for pair in equation.derivatives)
     named = {name for pair in pairs for name in pair}.union(*reads)
     faulty = {name for fault in faults for name in fault.signals}
     common = [n for n in first.arrays if all(n in each.arrays for each in recordings)]
-    found, parts = [], zip(names, errors, procedure.equations, reads, strict=True)
+    found, parts = [], zip(names, errors, model.equations, reads, strict=True)
     for name, of_equation, equation, read in parts:
         error = joined(of_equation, lags)
         step, spectrum = float(error.time_step), error_spectrum(error)
@@ -956,8 +956,8 @@ def residual_tests(
                 among = {"name": other, "signals": len(common)}
                 follows.append(cross_correlation(averaged, signal, lags, step, **among))
         # Where the equation could hide something.
-        sprung = {spring.of for spring in procedure.springs}
-        elements = force_elements(procedure.equations, [equation])
+        sprung = {spring.of for spring in model.springs}
+        elements = force_elements(model.equations, [equation])
         free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         loop = None
         if size >= NOTABLE_SIZE:  # hysteresis, or a signal of no name that changes a force
@@ -980,7 +980,7 @@ def residual_tests(
             spectrum.peak(),
             None if windows is None else window_errors(of_equation, windows),
             bodies=accelerated(equation),
-            carrying=tuple(m.on for m in procedure.modes if m.inertia(equation) is not None),
+            carrying=tuple(m.on for m in model.modes if m.inertia(equation) is not None),
             dampers=tuple(name for name, term in free.items() if term.is_linear),
             maps=tuple(name for name, term in free.items() if not term.is_linear),
             loop=loop,

@@ -17,7 +17,7 @@ from riecjax import tails
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
@@ -229,7 +229,7 @@ for show motions that the model was never meant for, and nearly every model fail
 
 
 def window_sweep(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records | Summary,
     criterion: AbstractCriterion | None = None,
     *,
@@ -255,21 +255,21 @@ def window_sweep(
 
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
     """
-    procedure = as_procedure(model)
+    model = as_model(model)
     if isinstance(records, Summary):
         summary = records
-        summary.require_model(procedure)
+        summary.require_model(model)
     else:
         require(
             "the criterion", criterion, RIEC, "rx.RIEC(rx.AllWindows(0.05, 0.5)), which has windows"
         )
         assert isinstance(criterion, RIEC)
-        asked = task(procedure, ready(procedure, records), criterion.every, key)
+        asked = task(model, ready(model, records), criterion.every, key)
         edges = sweep_edges(
             asked.records, criterion, shortest=shortest, longest=longest, bands=bands
         )
         summary = summed(asked, bins=edges)
-    table = plan_parameters(procedure, len(summary.recordings), known, per_record)
+    table = plan_parameters(model, len(summary.recordings), known, per_record)
     # Bands are pairs of neighbouring bins of a Summary within the reach of the sweep.
     bins = summary.bins
     if bins is None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from riecjax.equations.model import Model
 from riecjax.errors import DataError
-from riecjax.models.model import Model
 from riecjax.records.preparation.steps import prepare, split
 from riecjax.records.record import Record
 from riecjax.settings import Prepare

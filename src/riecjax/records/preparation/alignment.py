@@ -208,6 +208,6 @@ def _later(pairs: Sequence[Pair]) -> dict[str, float]:
 def declared_pairs(model: Any) -> list[tuple[str, str] | Relation]:
     """Signals and their derivatives, as a `Model` or its equations call them."""
     pairs: list[Any] = [(of, name) for name, of in getattr(model, "derived", {}).items()]
-    if getattr(model, "procedure", None) is not None:
-        pairs += model.build_procedure().derivatives
+    if hasattr(model, "stages"):
+        pairs += model.derivatives
     return list(dict.fromkeys(pairs))
