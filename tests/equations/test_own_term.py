@@ -90,4 +90,4 @@ def test_springs_and_sensors_refuse_it(foreign):
     with pytest.raises(rx.ModelError, match="'r2' is a function of a kind that no spring's"):
         rx.staged(foreign).with_series_springs(rx.SeriesSpring("r2"))
     with pytest.raises(rx.ModelError, match="a function of 'dx'"):
-        rx.staged(foreign).with_unknown_gain("dx")
+        rx.staged(foreign).with_sensor_errors(gains=["dx"])
