@@ -55,7 +55,9 @@ def test_32_bit_is_close_to_64_bit_and_says_that_it_is_32_bit(criterion):
     for bits in (64, 32):
         with jax.enable_x64(bits == 64):
             record = rx.Record.from_samples(shaken_under_weight(), time_step=STEP)
-            fit = rx.identify(weight_equation(), record, criterion(), key=jax.random.key(1))
+            fit = rx.identify(
+                weight_equation(), record, criterion(), key=jax.random.key(1), intervals=rx.Naive()
+            )
         assert fit.theta.dtype == np.dtype(f"float{bits}")
         found[bits] = np.asarray(fit.theta, float)
         codes[bits] = [finding.code for finding in fit.findings()]
@@ -98,7 +100,7 @@ def test_more_windows_than_32_bit_integers_hold_are_counted(weight, longest, gap
     for bits in (64, 32):
         with jax.enable_x64(bits == 64):
             record = rx.Record.from_samples(samples_of_many(gap), time_step=1e-3)
-            found[bits] = rx.identify(equation, record, criterion)
+            found[bits] = rx.identify(equation, record, criterion, intervals=rx.Naive())
         assert float(found[bits].stages[0].count) == pytest.approx(expected, rel=1e-6)
         codes = [finding.code for finding in found[bits].findings()]
         assert ("rows_left_out" in codes) == (gap is not None)

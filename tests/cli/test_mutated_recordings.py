@@ -22,6 +22,7 @@ SLOW = {"shuffled signals", "shuffled column", "many nan", "text entry", "whole 
 SLOW |= {"spliced", "dropout", "huge", "swapped blocks", "parquet bomb", "coarse", "offset jump"}
 SLOW |= {"repeated block", "truth values", "mixed", "extreme scale", "hostile names", "silent"}
 SLOW |= {"frozen all", "burst", "single nan", "late column", "clipped", "saturated"}
+SLOW |= {"wrapped", "duplicated column", "empty cells"}
 """What leaves another number of samples, or much to read."""
 
 

@@ -101,7 +101,8 @@ def oscillator() -> tuple[rx.Equation, rx.Record]:
 @pytest.mark.parametrize("windows", [rx.AllWindows(0.2, 0.8), rx.RandomWindows(0.2, 0.8, 300)])
 def test_it_identifies_from_positions(windows):
     equation, record = oscillator()
-    estimate = rx.identify(equation, record, rx.RIEC(windows, Cosine()), key=KEY)
+    criterion = rx.RIEC(windows, Cosine())
+    estimate = rx.identify(equation, record, criterion, key=KEY, intervals=rx.Naive())
     assert [float(estimate[name]) for name in "mdk"] == pytest.approx([2.0, 0.7, 30.0], rel=1e-4)
     assert estimate.criterion.describe()["test_function"] == "cosine"
 

@@ -58,7 +58,8 @@ def test_bumps_hold_enough_samples_and_fit_into_a_short_record():
 def test_it_may_be_asked_for_inside_of_jit():
     @jax.jit
     def mass(x, u):
-        return rx.identify(OSCILLATOR, rx.Record({"x": x, "u": u}, STEP)).theta[0]
+        record = rx.Record({"x": x, "u": u}, STEP)
+        return rx.identify(OSCILLATOR, record, intervals=rx.Naive()).theta[0]
 
     truth, signals = MACHINES["linear"].truth, MACHINES["linear"].signals(shape=SHORT)
     force = signals["u"] - truth["c"] * np.gradient(signals["x"], STEP)

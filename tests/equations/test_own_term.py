@@ -47,7 +47,9 @@ RECORD = drag_record(seed=1, noise=0.01)
 
 @pytest.mark.parametrize("foreign", FOREIGN)
 def test_it_is_checked_identified_and_shown(foreign):
-    expected, estimate = (rx.identify(model, RECORD) for model in (OURS, foreign))
+    expected, estimate = (
+        rx.identify(model, RECORD, intervals=rx.Sandwich()) for model in (OURS, foreign)
+    )
     for name, value in expected.values.items():
         np.testing.assert_allclose(estimate[name], value, rtol=1e-9)
         np.testing.assert_allclose(estimate[name], DRAG_TRUTH[name], rtol=0.1)

@@ -15,6 +15,7 @@ from riecjax.errors import IdentifiabilityError, MissingSignalError
 from riecjax.estimation.check import check
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
+from riecjax.uncertainty.intervals import Naive, Sandwich
 
 KEY = jax.random.key(0)
 CRITERION = RIEC(RandomWindows(0.1, 0.5, 3000))
@@ -92,7 +93,7 @@ def test_a_silent_regressor_is_named():
     assert [f.code for f in found.findings] == ["constant_signal", "not_excited"]
     assert "c_b" in found.findings[1].message
     with pytest.raises(IdentifiabilityError) as refused:
-        identify(equation("a", "b"), record, DOLS())
+        identify(equation("a", "b"), record, DOLS(), intervals=Naive())
     assert (refused.value.code, str(refused.value)) == tuple(found.findings[1])[:2]
 
 
@@ -172,7 +173,7 @@ def codes_of(truth: float, unit: str, noise: float = 0.01) -> list[str]:
     signals = {"a": a, "y": truth * a + noise * rng.normal(size=2000)}
     equation = Equation(Term("c", "a", unit=unit), -Term(1.0, "y"))
     record = Record.from_samples(signals, time_step=0.01)
-    return [f.code for f in identify(equation, record, DOLS(), key=jax.random.key(0)).findings()]
+    return [f.code for f in identify(equation, record, DOLS(), intervals=Sandwich()).findings()]
 
 
 @pytest.mark.raises_finding("negative_value")

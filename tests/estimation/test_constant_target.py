@@ -129,7 +129,7 @@ def test_gaps_are_left_out_and_identify_refuses_too():
     lost = record((*motion[:3], np.where(TIME < 9.5, np.nan, motion[3])))
     assert findings(WITH_OFFSET, lost)
     with pytest.raises(rx.IdentifiabilityError, match="a ratio of two constants") as refused:
-        rx.identify(AXIS, record(stepped(0), mean=800.0), HATS)
+        rx.identify(AXIS, record(stepped(0), mean=800.0), HATS, intervals=rx.Naive())
     assert refused.value.code == "constant_target"
 
 

@@ -120,7 +120,7 @@ def test_riec_between_samples_finds_it_with_a_tenth_of_the_trapezoidal_rules_err
 
 def test_several_records_of_unequal_length_are_one_regression():
     records = [noisy(3.0, seed=0), noisy(5.0, seed=1)]
-    found = rx.identify(oscillator(), records, rx.DOLS())
+    found = fit(oscillator(), records, rx.DOLS())
     A = np.concatenate([np.stack([r["ddx"], r["dx"], r["x"]], axis=1) for r in records])
     y = np.concatenate([np.asarray(r["u"]) for r in records])
     assert_relative(found.theta, np.linalg.lstsq(A, y)[0], 1e-11)

@@ -74,8 +74,8 @@ def test_noise_of_a_right_model_is_borne_out_and_corrected():
 def moved_by_correction(signals):
     """The most that an estimate moves by what is taken off for noise, in standard errors."""
     record = rx.Record(signals, STEP)
-    plain = rx.identify(OSCILLATOR, record, CRITERION, noise="none")
-    found = rx.identify(OSCILLATOR, record, CRITERION)
+    plain = rx.identify(OSCILLATOR, record, CRITERION, noise="none", intervals=rx.Sandwich())
+    found = rx.identify(OSCILLATOR, record, CRITERION, intervals=rx.Sandwich())
     return (np.abs(found.theta - plain.theta) / plain.standard_errors).max()
 
 

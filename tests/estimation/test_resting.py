@@ -55,7 +55,7 @@ def test_nothing_is_said_or_done_elsewhere(clean, equation):
             rx.Term("J", "dq", derivative=1), rx.Term("d", "dq"), -rx.Term(1.0, "tau")
         )
     assert in_motion(rx.staged(model), record) == rx.staged(model)
-    rx.identify(model, record, intervals=rx.Sandwich())
+    rx.identify(model, record, intervals=rx.Naive())
 
 
 def _sign(signals):
@@ -70,5 +70,5 @@ def test_an_equation_with_the_derivative_of_another_motion_stays_and_says_so(cle
         -rx.Term(1.0, "tau"),
     )
     assert in_motion(rx.staged(model), clean) == rx.staged(model)
-    (one,) = said(rx.identify(model, clean, intervals=rx.Sandwich()))
+    (one,) = said(rx.identify(model, clean, intervals=rx.Naive()))
     assert "it was kept, since" in one.message

@@ -25,11 +25,12 @@ def test_a_spring_is_found_beside_its_damper(clean):
         assert float(estimate[name]) == pytest.approx(value, rel=1e-3), name
     assert dict(estimate.units)["K_series"] == "N/m"
     assert "series_spring_not_carried" not in [f.code for f in estimate.findings()]
-    known = rx.identify(MODEL, clean, known={name: TRUTH[name] for name in ("c", "K_series")})
+    held = {name: TRUTH[name] for name in ("c", "K_series")}
+    known = rx.identify(MODEL, clean, known=held, intervals=rx.Naive())
     assert known.parameters == ("m", "k")
     assert float(known["m"]) == pytest.approx(TRUTH["m"], rel=1e-3)
     # Without it, mass and damper make up for the lag.
-    rigid = rx.identify(BODY, clean)
+    rigid = rx.identify(BODY, clean, intervals=rx.Naive())
     assert abs(float(rigid["m"]) / TRUTH["m"] - 1) > 0.05
 
 

@@ -58,7 +58,7 @@ def summary() -> rx.Summary:
 
 @functools.cache
 def fit() -> rx.Estimate:
-    return rx.estimate(EQUATION, summary())
+    return rx.estimate(EQUATION, summary(), intervals=rx.Naive())
 
 
 def refine(*arguments, **settings):
@@ -143,7 +143,12 @@ def test_a_window_below_one_sample_asks_for_the_unit_of_time():
 def test_what_is_right_passes():
     keys = jax.random.split(jax.random.key(0), 2)
     criterion = rx.RIEC(rx.RandomWindows(0.05, 0.5, 50))
-    found = jax.vmap(lambda key: rx.identify(EQUATION, [RECORD], criterion, key=key).theta)(keys)
+
+    def theta(key):
+        found = rx.identify(EQUATION, [RECORD], criterion, key=key, intervals=rx.Naive())
+        return found.theta
+
+    found = jax.vmap(theta)(keys)
     assert found.shape == (2, 1)
     record = rx.Record.from_samples({"x": TIME}, 2 + TIME)
     np.testing.assert_allclose(record.time, 2 + TIME)

@@ -51,7 +51,7 @@ def test_what_motion_leaves_is_the_same_under_any_offset():
     assert len(shares) == 2
     assert shares[0] == pytest.approx(shares[1], rel=0.05)  # of two digits
     # Several amplitudes of zero are a doubt; an answer stands beside it.
-    assert float(rx.identify(DRAG, recording(0, u=10.0))["k"]) > 0
+    assert float(rx.identify(DRAG, recording(0, u=10.0), intervals=rx.Naive())["k"]) > 0
 
 
 @pytest.mark.no_finding("wrong_zero")

@@ -1,5 +1,8 @@
 """EMPS, a measured axis: against published values, and least squares written out."""
 
+import contextlib
+import functools
+import io
 import json
 from pathlib import Path
 
@@ -34,19 +37,23 @@ def file() -> Path:
     return measured_data("emps") / "DATA_EMPS.mat"
 
 
-@pytest.fixture
-def document(file, capsys):
+@pytest.fixture(scope="module")
+def document(file):
+    """What a command line answers; each is run once."""
+
+    @functools.cache
     def identify(model: str, *options: object) -> dict:
         given = ("--map", "q=qm", "--map", "force=vir", "--scale", f"vir={GAIN}", "--json")
         windows = () if "dols" in options else TRAPEZOIDS
         arguments = ["identify", file, "--model", model, *AS_COMPARED, *windows, *given, *options]
-        assert run([str(argument) for argument in arguments]) == 0
-        return json.loads(capsys.readouterr().out)
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            assert run([str(argument) for argument in arguments]) == 0
+        return json.loads(printed.getvalue())
 
     return identify
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def identified(document):
     return lambda *arguments: document(*arguments)["parameters"]
 

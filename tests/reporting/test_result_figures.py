@@ -127,7 +127,7 @@ def test_curves_pass_through_their_break_points_and_leave_the_hysteresis():
         -rx.Terms("F_d", rx.roof(points), "v", unit="N"), rx.Term(1.0, "F"), unit="N"
     )
     model = staged(equation)
-    estimate = rx.identify(model, record, rx.DOLS())
+    estimate = rx.identify(model, record, rx.DOLS(), intervals=rx.Naive())
     (curve,) = identified_curves(result_of(estimate, model, record))
     inner = (np.array(points) > v.min()) & (np.array(points) < v.max())
     at_points = np.interp(np.array(points)[inner], curve.x, curve.y)

@@ -87,7 +87,8 @@ def test_everything_prints_briefly_and_in_html(estimate, assessed):
     sweep = rx.validation.window_sweep(equation(), record(), CRITERION)
     held = assessed.validations[0].held
     checked = rx.check(equation(), record(), CRITERION)
-    known = rx.identify(equation(), record(), CRITERION, known={"m": 2.0, "k": 50.0})
+    held_back = {"m": 2.0, "k": 50.0}
+    known = rx.identify(equation(), record(), CRITERION, known=held_back, intervals=rx.Naive())
     recording = assessed.recordings[0]
     comparison = rx.compare([estimate, known])
     model, verdict = rx.find_model("quarter-car"), assessed.verdict

@@ -292,8 +292,9 @@ def test_summaries_merge_to_the_same_bits_in_any_order():
     for merged in (parts[0].merge(surveyed), surveyed.merge(parts[0])):
         assert merged.recordings[0].stages[0][0].survey is not None
     records = [spring_record(1500, seed) for seed in range(4)]
-    whole = rx.identify(SPRING, records, BOXCAR)
-    np.testing.assert_allclose(rx.estimate(SPRING, parts).theta, whole.theta, rtol=1e-12)
+    whole = rx.identify(SPRING, records, BOXCAR, intervals=rx.Naive())
+    found = rx.estimate(SPRING, parts, intervals=rx.Naive())
+    np.testing.assert_allclose(found.theta, whole.theta, rtol=1e-12)
 
 
 def spring_record(count: int, seed: int) -> rx.Record:
@@ -408,8 +409,8 @@ def test_another_band_is_a_fresh_fit_and_says_if_it_snapped(weight, rate, alpha,
         OSCILLATOR, made, rx.RIEC(ALL, weight), bins=[0.05, 0.1, 0.2, 0.4, 0.6, 0.9]
     )
     banded = summary.between(alpha, beta)
-    found = rx.estimate(OSCILLATOR, banded)
-    fresh = rx.identify(OSCILLATOR, made, banded.criterion)
+    found = rx.estimate(OSCILLATOR, banded, intervals=rx.Sandwich())
+    fresh = rx.identify(OSCILLATOR, made, banded.criterion, intervals=rx.Sandwich())
     np.testing.assert_allclose(found.theta, fresh.theta, rtol=1e-10)
     assert fresh.summary is not None
     if int(fresh.summary.recordings[0].blocks) == int(summary.recordings[0].blocks):

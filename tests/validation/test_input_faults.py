@@ -1,5 +1,7 @@
 """Inputs that drift or say nothing."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -79,8 +81,8 @@ def driven(seed) -> dict[str, np.ndarray]:
 def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
     every = [Record.from_samples(one, time_step=STEP) for one in (signals, *others)]
     records = [one.record for one in ready(AXIS, every)]
-    estimate = identify(AXIS, records, intervals=Sandwich())
-    residuals, _, _ = what_is_left(AXIS, records, estimate, lambda some: identify(AXIS, some))
+    fitted = partial(identify, AXIS, intervals=Sandwich())
+    residuals, _, _ = what_is_left(AXIS, records, fitted(records), fitted)
     assert residuals is not None
     return [(f.code, f.signals) for f in residuals.faults]
 

@@ -228,7 +228,7 @@ HYSTERETIC = PROBLEMS["hysteresis"]
 
 
 def left(model: object, record: rx.Record) -> ResidualTests:
-    return residual_tests(model, record, rx.identify(model, record))  # pyright: ignore
+    return residual_tests(model, record, fit(model, record))  # pyright: ignore
 
 
 @pytest.mark.raises_finding("hysteresis")
