@@ -5,7 +5,6 @@ import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 # As the command line has it, before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -111,17 +110,16 @@ def forget_compiled_functions() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a whole command, to draw its pictures takes more than half: those for whom they are no
-    matter get empty ones. Tests of charts draw them."""
-    if request.path.parent.name == "cli" and not request.node.get_closest_marker("draws"):
-        monkeypatch.setattr("riecjax.reporting.charts.printed.printed", _blank)
+def command_line(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A whole command runs in an empty folder. To draw its pictures takes more than half: those
+    for whom they are no matter get empty ones. Tests of charts draw them."""
+    if request.path.parent.name != "cli":
+        return
+    monkeypatch.chdir(request.getfixturevalue("tmp_path"))
+    if not request.node.get_closest_marker("draws"):
+        from tests.approved.running import without_pictures
 
-
-def _blank(_: object) -> Any:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(0.1, 0.1))
+        without_pictures(monkeypatch)
 
 
 @contextlib.contextmanager

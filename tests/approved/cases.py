@@ -224,6 +224,7 @@ SLOW = {
     "lever-arm-together",
     "duffing",
     "drag-filtered",
+    "quarter-car-random",
 }
 """What `make nightly` compares besides: long, or an option beside one that the day compares."""
 BESIDE: dict[str, dict[str, str]] = {

@@ -6,6 +6,7 @@ import pytest
 
 import riecjax as rx
 
+QUICK = {"refine": None, "sweep": False, "intervals": rx.Sandwich()}
 M, R, K = 2.0, 3.0, 80.0
 STEP = 0.005
 MODEL = rx.Equation(
@@ -34,7 +35,7 @@ def recorded(**late: float) -> rx.Record:
 
 @pytest.mark.raises_finding("late_signal")
 def test_a_late_velocity_says_by_how_much_it_moves_each_parameter():
-    found = rx.assess(MODEL, recorded(v=1.0), refine=None, sweep=False)
+    found = rx.assess(MODEL, recorded(v=1.0), **QUICK)
     (late,) = [f for f in found.findings() if f.code == "late_signal" and f.signals == ("v",)]
     truth = {"m": M, "r": R, "k": K}
     assert set(late.doubts) == set(truth)
@@ -61,7 +62,7 @@ def test_what_a_sensor_could_not_show_says_how_far_it_moves_each_parameter(code)
         v = np.clip(v, -0.5 * v.max(), 0.5 * v.max())
     else:
         v[1500:2000] = v[1500]
-    found = rx.assess(MODEL, record.with_signals({"v": jnp.asarray(v)}), refine=None, sweep=False)
+    found = rx.assess(MODEL, record.with_signals({"v": jnp.asarray(v)}), **QUICK)
     said = next(f for f in found.findings() if f.code == code)
     for name, truth in {"m": M, "r": R, "k": K}.items():
         off = abs(truth / float(found.answer[name]) - 1)

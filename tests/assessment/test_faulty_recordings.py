@@ -1,12 +1,6 @@
 """The benchmark of faults: what is named, and what is not, of a recording with a fault."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
-
-sys.path.append(str(Path(__file__).parents[2]))  # for whoever runs `pytest` and not `python -m`
-
 from benchmarks.recovery import judge
 from benchmarks.recovery.faults import FAULTS, recorded
 from benchmarks.recovery.machines import MACHINES

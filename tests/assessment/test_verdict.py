@@ -117,7 +117,8 @@ ORDINARY = rx.Equation(
 
 def test_a_parameter_is_what_the_model_says_whatever_it_is_called(tmp_path):
     record = rx.Record(motion(False), STANDARD.step)
-    found = rx.assess(ORDINARY, record, RIEC, refine=None, sweep=False)
+    quick = {"refine": None, "sweep": False, "intervals": rx.Sandwich()}
+    found = rx.assess(ORDINARY, record, RIEC, **quick)
     for name, value in zip(ORDINARY.parameters, (*OF_BODY.values(), 0.0)):
         assert float(found.estimate[name]) == pytest.approx(value, rel=5e-3, abs=0.1)
         assert found.verdict.parameters[name].level == ("caution" if value == 0 else "good")

@@ -18,8 +18,7 @@ Columns = dict[str, np.ndarray]
 
 
 @pytest.fixture(autouse=True)
-def working_folder(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def working_folder() -> None:
     write_csv(Path("good.csv"), quarter_car_columns())
 
 

@@ -12,14 +12,14 @@ from tests.machines import PROBLEMS
 DUFFING = PROBLEMS["duffing"]
 
 
-def test_missing_terms_are_told_and_the_model_file_runs(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_missing_terms_are_told_and_the_model_file_runs(capsys):
     record = DUFFING.record(0.01, 0)
     signals = {name: np.asarray(values) for name, values in record.arrays.items()}
     write_csv(Path("rig.csv"), {"t": np.arange(record.sample_count) * 0.01, **signals})
     Path("rig.py").write_text(TEXTS["rig.py"])
+    quick = ("--intervals", "sandwich")
     status, printed, said = call(
-        capsys, "discover", "rig.csv", "--model", "rig.py:RIG", "--out", "out"
+        capsys, "discover", "rig.csv", "--model", "rig.py:RIG", "--out", "out", *quick
     )
     assert status == 0, said
     document = json.loads(Path("out/results.json").read_text())
@@ -31,9 +31,8 @@ def test_missing_terms_are_told_and_the_model_file_runs(capsys, tmp_path, monkey
     assert abs((low + high) / 2 - 1.5) < high - low
     assert "coulomb" in Path("out/report.html").read_text()
 
-    found = call(
-        capsys, "identify", "rig.csv", "--model", "out/model.py", "--refine", "none", "--json"
-    )
+    asked = ("--model", "out/model.py", "--refine", "none", "--json", *quick)
+    found = call(capsys, "identify", "rig.csv", *asked)
     assert found.status == 0, found.err
     values = {k: v["value"] for k, v in found.document["parameters"].items()}
     assert values == pytest.approx({k: v["value"] for k, v in document["parameters"].items()})

@@ -64,7 +64,8 @@ BANDS = {
 @pytest.mark.parametrize("case", by_day(BANDS, "default", "band and alpha", "of the model"))
 def test_windows_are_half_periods_of_a_band(from_file, tyre_file, case):
     model, options, alpha, beta = BANDS[case]
-    document = from_file(*options, "--no-sweep", model=f"{tyre_file}:{model}")
+    quick = ("--no-sweep", "--intervals", "sandwich")
+    document = from_file(*options, *quick, model=f"{tyre_file}:{model}")
     assert document["criterion"]["alpha"] == pytest.approx(alpha)
     assert document["criterion"]["beta"] == pytest.approx(beta)
     choice = document["window_choice"]

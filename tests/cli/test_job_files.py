@@ -59,8 +59,7 @@ def example(option: Option, value: str) -> list[str]:
 
 
 @pytest.mark.parametrize("key", [o.key for o in identify.options.values() if o.key != "job"])
-def test_every_option_has_its_line_and_comes_back(tmp_path, monkeypatch, key):
-    monkeypatch.chdir(tmp_path)
+def test_every_option_has_its_line_and_comes_back(tmp_path, key):
     option = next(option for option in identify.options.values() if option.key == key)
     arguments = ["r.csv", "--model", "emps"]
     plain = context(arguments)
@@ -80,8 +79,7 @@ def test_every_option_has_its_line_and_comes_back(tmp_path, monkeypatch, key):
 
 @pytest.mark.portable
 @pytest.mark.parametrize("name", ODD)
-def test_any_name_is_kept(tmp_path, monkeypatch, name):
-    monkeypatch.chdir(tmp_path)
+def test_any_name_is_kept(tmp_path, name):
     first = context(["r.csv", "--model", "emps", "--map", f"q={name}", "--scale", "x 'y\"=-2e-3"])
     for text in (
         form_of(first),
@@ -92,8 +90,7 @@ def test_any_name_is_kept(tmp_path, monkeypatch, name):
 
 
 @pytest.mark.portable
-def test_what_is_typed_wins(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_what_is_typed_wins(tmp_path):
     (tmp_path / "jobs").mkdir()
     job = tmp_path / "jobs" / "job.toml"
     job.write_text(
@@ -135,8 +132,7 @@ def test_what_is_typed_wins(tmp_path, monkeypatch):
         ("", ("RECORD",)),
     ],
 )
-def test_a_wrong_job_is_wrong_usage(capsys, tmp_path, monkeypatch, text, words):
-    monkeypatch.chdir(tmp_path)
+def test_a_wrong_job_is_wrong_usage(capsys, text, words):
     Path("job.toml").write_text(text)
     said = rejected(capsys, 2, "identify", "--job", "job.toml")
     assert all(word in said for word in words)
@@ -153,16 +149,14 @@ def test_a_wrong_job_is_wrong_usage(capsys, tmp_path, monkeypatch, text, words):
         (b'{"schema": 99, "job": {}, "provenance": {}}', ("schema 99",)),
     ],
 )
-def test_a_damaged_job(capsys, tmp_path, monkeypatch, content, words):
-    monkeypatch.chdir(tmp_path)
+def test_a_damaged_job(capsys, tmp_path, content, words):
     Path("job.json" if content.startswith(b"{") else "job.toml").write_bytes(content)
     said = rejected(capsys, 2, "identify", "--job", next(tmp_path.iterdir()))
     assert all(word in said for word in words)
 
 
 @pytest.fixture
-def machine(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def machine():
     Path("machine.py").write_text(MODEL)
     write_csv(Path("run.csv"), motion(offset=4.0, count=1500))
 
@@ -226,8 +220,7 @@ def test_init_reads_units_as_the_model_does(capsys, machine):
     assert "as it stands" not in made.out
 
 
-def test_the_files_of_a_bag_in_a_folder_are_input_files(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_files_of_a_bag_in_a_folder_are_input_files():
     Path("bag").mkdir()
     for name in ("metadata.yaml", "bag_0.mcap"):
         Path("bag", name).write_text("")

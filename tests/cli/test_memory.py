@@ -38,8 +38,7 @@ def test_a_container_may_leave_less_and_cached_files_count_as_free(monkeypatch, 
 
 
 @pytest.fixture
-def drive(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def drive(tmp_path):
     return write_csv(tmp_path / "drive.csv", quarter_car_columns())
 
 

@@ -1,19 +1,15 @@
 """Damaged recordings through the whole command: a right answer, a warning, or one line."""
 
 import json
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-from nightly import nightly, nightly_among
-
-sys.path.append(str(Path(__file__).parents[2]))  # for whoever runs `pytest` and not `python -m`
-
 from benchmarks.robustness.__main__ import Fuzzed, fuzzed, judged, outcome
 from benchmarks.robustness.mutations import NAMES, TRUTH, WRITERS, mutated, rigs
+
+from nightly import nightly, nightly_among
 
 RIGS = rigs()
 LINEAR = ("--refine", "none")
@@ -24,11 +20,6 @@ SLOW |= {"repeated block", "truth values", "mixed", "extreme scale", "hostile na
 SLOW |= {"frozen all", "burst", "single nan", "late column", "clipped", "saturated"}
 SLOW |= {"wrapped", "duplicated column", "empty cells"}
 """What leaves another number of samples, or much to read."""
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.mark.parametrize(

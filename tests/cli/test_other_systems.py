@@ -28,11 +28,6 @@ coil = rx.Equation(rx.Term("R", "i", unit="Ω"), -rx.Term(1.0, "u", unit="V"), n
 """
 
 
-@pytest.fixture(autouse=True)
-def working_folder(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
 def redirected(*arguments: str) -> bytes:
     """What a command writes to a file on Windows of Western Europe."""
     stream = io.TextIOWrapper(io.BytesIO(), "cp1252")

@@ -35,14 +35,13 @@ def motion(offset: float = 0.0, phase: float = 0.0, count: int = COUNT) -> dict[
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def here():
     Path("machine.py").write_text(MODEL)
 
 
 CHECK = ("--model", "machine.py:axis", "--test-function", "hat", "--quadrature", "6")
 CHECK += ("--alpha", "0.1", "--beta", "0.5", "--json")
-IDENTIFY = (*CHECK, "--refine", "none")
+IDENTIFY = (*CHECK, "--refine", "none", "--intervals", "sandwich")
 
 
 def values(document):

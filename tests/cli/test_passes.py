@@ -37,8 +37,7 @@ PROBE = 64
 
 
 @pytest.fixture(autouse=True)
-def working_folder(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def working_folder() -> None:
     Path("model.py").write_text(NOTING)
 
 

@@ -17,8 +17,7 @@ from riecjax.reporting.identification import identification_document
 @pytest.mark.parametrize(
     ("windows", "sweep"), [("all", False), *nightly([("all", True), (500, True)])]
 )
-def test_every_number_of_the_command_line(capsys, tmp_path, monkeypatch, windows, sweep):
-    monkeypatch.chdir(tmp_path)
+def test_every_number_of_the_command_line(capsys, windows, sweep):
     Path("machine.py").write_text(MODEL)
     write_csv(Path("run.csv"), motion(offset=4.0, count=3000))
     options = ("--alpha", "0.1", "--beta", "0.5", "--windows", windows, "--test-function", "hat")

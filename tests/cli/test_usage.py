@@ -121,8 +121,7 @@ ROWS = [(start, rest, *said) for start, rows in WRONG.items() for rest, said in 
     [nightly([row])[0] if row[1] in LATE else row for row in ROWS],
     ids=lambda value: value.strip() if isinstance(value, str) else None,
 )
-def test_it_is_told_in_one_line(capsys, tmp_path, monkeypatch, start, rest, status, words):
-    monkeypatch.chdir(tmp_path)
+def test_it_is_told_in_one_line(capsys, start, rest, status, words):
     car = quarter_car_columns()
     write_csv(Path("good.csv"), car)
     write_csv(Path("force.csv"), {"t": car["t"], "F": car["F_t"]})

@@ -20,8 +20,7 @@ EQUATION = 'Equation(Term("m", "a"), Term("c", "v"), -Term(1.0, "f"), name="cart
 
 
 @pytest.fixture(autouse=True)
-def working_folder(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def working_folder() -> None:
     time = np.arange(4000) / 500
     p, v = (
         np.sin(3 * time) + 0.2 * np.sin(11 * time),
@@ -37,9 +36,8 @@ def model(text: str, name: str = "mine.py") -> None:
 
 
 def identified(capsys, reference: str, *options: object) -> dict:
-    result = call(
-        capsys, "identify", "cart.csv", "--model", reference, "--json", "--refine", "none", *options
-    )
+    quick = ("--json", "--refine", "none", "--intervals", "sandwich")
+    result = call(capsys, "identify", "cart.csv", "--model", reference, *quick, *options)
     assert result.status == 0, result.err
     return result.document
 
@@ -98,7 +96,7 @@ def test_names_with_square_brackets_are_printed_as_they_are(capsys):
     # A terminal library must not take them for its own mark-up.
     equation = EQUATION.replace('name="cart"', 'name="axis [/b] [x]"')
     model(IMPORTS + "thing = " + equation.replace('"c", "v"', '"c", "v", unit="[N s/m]"'))
-    options = ("--criterion", "dols", "--refine", "none", "--verbose")
+    options = ("--criterion", "dols", "--refine", "none", "--intervals", "naive", "--verbose")
     result = call(capsys, "identify", "cart.csv", "--model", "mine.py:thing", *options)
     assert result.status == 0
     assert "axis [/b] [x]" in result.out

@@ -68,7 +68,8 @@ def test_a_fleet_is_the_same_to_the_bit_on_processes_as_without(tmp_path):
     (tmp_path / "own.py").write_text(USERS)
     model = find_model(f"{tmp_path}/own.py:MODEL")
     for workers in (0, 2):
-        fleet(model, tmp_path / "drives", workers=workers, out=tmp_path / f"out{workers}")
+        settings = {"intervals": "sandwich", "out": tmp_path / f"out{workers}"}
+        fleet(model, tmp_path / "drives", workers=workers, **settings)
     for name in ("summaries.parquet", "estimates.parquet"):
         assert (tmp_path / "out0" / name).read_bytes() == (tmp_path / "out2" / name).read_bytes()
 
