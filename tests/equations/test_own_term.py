@@ -72,7 +72,8 @@ def test_its_columns_are_differentiated_for_a_hidden_mode(foreign):
 
 
 def test_discovery_chooses_it():
-    found = rx.discover(equation(), RECORD, candidates=[Drag("drag", of="dx")])
+    quick = {"intervals": rx.Naive(), "resamples": 0}
+    found = rx.discover(equation(), RECORD, candidates=[Drag("drag", of="dx")], **quick)
     assert found.names == ("drag",)
     np.testing.assert_allclose(float(found.estimate["drag"]), DRAG_TRUTH["r2"], rtol=0.1)
 

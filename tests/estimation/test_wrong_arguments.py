@@ -16,7 +16,6 @@ TERMS = (rx.Term("k", "x"), -rx.Term(1.0, "F"))
 EQUATION = rx.Equation(*TERMS)
 TWO = rx.Equation(rx.Term("m", "F"), *TERMS)
 ALL = rx.RIEC(rx.AllWindows(0.05, 0.5))
-SYSTEM = rx.find_model("duffing").build_system({})
 
 ASKED = {
     "a name": (("quarter-car", RECORD), {}, "rx.find_model('quarter-car')"),

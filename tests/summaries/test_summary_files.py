@@ -164,7 +164,7 @@ def rewritten(file: Path, change, seal: bool = True) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 4: .* 9.1"),
+        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 5: .* 9.1"),
         (
             lambda d, _: d["criterion"].update({"class": "Tent", "from": "rig"}),
             "Tent of 'rig'.*imp",
