@@ -195,9 +195,9 @@ def test_intervals_are_those_of_many_random_windows():
 
 def test_by_default_windows_are_half_periods_of_the_models_band():
     record = record_of(900, 0)
-    plain = identify(EQUATION, record, intervals=rx.Naive())
+    plain = identify(EQUATION, record, intervals=Naive())
     assert plain.criterion.describe() == RIEC(AllWindows(0.05, 0.5)).describe()
     model = Model("mine", "", stages=EQUATION, band=(2.0, 5.0))
-    found = identify(model, record, intervals=rx.Naive())
-    same = identify(EQUATION, record, RIEC(AllWindows(0.1, 0.25)), intervals=rx.Naive())
+    found = identify(model, record, intervals=Naive())
+    same = identify(EQUATION, record, RIEC(AllWindows(0.1, 0.25)), intervals=Naive())
     np.testing.assert_array_equal(found.theta, same.theta)

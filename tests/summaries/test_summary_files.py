@@ -121,7 +121,7 @@ def test_a_name_stays_as_it_is_and_nothing_else_is_left_behind(tmp_path):
         np.testing.assert_array_equal(
             arrays["0/stages/0/0/moments"], summary.recordings[0].stages[0][0].moments
         )
-        assert json.loads(arrays["summary"].tobytes())["schema"] == 4
+        assert json.loads(arrays["summary"].tobytes())["schema"] == 5
 
 
 def refused(path: Any, words: str) -> None:
