@@ -35,7 +35,6 @@ MANY_IMPORTS = {
     "riecjax.discovery.discover": 23,
     "riecjax.estimation.check": 21,
     "riecjax.estimation.identify": 24,
-    "riecjax.fleets.fleet": 14,
     "riecjax.records.recording": 17,
     "riecjax.refinement.output_error": 14,
     "riecjax.reporting.result_figures": 16,
