@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from jaxtyping import Array
 
 from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
-from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
@@ -19,6 +19,7 @@ from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import (
     Check,
     check_sums,
+    linear_sums,
     naming_copies,
     raise_if_not_carried,
     raise_if_refused,
@@ -27,7 +28,7 @@ from riecjax.estimation.check import (
 )
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
-from riecjax.estimation.identify import estimate as estimate_of
+from riecjax.estimation.identify import estimated
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
@@ -41,7 +42,7 @@ from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich, intervals_of
-from riecjax.validation.sweep import sweep_edges, window_sweep
+from riecjax.validation.sweep import sweep_edges, sweep_of_sums
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
@@ -97,18 +98,18 @@ def assess(
         fitted, held = map(list, zip(*(each.split(settings.hold_out) for each in fitted)))
     further: Any = settings.validate_on
     further = concerned(ready(procedure, further)) if further else []
-    plan = {"known": settings.known, "per_record": settings.per_record}
-    intervals = intervals_of(settings.intervals)
-    parts = model, procedure, criterion, fitted, held, further, settings.key, plan, intervals
-    with naming_copies(procedure, fitted, criterion):
-        return _answer(Asked(*parts), settings)
-
-
-def _answer(asked: Asked, settings: Assess) -> "Assessment":
-    procedure, records, criterion = asked.procedure, asked.records, asked.criterion
-    require_memory_to_assess(procedure, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
-    table = plan_parameters(procedure, len(records), **asked.settings)
+    table = plan_parameters(procedure, len(fitted), settings.known, settings.per_record)
+    parts = model, procedure, criterion, fitted, held, further, table
+    asked = Asked(*parts, intervals_of(settings.intervals), settings)
+    with naming_copies(procedure, fitted, criterion):
+        return _answer(asked)
+
+
+def _answer(asked: Asked) -> "Assessment":
+    procedure, records, criterion = asked.procedure, asked.records, asked.criterion
+    table, settings, key = asked.table, asked.settings, asked.settings.key
+    require_memory_to_assess(procedure, records, criterion)
     # Read once: all that follows is made from these sums.
     sweep = settings.sweep and not procedure.has_hidden
     bins = None
@@ -116,9 +117,9 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
         with contextlib.suppress(DataError):  # too short a record, which the check says
             bins = sweep_edges(records, criterion)
     with explaining_errors(asked.fitted):
-        summary = summarise(procedure, records, criterion, key=asked.key, bins=bins, survey=True)
-    estimate = on_host(estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals))
-    evidence, ordinary = _about_hidden(procedure, estimate, summary, table.known)
+        summary = summarise(procedure, records, criterion, key=key, bins=bins, survey=True)
+    estimate = on_host(estimated(procedure, summary, table, asked.intervals))
+    evidence, ordinary = _about_hidden(procedure, estimate, summary)
     excited = excitations(ordinary, table)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
@@ -132,35 +133,22 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
 
-    checked = check_sums(
-        procedure,
-        ready(procedure, records),
-        criterion,
-        key=asked.key,
-        **asked.settings,
-        summary=ordinary,
-        excited=excited,
-    )
+    checked = check_sums(procedure, ready(procedure, records), table, ordinary, excited)
     checked = trust.with_doubts(asked, estimate, checked)
     refused = doubted is not None
-    refinement, validations, failed = refining.answered(asked, estimate, refused, settings)
+    refinement, validations, failed = refining.answered(asked, estimate, refused)
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
         failed = [*failed, *refining.outside_bounds(estimate, settings.bounds)]
     residuals, choice, untested = trust.what_is_left(procedure, records, estimate, asked.again)
-
-    def estimated_otherwise(procedure: Procedure) -> Estimate:
-        summary = summarise(procedure, records, criterion, key=asked.key)
-        return estimate_of(procedure, summary, **asked.settings, intervals=asked.intervals)
-
-    resting = at_rest_findings(procedure, records, estimate, estimated_otherwise)
+    resting = at_rest_findings(procedure, records, estimate, asked.otherwise)
     over_lengths = None
     if sweep and summary.criterion.windows is not None:
-        swept = records if summary.bins is None else summary
         with contextlib.suppress(DataError):  # too short for any other length
-            over_lengths = on_host(
-                window_sweep(procedure, swept, summary.criterion, **asked.settings)
-            )
+            if summary.bins is None and isinstance(summary.criterion, RIEC):
+                edges = sweep_edges(records, summary.criterion)
+                summary = summarise(procedure, records, summary.criterion.every, bins=edges)
+            over_lengths = on_host(sweep_of_sums(summary, table))
     return Assessment(
         model=asked.model,
         procedure=procedure,
@@ -174,7 +162,7 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
         validations=validations,
         refinement=refinement,
         failures=[*failed, *resting, *untested, *trust.validated_on_fitted(asked)],
-        key=asked.key,
+        key=key,
         modes=evidence,
     )
 
@@ -208,39 +196,41 @@ def assess_summary(
 
     model = as_model(model)
     procedure = model.build_procedure() if procedure is None else procedure
-    found = on_host(estimate_of(procedure, summary, known=known, intervals=intervals))
+    summary.require_model(procedure)
     table = plan_parameters(procedure, len(summary.recordings), known, ())
-    evidence, ordinary = _about_hidden(procedure, found, summary, table.known)
+    estimate = on_host(estimated(procedure, summary, table, intervals_of(intervals)))
+    evidence, ordinary = _about_hidden(procedure, estimate, summary)
     excited = excitations(ordinary, table)
     raise_if_refused(excited)
-    told = [*findings, *(finding for stage in excited for finding in stage.findings())]
     sweep = None
     if lengths is not None and not procedure.has_hidden:
         with contextlib.suppress(DataError):  # too short for any
-            sweep = on_host(window_sweep(procedure, lengths, known=known))
+            lengths.require_model(procedure)
+            sweep = on_host(sweep_of_sums(lengths, table))
     return Assessment(
         model=model,
         procedure=procedure,
         recordings=(),
         validated_on=(),
-        checked=Check(told, excited, ()),
-        estimate=found,
+        checked=Check(
+            [*findings, *(f for stage in excited for f in stage.findings())], excited, ()
+        ),
+        estimate=estimate,
         sweep=sweep,
         modes=evidence,
     )
 
 
 def _about_hidden(
-    procedure: Procedure, estimate: Estimate, summary: Summary, known: Mapping[str, Array]
+    procedure: Procedure, estimate: Estimate, summary: Summary
 ) -> tuple[list["ModeEvidence"], Summary]:
     """What speaks for hidden modes, and the sums, linearised about hidden elements."""
-    if not procedure.has_hidden:
-        return [], summary
-    from riecjax.estimation.evidence import mode_evidence
-    from riecjax.estimation.mode_windows import linearised
+    evidence = []
+    if procedure.modes:
+        from riecjax.estimation.evidence import mode_evidence
 
-    evidence = mode_evidence(procedure, estimate) if procedure.modes else []
-    return evidence, linearised(procedure, summary, known)
+        evidence = mode_evidence(procedure, estimate)
+    return evidence, linear_sums(procedure, summary, estimate.table)
 
 
 class Answering(NamedTuple):
@@ -271,26 +261,28 @@ def check_answering(
 
     **Raises:** as [`check`][].
     """
-    described = as_model(model)
-    procedure, recordings = described.build_procedure(), as_recordings(records)
+    model = as_model(model)
+    procedure, recordings = model.build_procedure(), as_recordings(records)
     plain, key = [each.record for each in recordings], settings.key
-    criterion = criterion_for(settings, procedure, described.band, plain)
+    criterion = criterion_for(settings, procedure, model.band, plain)
     require_memory_to_assess(procedure, plain, criterion, checking=True)
-    plan = {"known": settings.known, "per_record": settings.per_record}
     summary = summarise(procedure, recordings, criterion, key=key, survey=True)
-    looked = ready(procedure, recordings)
-    checked = check_sums(procedure, looked, criterion, key=key, summary=summary, **plan)
+    table = plan_parameters(procedure, len(recordings), settings.known, settings.per_record)
+    linear = linear_sums(procedure, summary, table)
+    excited = excitations(linear, table)
+    checked = check_sums(procedure, ready(procedure, recordings), table, linear, excited)
     if checked.refusal is None or checked.refusal.code != "unidentifiable":
         return Answering(checked, criterion, None)
     # Not earlier: to import all that simulates takes seconds.
     from riecjax.assessment.refining import answered
 
-    parts = (described, procedure, criterion, recordings, [], [], key, plan, Sandwich())
+    parts = model, procedure, criterion, recordings, [], [], table
+    asked = Asked(*parts, Sandwich(), Assess(key=key))
     try:
-        start = on_host(estimate_of(procedure, summary, **plan, intervals=Sandwich()))
+        start = on_host(estimated(procedure, summary, table, asked.intervals))
     except IdentifiabilityError:
         return Answering(checked, criterion, None)
-    refinement, _, _ = answered(Asked(*parts), start, True, Assess())
+    refinement, _, _ = answered(asked, start, True)
     if refinement is None or refinement.refined is None or not refinement.chosen:
         return Answering(checked, criterion, None)
     refined = refinement.refined

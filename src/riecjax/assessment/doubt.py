@@ -108,7 +108,11 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
     # A fault that explains what is left moves these by a known amount.
     faults = () if assessment.residuals is None else assessment.residuals.faults
     known = {name for fault in faults for name in fault.doubts}
-    drift = {} if exact else drifts(assessment)
+    # How far estimates in windows of other lengths lie from the answer, beyond chance.
+    sweep, drift = assessment.sweep, {}
+    if sweep is not None and not exact:
+        names = {*sweep.parameters} & {*answer.parameters}
+        drift = {name: sweep.away(name, float(answer[name])) for name in names}
     left = {} if exact else left_out(assessment)
     # Of each kind of fault all of what is amiss with the recordings, of kinds the worst.
     amiss: dict[str, dict[str, float]] = {name: {} for name in answer.parameters}
@@ -118,28 +122,16 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
             if share > 0:
                 before = amiss[name].get(finding.code, 0.0)
                 amiss[name][finding.code] = before + share * abs(float(answer[name]))
-    found = {}
-    for i, name in enumerate(answer.parameters):
-        finest = FINEST * abs(float(answer[name]))
-        scatter = float((below * errors)[i]), float((above * errors)[i])
+    by_name = {}
+    for name, low, high in zip(answer.parameters, below * errors, above * errors):
+        scatter = float(low), float(high)
         drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, left))
-        if assessment.sweep is not None:
+        if sweep is not None:
             moved = min(moved, STEADIER * (drifted + max(scatter)))
         worst = max(amiss[name].values(), default=0.0)
-        found[name] = Doubt(*scatter, drifted, moved, worst, finest)
-    return found
-
-
-def drifts(assessment: "Assessment") -> dict[str, float]:
-    """How far estimates in windows of other lengths lie from the answer, beyond chance."""
-    sweep, answer = assessment.sweep, assessment.answer
-    if sweep is None:
-        return {}
-    return {
-        name: sweep.away(name, float(answer[name]))
-        for name in sweep.parameters
-        if name in answer.parameters
-    }
+        finest = FINEST * abs(float(answer[name]))
+        by_name[name] = Doubt(*scatter, drifted, moved, worst, finest)
+    return by_name
 
 
 def left_out(assessment: "Assessment") -> Mapping[str, float]:
@@ -151,7 +143,7 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
         for name, share in zip(stage.parameters, stage.own_share)
     }
     # Equations of which some test says that what they leave is the model's.
-    tests = () if assessment.residuals is None else assessment.residuals.equations
+    tests = assessment.equation_residuals
     blamed = {t.name for t in tests if any(f.code in OF_THE_MODEL for f in t.findings())}
     if assessment.sweep is not None:
         drifting = {name for f in assessment.sweep.findings() for name in f.parameters}

@@ -16,7 +16,6 @@ from riecjax.criteria.test_functions import AbstractSmoothTestFunction
 from riecjax.equations.term import Term, constant
 from riecjax.findings import CODES, KINDS, Finding, code_of, codes_of
 from riecjax.shows import Shown
-from riecjax.validation.residuals import EquationResidual
 from riecjax.validation.sweep import MOST
 
 if TYPE_CHECKING:
@@ -57,7 +56,7 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
     """Of all findings, first what does most to the parameters."""
     answer = assessment.answer
     size = {name: size_of(answer[name]) for name in found}
-    grouped, said = [], assessment.findings()
+    grouped, said, tests = [], assessment.findings(), assessment.equation_residuals
     widened = widening(assessment, names=found)
     for kind in KINDS:
         own = [f for code in codes_of(kind) for f in said if f.code == code]
@@ -66,7 +65,14 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
         of = {name for f in own for name in assessment.parameters_of(f)}
         names = tuple(name for name in found if name in of)
         share = max((found[n].by_kind(kind) / size[n] for n in names), default=0.0)
-        phrase, step = _phrase(assessment, own[0]), next(_steps(assessment, own), None)
+        first, step = own[0], next(_steps(assessment, own), None)
+        phrase = code_of(first.code).said(first.signals, first.parameters)
+        if first.code == "unmodelled_mode":
+            peaks = (test.peak for test in tests if test.peak is not None)
+            peak = max(peaks, key=lambda peak: peak.size)
+            phrase = f"the model leaves out a mode near {peak.frequency:.3g} Hz"
+        elif first.code in ("large_residual", "uneven_errors") and _with_constant_part(assessment):
+            phrase = CONSTANT
         if kind == "data" and all(
             found[n].scatter <= TRUSTED * size[n] or n in widened for n in names
         ):
@@ -74,20 +80,6 @@ def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
             step = None
         grouped.append(Cause(kind, phrase, tuple(own), names, share, step))
     return sorted(grouped, key=lambda c: (c.kind != "undetermined", not c.voids, -c.share))
-
-
-def _phrase(assessment: "Assessment", finding: Finding) -> str:
-    if finding.code == "unmodelled_mode":
-        peaks = (one.peak for one in _equations(assessment) if one.peak is not None)
-        peak = max(peaks, key=lambda one: one.size)
-        return f"the model leaves out a mode near {peak.frequency:.3g} Hz"
-    if finding.code in ("large_residual", "uneven_errors") and _with_constant_part(assessment):
-        return CONSTANT
-    return code_of(finding.code).said(finding.signals, finding.parameters)
-
-
-def _equations(assessment: "Assessment") -> Sequence[EquationResidual]:
-    return () if assessment.residuals is None else assessment.residuals.equations
 
 
 def widening(assessment: "Assessment", names: Iterable[str]) -> dict[str, str]:
@@ -102,13 +94,13 @@ def widening(assessment: "Assessment", names: Iterable[str]) -> dict[str, str]:
 
 def _with_constant_part(assessment: "Assessment") -> set[str]:
     """Parameters of equations whose errors share a constant part."""
-    some = (one for one in _equations(assessment) if one.has_constant_part)
-    return {name for one in some for name in one.parameters}
+    some = (test for test in assessment.equation_residuals if test.has_constant_part)
+    return {name for test in some for name in test.parameters}
 
 
 def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     """What might be done about findings, the best first."""
-    by = {f.code: f for f in reversed(own)}
+    by, tests = {f.code: f for f in reversed(own)}, assessment.equation_residuals
     weight = getattr(assessment.estimate.criterion, "test_function", None)
     smooth = isinstance(weight, AbstractSmoothTestFunction)
     yield from (Step(f.step, f.remedy) for f in own if f.step)
@@ -120,7 +112,7 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
             "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
         )
     if "unmodelled_mode" in by:
-        peaked = [e for e in _equations(assessment) if e.peak is not None and e.bodies]
+        peaked = [e for e in tests if e.peak is not None and e.bodies]
         equation = max(peaked, key=lambda e: e.peak.size if e.peak else 0.0, default=None)
         if equation is not None and not equation.carrying:
             words = "Find the mode that the model leaves out"
@@ -137,7 +129,7 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
         yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
     if "uneven_errors" in by:
         # The zero of an input's sensor, where its equation has no constant term yet.
-        names = {e.name for e in _equations(assessment) if e.has_constant_part}
+        names = {e.name for e in tests if e.has_constant_part}
         for equation in assessment.procedure.equations:
             if equation.name in names and all(t.of is not constant for t in equation.terms):
                 known = [t for t in equation.terms if isinstance(t, Term) and t.name is None]
@@ -313,29 +305,23 @@ def _sentence(judged: Mapping[str, ParameterVerdict]) -> str:
     if caution:
         clauses.append(f"take {_listed(caution)} with caution")
     if out:
-        clauses.append(f"do not use {_names(out)}")
+        clauses.append(f"do not use {_listed(out, shares=False)}")
     worst = (out or caution)[-1]
     said = "; ".join(clauses)
     return f"{said[0].upper()}{said[1:]}: {worst.reason}."
 
 
-def _listed(some: Sequence[ParameterVerdict]) -> str:
-    """Each with how far it is to be trusted."""
+def _listed(some: Sequence[ParameterVerdict], shares: bool = True) -> str:
+    """Each with how far it is to be trusted, if that is asked for."""
     words = []
-    for one in some[:NAMED]:
-        how = f"to {percent(one.share)}" if one.share < 1 else "(not told from zero)"
-        words.append(one.name if math.isnan(one.share) else f"{one.name} {how}")
-    more = len(some) - NAMED
-    if more > 0:
-        worst = max((one.share for one in some if one.share < 1), default=1.0)
+    for judged in some[:NAMED]:
+        reach = f"to {percent(judged.share)}" if judged.share < 1 else "(not told from zero)"
+        bare = not shares or math.isnan(judged.share)
+        words.append(judged.name if bare else f"{judged.name} {reach}")
+    if (more := len(some) - NAMED) > 0:
+        worst = max((one.share for one in some if shares and one.share < 1), default=1.0)
         words.append(f"{more} more{f' to {percent(worst)}' if worst < 1 else ''}")
     return joined(words)
-
-
-def _names(some: Sequence[ParameterVerdict]) -> str:
-    words = [one.name for one in some[:NAMED]]
-    more = len(some) - NAMED
-    return joined([*words, f"{more} more"] if more > 0 else words)
 
 
 def percent(share: float) -> str:

@@ -86,11 +86,11 @@ def identify(
     )
     intervals = intervals_of(settings.intervals)
     with explaining_errors(as_recordings(records)):
-        found = _estimated(asked.procedure, summed(asked), table, intervals)
+        found = estimated(asked.procedure, summed(asked), table, intervals)
 
     def otherwise(procedure: Procedure) -> Estimate:
         other = summed(asked._replace(procedure=procedure))
-        return _estimated(procedure, other, table, intervals)
+        return estimated(procedure, other, table, intervals)
 
     resting = at_rest_findings(asked.procedure, asked.records, found, otherwise)
     # What recordings say of signals that are read; bare records say nothing.
@@ -136,15 +136,17 @@ def estimate(
     procedure, summary = as_procedure(model), as_summary(summaries)
     summary.require_model(procedure)
     table = plan_parameters(procedure, len(summary.recordings), known, per_record)
-    return _estimated(procedure, summary, table, intervals_of(intervals))
+    return estimated(procedure, summary, table, intervals_of(intervals))
 
 
-def _estimated(
+def estimated(
     procedure: Procedure,
     summary: Summary,
     table: ParameterTable,
     intervals: AbstractIntervals,
 ) -> Estimate:
+    """[`estimate`][] of what a table of parameters says, by the procedure that the Summary was made
+    for."""
     equations, sources = summary.equations(), summary.noise_by_source()
     modes, short = None, summary.short_blocks
     if procedure.has_hidden:

@@ -270,7 +270,7 @@ def window_sweep(
         )
         summary = summed(asked, bins=edges)
     table = plan_parameters(procedure, len(summary.recordings), known, per_record)
-    return _sweep(summary, table, _bands(summary, shortest, longest))
+    return sweep_of_sums(summary, table, shortest, longest)
 
 
 def sweep_edges(
@@ -348,7 +348,17 @@ def _bands(
     return found
 
 
-def _sweep(summary: Summary, table: ParameterTable, bands: list[tuple[int, int]]) -> WindowSweep:
+def sweep_of_sums(
+    summary: Summary,
+    table: ParameterTable,
+    shortest: float | None = None,
+    longest: float | None = None,
+) -> WindowSweep:
+    """[`window_sweep`][] of what a table of parameters says, from sums in bins of window lengths.
+
+    **Raises:** as it does.
+    """
+    bands = _bands(summary, shortest, longest)
     ends = np.array([summary.lengths_of(band) for band in bands])
     short = summary.short_blocks
     # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
