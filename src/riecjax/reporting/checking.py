@@ -11,7 +11,7 @@ from riecjax.errors import printable
 from riecjax.estimation.check import Check
 from riecjax.records.noise_judgement import judged
 from riecjax.records.recording import Recording, common_steps
-from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
+from riecjax.reporting.document import SCHEMA, Document, finite, number, told, versions
 from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 
@@ -24,10 +24,9 @@ def check_document(
 ) -> Document:
     """The document that `riecjax check --json` prints, with an `error` if that exits with 1."""
     refusal = checked.refusal if by_refinement is None else None
-    error = {} if refusal is None else {"code": refusal.code, "message": refusal.message}
     return {
         "schema": SCHEMA,
-        **({"error": error} if error else {}),
+        **({} if refusal is None else {"error": told(refusal, "code", "message")}),
         "model": model,
         "criterion": criterion.describe(),
         "answerable": refusal is None,
@@ -77,26 +76,22 @@ def excitation_entries(checked: Check) -> dict[str, Any]:
     return {
         name: {
             "equation": stage.stage_name,
-            "own_share": finite(float(stage.own_share[j])),
-            "noise_share": finite(float(stage.noise_share[j])),
+            "own_share": finite(own),
+            "noise_share": finite(noise),
         }
         for stage in checked.excitations
-        for j, name in enumerate(stage.parameters)
+        for name, own, noise in zip(stage.parameters, stage.own_share, stage.noise_share)
     }
 
 
 def excitation_table(entries: Document, caption: str = "") -> Table:
     """How each parameter is excited."""
-    rows = [
-        [
-            name,
-            one["equation"],
-            share_in_words(one["own_share"]),
-            share_in_words(one["noise_share"], 2),
-        ]
-        for name, one in entries.items()
-    ]
-    return Table(("parameter", "equation", "own share", "noise"), rows, caption)
+    cells = {
+        "equation": lambda entry: entry["equation"],
+        "own share": lambda entry: share_in_words(entry["own_share"]),
+        "noise": lambda entry: share_in_words(entry["noise_share"], 2),
+    }
+    return Table.of("parameter", entries, cells, caption)
 
 
 def print_check(document: Document, console: Console) -> None:
@@ -161,7 +156,7 @@ def noise_entries(recordings: Sequence[Recording], signals: Iterable[str]) -> di
         size = np.sqrt(np.mean([np.var(np.asarray(one[name])) for one in having]))
         entries[name] = {
             "std": finite(float(noise)),
-            "unit": dict(having[0].units).get(name, ""),
+            "unit": having[0].signal(name).unit,
             "share": finite(float(noise / size)) if size > 0 else None,
         }
     return entries

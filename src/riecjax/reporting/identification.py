@@ -10,7 +10,6 @@ from rich.console import Console
 
 from riecjax.assessment.assessment import Assessment, Refinement
 from riecjax.records.recording import common_steps
-from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import (
     excitation_entries,
     noise_entries,
@@ -18,7 +17,7 @@ from riecjax.reporting.checking import (
     recording_entry,
     start_times,
 )
-from riecjax.reporting.document import Document, finite, number, versions
+from riecjax.reporting.document import Document, finite, number, told, versions
 from riecjax.reporting.equations import procedure_in_words
 from riecjax.reporting.estimate import (
     estimate_entries,
@@ -65,8 +64,7 @@ def identification_document(
         "window_sweep": None
         if sweep is None
         else {
-            "alpha": finite(sweep.alpha),
-            "beta": finite(sweep.beta),
+            **told(sweep, "alpha", "beta"),
             "parameters": {
                 name: {
                     "value": finite(sweep.theta[:, j]),
@@ -178,19 +176,15 @@ def mode_entries(modes: "Sequence[ModeEvidence]") -> list[Document]:
                 {"parameters": list(names), "asked_hz": asked, "found_hz": finite(found)}
                 for names, asked, found in mode.strays
             ],
-            "carried": mode.carried,
-            "oscillates": mode.oscillates,
-            "explained": finite(mode.explained),
+            **told(mode, "carried", "oscillates", "explained"),
             "held_out": {
                 "with": finite(mode.unexplained),
-                "without": finite(mode.without),
-                "gain": finite(mode.gain),
+                **told(mode, "without", "gain"),
                 "gain_std_error": finite(mode.gain_error),
             },
             "map": {
                 "frequency_hz": finite(mode.map.frequency),
-                "unexplained": finite(mode.map.unexplained),
-                "without": finite(mode.map.without),
+                **told(mode.map, "unexplained", "without"),
                 "damping_ratio": finite(mode.map.damping),
             },
         }
@@ -231,32 +225,43 @@ def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Do
 
     Keys of a search are `null` or empty if none was made.
     """
-    refined, left = refinement.refined, refinement.whiteness
-    return {
-        "chosen": refinement.chosen,
-        "declined": refinement.declined or None,
-        "chi_squared": None
-        if left is None
-        else finite(max(left.chi_squared.values(), default=float("nan"))),
-        "whiteness": None
-        if left is None
-        else {
-            "white": left.white,
-            "vanishing": left.vanishing,
-            "largest": finite(left.largest),
-            "threshold": left.threshold,
+    refined, left, tests = refinement.refined, refinement.whiteness, None
+    if left is not None:
+        tests = {
+            **told(left, "white", "vanishing", "largest", "threshold"),
             "channels": {
                 name: {
-                    "statistic": finite(left.statistics[name]),
+                    "statistic": finite(statistic),
                     "chi_squared": finite(left.chi_squared[name]),
                     "share": finite(left.shares[name]),
                 }
-                for name in left.statistics
+                for name, statistic in left.statistics.items()
             },
-        },
+        }
+    search: Document = dict.fromkeys(("by", "converged", "reason", "steps", "basis"))
+    search |= {"left": {}, "intervals": None, "at_bound": []}
+    if refined is not None:
+        rms = refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
+        search = {
+            "by": dict(refined.by),
+            **told(refined, "converged", "reason", "steps", "basis"),
+            "left": {
+                name: {"before": finite(before), "after": finite(after), "unit": unit}
+                for name, before, after, unit in zip(*rms)
+            },
+            "intervals": intervals_entry(refined),
+            "at_bound": [
+                name for name, there in zip(refined.parameters, refined.at_bound) if there
+            ],
+        }
+    return {
+        "chosen": refinement.chosen,
+        "declined": refinement.declined or None,
+        "chi_squared": left and finite(max(left.chi_squared.values(), default=float("nan"))),
+        "whiteness": tests,
         "identified": identified,
         "refined": None if refined is None else parameter_entries(refined),
-        **_search(refined),
+        **search,
         "simulations": [
             {
                 "on": run.recording.name,
@@ -266,27 +271,6 @@ def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Do
             }
             for run in refinement.simulations
         ],
-    }
-
-
-def _search(refined: Refined | None) -> Document:
-    if refined is None:
-        nothing = dict.fromkeys(("by", "converged", "reason", "steps", "basis"))
-        return {**nothing, "left": {}, "intervals": None, "at_bound": []}
-    return {
-        "by": dict(refined.by),
-        "converged": bool(refined.converged),
-        "reason": refined.reason,
-        "steps": int(refined.steps),
-        "basis": refined.basis,
-        "left": {
-            name: {"before": finite(float(before)), "after": finite(float(after)), "unit": unit}
-            for name, before, after, unit in zip(
-                refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
-            )
-        },
-        "intervals": intervals_entry(refined),
-        "at_bound": [n for n, there in zip(refined.parameters, refined.at_bound) if bool(there)],
     }
 
 
@@ -367,10 +351,8 @@ def search_in_words(entries: Document) -> Iterator[str]:
 
 
 def _fit(described: Document, name: str) -> str:
-    signal = described["signals"].get(name)
-    return (
-        "?" if signal is None or signal["fit_percent"] is None else f"{signal['fit_percent']:.4g}"
-    )
+    fit = described["signals"].get(name, {}).get("fit_percent")
+    return "?" if fit is None else f"{fit:.4g}"
 
 
 def _number(value: float | None) -> str:

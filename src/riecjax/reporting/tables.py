@@ -4,8 +4,9 @@ import html
 import math
 import re
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 from rich.console import Console
 from rich.table import Table as RichTable
@@ -33,6 +34,30 @@ class Table:
     note: str = ""
     numeric: bool = True
 
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        entries: Mapping[str, Any],
+        cells: Mapping[str, Callable[[Any], str]],
+        caption: str = "",
+    ) -> Self:
+        """A row for each entry: its name, under the `kind` of thing that it is, and what `cells`
+        say of it, each under its header."""
+        rows = [
+            (name, *(cell(entry) for cell in cells.values())) for name, entry in entries.items()
+        ]
+        return cls((kind, *cells), rows, caption)
+
+    @property
+    def to_the_right(self) -> list[bool]:
+        """Whether each column holds numbers."""
+        columns = list(zip(*self.rows)) or [()] * len(self.header)
+        return [
+            all(NUMERIC.match(cell) or cell.startswith("... ") for cell in column) and any(column)
+            for column in columns
+        ]
+
 
 @dataclass(frozen=True)
 class View:
@@ -52,9 +77,8 @@ def in_text(view: View, *, brief: bool = False) -> str:
             half = MOST_ROWS // 2
             dots = [f"... {over} more", *("" for _ in table.header[1:])]
             rows = [*rows[:half], dots, *rows[-half:]]
-        columns = list(zip(table.header, *rows))
-        widths = [max(map(len, column)) for column in columns]
-        right = [_is_numeric(column[1:]) for column in columns]
+        widths = [max(map(len, column)) for column in zip(table.header, *rows)]
+        right = Table(table.header, rows).to_the_right
         lines += [table.caption] if table.caption else []
         lines += [
             "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right))
@@ -69,7 +93,7 @@ def in_html(view: View) -> str:
     warnings = [line for line in view.lines if line.startswith("warning [")]
     parts = [f"<div><strong>{html.escape(view.title)}</strong></div>"] if view.title else []
     for table in (table for table in view.tables if table.rows):
-        right = [False, *map(_is_numeric, list(zip(*table.rows))[1:])]
+        right = [False, *table.to_the_right[1:]]
         caption = f"<caption>{html.escape(table.caption)}</caption>" if table.caption else ""
         body = "".join(_html_row(row, right, "td") for row in table.rows)
         head = _html_row(table.header, right, "th")
@@ -93,8 +117,8 @@ def in_rich(
     `styles` of cells that say these words.
     """
     printed = RichTable(box=None, padding=(0, 2, 0, 0))
-    for name, column in zip(table.header, list(zip(*table.rows)) or [()] * len(table.header)):
-        to_the_right = _is_numeric(column) if right is None else name in right
+    for name, numeric in zip(table.header, table.to_the_right):
+        to_the_right = numeric if right is None else name in right
         printed.add_column(Text(name), justify="right" if to_the_right else "left")
     for row in table.rows:
         printed.add_row(*(Text(cell, style=styles.get(cell, "")) for cell in row))
@@ -125,14 +149,9 @@ def _html_row(row: Sequence[str], right: Sequence[bool], tag: str) -> str:
     return f"<tr>{inner}</tr>"
 
 
-def _is_numeric(cells: Sequence[str]) -> bool:
-    return all(NUMERIC.match(cell) or cell.startswith("... ") for cell in cells) and any(cells)
-
-
 def in_markdown(table: Table) -> str:
     """As a table of Markdown."""
-    right = [_is_numeric(column) for column in zip(*table.rows)]
-    rule = ["---:" if r else ":---" for r in right]
+    rule = ["---:" if right else ":---" for right in table.to_the_right]
     rows = [[cell.replace("|", "\\|") for cell in row] for row in (table.header, *table.rows)]
     return "\n".join(f"| {' | '.join(row)} |" for row in (rows[0], rule, *rows[1:]))
 
