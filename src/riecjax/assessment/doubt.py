@@ -54,13 +54,14 @@ OF_THE_MODEL = ("unmodelled_mode", "hysteresis", "residual_follows_signal", "lar
 
 
 class Doubt(NamedTuple):
-    """How far one parameter may be off, in its unit.
+    """How far the `value` of one parameter may be off, in its unit.
 
     **Fields:** `low`, `high`: reach below and above the value by scatter; `drift` over window
     lengths; `left_out`, by what the model leaves; `sensors`, by what is amiss with the recordings;
     `finest`, what is never claimed.
     """
 
+    value: float
     low: float
     high: float
     drift: float = 0.0
@@ -83,15 +84,20 @@ class Doubt(NamedTuple):
         """The larger reach of all of it."""
         return self.scatter + self.known_wrong + self.finest
 
-    def by_kind(self, kind: str) -> float:
-        """What of it a kind of cause makes."""
-        parts = {"model": self.drift + self.left_out, "sensors": self.sensors}
-        return parts.get(kind, self.scatter)
+    def share(self, part: float) -> float:
+        """A part of it over the value."""
+        return part / size_of(self.value)
 
-    def around(self, value: float) -> tuple[float, float]:
-        """Ends of the interval that counts all of it."""
+    def by_kind(self, kind: str) -> float:
+        """What of it a kind of cause makes, over the value."""
+        parts = {"model": self.drift + self.left_out, "sensors": self.sensors}
+        return self.share(parts.get(kind, self.scatter))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Of the interval that counts all of it."""
         more = self.known_wrong + self.finest
-        return value - self.low - more, value + self.high + more
+        return self.value - self.low - more, self.value + self.high + more
 
 
 def doubts(assessment: "Assessment") -> dict[str, Doubt]:
@@ -129,8 +135,9 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
         if sweep is not None:
             moved = min(moved, STEADIER * (drifted + max(scatter)))
         worst = max(amiss[name].values(), default=0.0)
-        finest = FINEST * abs(float(answer[name]))
-        by_name[name] = Doubt(*scatter, drifted, moved, worst, finest)
+        value = float(answer[name])
+        finest = FINEST * abs(value)
+        by_name[name] = Doubt(value, *scatter, drifted, moved, worst, finest)
     return by_name
 
 
