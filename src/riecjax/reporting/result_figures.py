@@ -1,8 +1,9 @@
 """Figures of an identification: fit, window sweep, validation."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import contextlib
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -183,42 +184,11 @@ def over_time(panels: Sequence[Panel], caption: str, legend: bool = False) -> Ch
 def _fit_figure(result: Assessment) -> Chart:
     """Each stage's rows, measured against explained, and what is left of them."""
     estimate, procedure = result.estimate, result.procedure
-    rows = list(_surveyed_rows(result))
-    above, beneath = [], []
-    for stage, name in zip(estimate.stages, estimate.stage_names):
-        held = estimate.criterion.row_unit(procedure.stages[stage.stage][0].unit)
-        unit = f" / ({held})" if held else ""
-        of_stage = [arrays for place, *arrays in rows if place == stage.stage]
-        measured, explained, start = (np.concatenate(arrays) for arrays in zip(*of_stage))
-        chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
-        measured, explained, start = measured[chosen], explained[chosen], start[chosen]
-        cloud: dict[str, Any] = {"size": SMALL, "opacity": 0.5}
-        reach = BEYOND * max(np.abs(measured).max(), np.abs(explained).max(), TINY)
-        above.append(
-            Panel(
-                [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, **cloud)],
-                Axis(f"explained by the model{unit}", low=-reach, high=reach),
-                Axis(f"measured{unit}", low=-reach, high=reach),
-                title=name,
-            )
-        )
-        left = Dots(start, measured - explained, color=RUST, **cloud)
-        beneath.append(Panel([Level(0), left], Axis("time / s"), Axis(f"residual{unit}")))
-    return Chart(
-        (above, beneath),
-        "Each equation's rows: measured against explained, which an exact model puts on the line, "
-        "and what is left over time.",
-    )
-
-
-def _surveyed_rows(
-    result: Assessment,
-) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Some rows of each equation on each record: the place of its stage, what was measured (less
-    what known terms give), what is explained of it, and when the rows' windows start."""
-    estimate = result.estimate
     assert estimate.summary is not None
-    summary = linearised(result.procedure, estimate.summary, estimate.known)
+    summary = linearised(procedure, estimate.summary, estimate.known)
+    # Of each stage, from some rows of each equation on each record: what was measured (less what
+    # known terms give), what is explained of it, and when the rows' windows start.
+    rows: dict[int, list[tuple[np.ndarray, ...]]] = {}
     for i, recording in enumerate(summary.recordings):
         values = estimate.table.values_of(estimate.values, i)
         known = {row.local for row in estimate.table.of_recording(i) if row.name in estimate.known}
@@ -233,7 +203,26 @@ def _surveyed_rows(
                 first = next(iter(held))
                 target = -values[first] * held.pop(first)
             explained = sum((values[n] * x for n, x in held.items()), np.zeros(target.size))
-            yield place, target, explained, np.asarray(equation.survey.start)
+            of_stage = rows.setdefault(place, [])
+            of_stage.append((target, explained, np.asarray(equation.survey.start)))
+    above, beneath, cloud = [], [], {"size": SMALL, "opacity": 0.5}
+    for stage, name in zip(estimate.stages, estimate.stage_names):
+        held = estimate.criterion.row_unit(procedure.stages[stage.stage][0].unit)
+        unit = f" / ({held})" if held else ""
+        measured, explained, start = map(np.concatenate, zip(*rows[stage.stage]))
+        chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
+        measured, explained, start = measured[chosen], explained[chosen], start[chosen]
+        reach = BEYOND * max(np.abs(measured).max(), np.abs(explained).max(), TINY)
+        marks = [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, **cloud)]
+        x = Axis(f"explained by the model{unit}", low=-reach, high=reach)
+        above.append(Panel(marks, x, Axis(f"measured{unit}", low=-reach, high=reach), title=name))
+        left = Dots(start, measured - explained, color=RUST, **cloud)
+        beneath.append(Panel([Level(0), left], Axis("time / s"), Axis(f"residual{unit}")))
+    return Chart(
+        (above, beneath),
+        "Each equation's rows: measured against explained, which an exact model puts on the line, "
+        "and what is left over time.",
+    )
 
 
 GRID = 400
@@ -298,6 +287,15 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
 
 def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) -> IdentifiedCurve:
     variable, present = evaluate(term.of, record)
+    # The curve's value by the rest of the equation, at every sample: with all other coefficients
+    # known, sign sum_i c_i b_i = target is what a pointwise row says.
+    others = {n: estimate[n] for n in equation.parameters if n not in term.parameters}
+    samples = None
+    with contextlib.suppress(DataError):  # a derivative that is not recorded
+        rows = _rows_left(equation, record, others)
+        valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
+        left = np.asarray(rows.target)[valid] / float(term.sign)
+        samples = np.asarray(variable)[valid][:MOST_POINTS], left[:MOST_POINTS]
     x = np.asarray(variable) if present is None else np.asarray(variable)[np.asarray(present)]
     grid = np.linspace(x.min(), x.max(), GRID)
     functions = np.asarray(eqx.filter_jit(term.basis)(jnp.asarray(grid)))
@@ -317,25 +315,8 @@ def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) 
         x=grid,
         y=values @ functions,
         error=np.sqrt(np.maximum(variance, 0)),
-        samples=_samples(estimate, equation, term, record, np.asarray(variable)),
+        samples=samples,
     )
-
-
-def _samples(
-    estimate: Estimate, equation: Equation, term: Terms, record: Record, variable: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """The curve's value by the rest of the equation, at every sample.
-
-    With all other coefficients known, sign sum_i c_i b_i = target is what a pointwise row says.
-    """
-    others = [name for name in equation.parameters if name not in term.parameters]
-    try:
-        rows = _rows_left(equation, record, {name: estimate[name] for name in others})
-    except DataError:
-        return None  # a derivative that is not recorded
-    valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
-    x, y = variable[valid], np.asarray(rows.target)[valid] / float(term.sign)
-    return x[:MOST_POINTS], y[:MOST_POINTS]
 
 
 @eqx.filter_jit
