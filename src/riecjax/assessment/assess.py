@@ -271,20 +271,18 @@ def check_answering(
     linear = linear_sums(procedure, summary, table)
     excited = excitations(linear, table)
     checked = check_sums(procedure, ready(procedure, recordings), table, linear, excited)
-    if checked.refusal is None or checked.refusal.code != "unidentifiable":
-        return Answering(checked, criterion, None)
-    # Not earlier: to import all that simulates takes seconds.
-    from riecjax.assessment.refining import answered
+    by_refinement = None
+    if checked.refusal is not None and checked.refusal.code == "unidentifiable":
+        # Not earlier: to import all that simulates takes seconds.
+        from riecjax.assessment.refining import answered
 
-    parts = model, procedure, criterion, recordings, [], [], table
-    asked = Asked(*parts, Sandwich(), Assess(key=key))
-    try:
-        start = on_host(estimated(procedure, summary, table, asked.intervals))
-    except IdentifiabilityError:
-        return Answering(checked, criterion, None)
-    refinement, _, _ = answered(asked, start, True)
-    if refinement is None or refinement.refined is None or not refinement.chosen:
-        return Answering(checked, criterion, None)
-    refined = refinement.refined
-    errors = zip(refined.parameters, refined.standard_errors)
-    return Answering(checked, criterion, {n: float(e) / size_of(refined[n]) for n, e in errors})
+        parts = model, procedure, criterion, recordings, [], [], table
+        asked = Asked(*parts, Sandwich(), Assess(key=key))
+        with contextlib.suppress(IdentifiabilityError):
+            start = on_host(estimated(procedure, summary, table, asked.intervals))
+            refinement, _, _ = answered(asked, start, True)
+            refined = None if refinement is None else refinement.answer
+            if refined is not None:
+                errors = zip(refined.parameters, refined.standard_errors)
+                by_refinement = {name: float(e) / size_of(refined[name]) for name, e in errors}
+    return Answering(checked, criterion, by_refinement)

@@ -144,11 +144,8 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
 def left_out(assessment: "Assessment") -> Mapping[str, float]:
     """How far each parameter may be moved by what its equations leave that is not noise."""
     estimate = assessment.estimate
-    own = {
-        name: float(share)
-        for stage in assessment.checked.excitations
-        for name, share in zip(stage.parameters, stage.own_share)
-    }
+    excited = assessment.checked.excitations
+    own = {n: float(share) for e in excited for n, share in zip(e.parameters, e.own_share)}
     # Equations of which some test says that what they leave is the model's.
     tests = assessment.equation_residuals
     blamed = {t.name for t in tests if any(f.code in OF_THE_MODEL for f in t.findings())}
@@ -163,7 +160,7 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
         for test in tests
         if test.windows is not None and test.windows.correlation > NOTABLE_SHARED
     }
-    found: dict[str, float] = {}
+    moved: dict[str, float] = {}
     for stage, equations in zip(estimate.stages, estimate.equation_names):
         left = float(stage.relative_rms)
         if not left > 0:
@@ -181,5 +178,5 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
         for name, size in zip(stage.parameters, stage.relative_size):
             reach = float(size) * own.get(name, 1.0)
             if reach > 0:
-                found[name] = along / reach
-    return found
+                moved[name] = along / reach
+    return moved

@@ -244,21 +244,19 @@ def _warranted(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> Ref
 def _flaw(refined: Refined) -> str:
     """Why a refinement is no answer, whatever it leaves; empty if it may be one."""
 
-    def named(which: np.ndarray) -> str:
-        return ", ".join(name for name, there in zip(refined.parameters, which) if there)
-
     if not bool(refined.converged):
         return f"the search did not converge: {refined.reason.rstrip('.')}"
-    if np.any(refined.at_bound):
-        return f"{named(np.asarray(refined.at_bound))} would sit on a bound"
-    if np.any(refined.coarse):
-        return f"the steps of the simulation are part of its {named(np.asarray(refined.coarse))}"
-    errors = np.asarray(refined.standard_errors)
-    if not np.all(np.isfinite(errors)):
-        return (
-            f"simulated motion does not tell {named(~np.isfinite(errors))} alone; --set holds one "
-            f"at a known value (known=)"
-        )
+    untold = ~np.isfinite(np.asarray(refined.standard_errors))
+    for which, words in (
+        (refined.at_bound, "{} would sit on a bound"),
+        (refined.coarse, "the steps of the simulation are part of its {}"),
+        (
+            untold,
+            "simulated motion does not tell {} alone; --set holds one at a known value (known=)",
+        ),
+    ):
+        if names := [n for n, there in zip(refined.parameters, np.asarray(which)) if there]:
+            return words.format(", ".join(names))
     return ""
 
 

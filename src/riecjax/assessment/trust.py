@@ -134,36 +134,33 @@ IN_REACH = ("stuck_sensor", "clipped")
 def with_doubts(asked: Asked, estimate: Estimate, checked: Check) -> Check:
     """What was checked, with how far each fault moves each parameter as its `doubts`."""
     codes = {f.code for f in checked.findings} & {*IN_TIME, *IN_SIZE, *IN_ZERO, *IN_REACH}
-    doubts = {code: _moved(asked, estimate, code, checked.findings) for code in codes}
+    pairs = list(relations(asked.procedure.derivatives))
+    # Share by which each parameter moves once all records have no such fault.
+    doubts: dict[str, dict[str, float]] = {}
+    for code in codes:
+        signals = dict.fromkeys(n for f in checked.findings if f.code == code for n in f.signals)
+        with contextlib.suppress(DataError, IdentifiabilityError):
+            other = asked.again(
+                [
+                    leave_out(record, *signals)
+                    if code in IN_REACH
+                    else _mended(record, pairs, code)
+                    for record in asked.records
+                ]
+            )
+            doubts[code] = {
+                name: abs(float(other[name]) / float(estimate[name]) - 1)
+                for name in estimate.parameters
+                if name in other.parameters and float(estimate[name])
+            }
     findings = []
     for finding in checked.findings:
         if moved := doubts.get(finding.code):
             name, share = max(moved.items(), key=lambda entry: entry[1])
-            said = f" Without it {name} changes by {100 * share:.2g} %."
-            finding = finding._replace(message=finding.message + said, doubts=moved)
+            effect = f" Without it {name} changes by {100 * share:.2g} %."
+            finding = finding._replace(message=finding.message + effect, doubts=moved)
         findings.append(finding)
     return dataclasses.replace(checked, findings=findings)
-
-
-def _moved(
-    asked: Asked, estimate: Estimate, code: str, findings: Sequence[Finding]
-) -> dict[str, float]:
-    """Share by which each parameter moves once all records have no such fault."""
-    pairs = list(relations(asked.procedure.derivatives))
-    signals = list(dict.fromkeys(n for f in findings if f.code == code for n in f.signals))
-    try:
-        records = [
-            leave_out(record, *signals) if code in IN_REACH else _mended(record, pairs, code)
-            for record in asked.records
-        ]
-        again = asked.again(records)
-    except (DataError, IdentifiabilityError):
-        return {}
-    return {
-        name: abs(float(again[name]) / float(estimate[name]) - 1)
-        for name in estimate.parameters
-        if name in again.parameters and float(estimate[name])
-    }
 
 
 def _mended(record: Record, pairs: Sequence[Relation], code: str) -> Record:

@@ -129,10 +129,8 @@ def _answer(document: Document) -> str:
             + ", ".join(f"{name} to about {number(100 * share, 2)} %" for name, share in errors)
             + "."
         )
-    if doubts:
-        noun = "warning" if doubts == 1 else "warnings"
-        return f"These recordings can answer what the model asks, with {doubts} {noun}."
-    return "These recordings can answer what the model asks."
+    warned = f", with {doubts} warning{'s' * (doubts > 1)}" if doubts else ""
+    return f"These recordings can answer what the model asks{warned}."
 
 
 def share_in_words(share: float | None, digits: int = 3) -> str:
@@ -149,30 +147,22 @@ def noise_entries(recordings: Sequence[Recording], signals: Iterable[str]) -> di
     its own that is."""
     entries = {}
     for name in signals:
-        having = [r.record.select(name) for r in recordings if name in r.record.signals]
-        if not having:
-            continue
-        noise = np.sqrt(np.mean([np.mean(judged(one).noise.std(name) ** 2) for one in having]))
-        size = np.sqrt(np.mean([np.var(np.asarray(one[name])) for one in having]))
-        entries[name] = {
-            "std": finite(float(noise)),
-            "unit": having[0].signal(name).unit,
-            "share": finite(float(noise / size)) if size > 0 else None,
-        }
+        some = [r.record.select(name) for r in recordings if name in r.record.by_name]
+        if some:
+            noise = np.sqrt(np.mean([np.mean(judged(one).noise.std(name) ** 2) for one in some]))
+            size = np.sqrt(np.mean([np.var(np.asarray(one[name])) for one in some]))
+            share = finite(noise / size) if size > 0 else None
+            unit = some[0].signal(name).unit
+            entries[name] = {"std": finite(noise), "unit": unit, "share": share}
     return entries
 
 
 def noise_in_words(entries: Document) -> Iterator[str]:
     """One line on all signals that have some, if any is known."""
-    if not entries:
-        return
-    shown = [
-        f"{name} {number(100 * entry['share'], 2)} %"
-        for name, entry in entries.items()
-        if entry["share"] is not None and entry["share"] >= LEAST_SHOWN
-    ]
-    if not shown:
-        yield f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"
-        return
+    shares = {name: entry["share"] or 0.0 for name, entry in entries.items()}
+    shown = [f"{n} {number(100 * s, 2)} %" for n, s in shares.items() if s >= LEAST_SHOWN]
     noun = "their standard deviations" if len(shown) > 1 else "its standard deviation"
-    yield f"noise: {', '.join(shown)} of {noun}"
+    if shown:
+        yield f"noise: {', '.join(shown)} of {noun}"
+    elif entries:
+        yield f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"

@@ -64,11 +64,10 @@ class Comparison(Drawn):
 
     def view(self) -> View:
         """What is printed of it."""
+        line = "ΔAIC: above the least, of as many rows as windows are effective; 0 is best"
         if self.why_not:
-            said = f"no information criterion: {self.why_not}"
-        else:
-            said = "ΔAIC: above the least, of as many rows as windows are effective; 0 is best"
-        return View("", [self._table()], [said])
+            line = f"no information criterion: {self.why_not}"
+        return View("", [self._table()], [line])
 
     def chart(self) -> Chart:
         """Intervals relative to the first result's values."""
@@ -80,8 +79,10 @@ class Comparison(Drawn):
         rows = []
         for name in self:
             row = [entries.get(name) for entries in every]
-            unit = next(entry["unit"] for entry in row if entry is not None)
-            rows.append([name, *map(_cell, row), unit])
+            numbers = [e and with_error(e["value"], e["std_error"]) for e in row]
+            known = [" known" if e and e["known"] else "" for e in row]
+            unit = next(entry["unit"] for entry in row if entry)
+            rows.append([name, *(f"{x or ''}{k}" for x, k in zip(numbers, known)), unit])
         # What is left of each equation, and of each signal on each recording that was held out.
         residuals = [
             {f"left of {name}": fit["relative_rms"] for name, fit in _residuals(document).items()}
@@ -122,13 +123,6 @@ def compare(results: Sequence[Any], names: Sequence[str] | None = None) -> Compa
     if len(set(chosen)) != len(documents):
         raise ModelError(f"names must be {len(documents)} different ones; got {len(chosen)}.")
     return Comparison(dict(zip(chosen, documents)))
-
-
-def _cell(entry: Mapping[str, Any] | None) -> str:
-    if entry is None:
-        return ""
-    said = with_error(entry["value"], entry["std_error"])
-    return f"{said} known" if entry["known"] else said
 
 
 def _percents(
