@@ -22,7 +22,6 @@ import scipy.integrate
 import scipy.signal
 
 import riecjax as rx
-from riecjax.models.oscillators import DragOscillator
 
 Signals = Mapping[str, np.ndarray]
 
@@ -146,7 +145,7 @@ _VISCOUS = rx.Term("c", "x", derivative=1, measured=("dx",), unit="N s/m")
 _SPRING = rx.Term("k", "x", unit="N/m")
 
 
-def mass(*terms: rx.Term | rx.Terms) -> rx.Equation:
+def mass(*terms: rx.Term) -> rx.Equation:
     """m x'' + these terms = u."""
     return rx.Equation(_INERTIA, *terms, -rx.Term(1.0, "u"), name="mass", unit="N")
 
@@ -216,8 +215,8 @@ def drag_record(
     return rx.Record.from_samples(signals, time_step=DRAG.shape.step)
 
 
-def drag_oscillator() -> DragOscillator:
-    return DragOscillator(*(jnp.asarray(1.0) for _ in DRAG_TRUTH))
+def drag_oscillator() -> rx.simulation.AbstractSystem:
+    return rx.find_model("drag-oscillator").build_system(dict.fromkeys(DRAG_TRUTH, 1.0))
 
 
 def drag_fleet(

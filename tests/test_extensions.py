@@ -123,7 +123,8 @@ def test_foreign_commands_and_elements_take_part(foreign, capfd):
     duffing = rx.find_model("duffing")
     play = Elements(added=[("backlash", "dy", 12.0), ("offset", "u", None)])
     assert duffing.with_elements(play).name == "duffing with play of dy at 12.0"
-    assert duffing.with_elements(play).sensors == duffing.with_sensor_errors(("u",)).sensors
+    offset = duffing.with_sensor_errors(offsets=["u"])
+    assert duffing.with_elements(play).parameters == offset.parameters
     with pytest.raises(ModelError, match=r"^the element 'failing' failed at line \d+ of foreign"):
         duffing.with_elements(Elements(added=[("failing", "dy", None)]))
     with pytest.raises(ModelError, match=r"^what the element 'forgetful' returned is None\."):

@@ -17,10 +17,10 @@ import riecjax as rx
 from conftest import held_to
 from riecjax.assessment.assessment import Refinement
 from riecjax.assessment.trust import validated
+from riecjax.equations.model import as_model
 from riecjax.estimation.excitation import Excitation
 from riecjax.estimation.parameters import Parameter
 from riecjax.findings import CODES, Finding, code_of, codes_of
-from riecjax.models.model import as_model
 from riecjax.paper.report import road_findings
 from riecjax.paper.reproduction import PaperStudy
 

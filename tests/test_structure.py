@@ -30,13 +30,11 @@ MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
     "riecjax.assessment.assess": 28,
-    "riecjax.assessment.assessment": 13,
     "riecjax.assessment.refining": 21,
-    "riecjax.assessment.trust": 23,
+    "riecjax.assessment.trust": 21,
     "riecjax.discovery.discover": 23,
-    "riecjax.estimation.check": 22,
+    "riecjax.estimation.check": 21,
     "riecjax.estimation.identify": 24,
-    "riecjax.estimation.mode_windows": 13,
     "riecjax.fleets.fleet": 14,
     "riecjax.records.recording": 17,
     "riecjax.refinement.output_error": 14,
@@ -47,7 +45,6 @@ MANY_IMPORTS = {
     "riecjax.summaries.one_pass": 18,
     "riecjax.summaries.summarise": 17,
     "riecjax.validation.equation_errors": 13,
-    "riecjax.validation.residuals": 13,
     "riecjax.validation.sweep": 17,
 }
 """What still exceeds the two limits, and by how much: shorten these tables, never lengthen them."""

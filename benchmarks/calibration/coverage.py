@@ -30,9 +30,9 @@ from riecjax.criteria.windows import AllWindows
 from riecjax.estimation.identify import identify
 from riecjax.estimation.stages import solve_stages
 from riecjax.models.quarter_car.identification import (
-    QuarterCar,
     quarter_car_by_body,
     quarter_car_by_wheel,
+    quarter_car_system,
 )
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
@@ -46,7 +46,7 @@ from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.stage_sums import stage_normal_equations
 from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich, Uncertainty
 
-PROCEDURES = {"W": quarter_car_by_wheel, "B": quarter_car_by_body}
+MODELS = {"W": quarter_car_by_wheel, "B": quarter_car_by_body}
 READ = ("x1", "x2", "x3", "x4", "F_t")
 WINDOWS = AllWindows(TABLE_2.alpha, TABLE_2.beta, longest_samples=128)
 INTERVALS = {"bootstrap": BlockBootstrap(), "sandwich": Sandwich(), "naive": Naive()}
@@ -108,7 +108,7 @@ def reduced_record(key: Key[Array, ""]) -> Record:
     road = band_limited_noise(
         road_key, TABLE_2.sample_count, step, bandwidth=TABLE_2.bandwidth, rms=TABLE_2.rms
     )
-    model = QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in REDUCED.items()})
+    model = quarter_car_system({k: jnp.asarray(v) for k, v in REDUCED.items()})
     record = simulate(model, Record({"v_r": road}, step)).record
     return noisy(record, noise_key, {"F_t": 0.01})
 
@@ -118,13 +118,13 @@ def one_road(key: Key[Array, ""], case: Case) -> Road:
     record = case.make(key)
     criterion = RIEC(WINDOWS)
     theta, uncertainty, moments = {}, {}, {}
-    for side, procedure in PROCEDURES.items():
-        stages = stage_normal_equations(procedure(), record, criterion, None)
+    for side, build in MODELS.items():
+        stages = stage_normal_equations(build(), record, criterion, None)
         for masses in ("id", "true"):
             variant = f"{side}_{masses}"
             found = {
                 kind: identify(
-                    procedure(),
+                    build(),
                     record,
                     criterion,
                     known=case.known(masses),
@@ -140,7 +140,7 @@ def one_road(key: Key[Array, ""], case: Case) -> Road:
 
 def limit(side: str, known: dict[str, float], moments: list[Array]) -> dict[str, float]:
     """What the criterion converges to: the solution of all roads' normal equations."""
-    names = PROCEDURES[side]().stage_parameters
+    names = MODELS[side]().stage_parameters
     stages = [
         NormalEquations(jnp.sum(m, axis=0)[None], jnp.ones(1), n) for m, n in zip(moments, names)
     ]

@@ -48,7 +48,7 @@ ASKED = {
 
 def mounts(seeds: int) -> dict[str, Any]:
     """Median errors and coverage of each mount at each noise."""
-    model = rx.find_model("quarter-car").build_procedure().with_modes(rx.HiddenMode("x4"))
+    model = rx.find_model("quarter-car").with_modes(rx.HiddenMode("x4"))
     report = {}
     for name, mount in TABLE_6.items():
         roads, effective = mount_roads(mount.stiffness, mount.damping, seeds)

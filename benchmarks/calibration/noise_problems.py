@@ -81,7 +81,7 @@ def _direction(signals: Mapping[str, Array]) -> Array:
     return jnp.sign(signals["dx"])
 
 
-def _dry(*friction: rx.Term | rx.Terms) -> rx.Model:
+def _dry(*friction: rx.Term) -> rx.Model:
     equation = rx.Equation(
         rx.Term("m", "x", derivative=2, measured=("dx", "ddx"), unit="kg"),
         rx.Term("k", "x", unit="N/m"),
@@ -90,7 +90,7 @@ def _dry(*friction: rx.Term | rx.Terms) -> rx.Model:
         name="rig",
         unit="N",
     )
-    return rx.Model("rig", "with dry friction", procedure=lambda: equation, derived={"dx": "x"})
+    return rx.Model("rig", "with dry friction", stages=equation, derived={"dx": "x"})
 
 
 DRY_BY_BASIS = _dry(rx.Terms("f", rx.friction(), "dx"))

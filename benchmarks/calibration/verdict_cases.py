@@ -8,14 +8,14 @@ noise and one fault at most, and described by a model that is right or leaves on
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure, simultaneous
+from riecjax.equations.expressions import difference, odd
+from riecjax.equations.model import Model, as_model, simultaneous
 from riecjax.equations.term import Term
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record
 
 RATE = 200.0
 SAMPLES = 6000
@@ -26,26 +26,6 @@ NOISES = (0.0, 0.01, 0.05)
 
 Series = Float[np.ndarray, "systems samples"]
 Values = dict[str, Float[np.ndarray, " systems"]]
-
-
-def _sign(signals: Signals) -> Array:
-    return jnp.sign(signals["v"])
-
-
-def _drag(signals: Signals) -> Array:
-    return signals["v"] * jnp.abs(signals["v"])
-
-
-def _cube(signals: Signals) -> Array:
-    return signals["x"] ** 3
-
-
-def _spring(signals: Signals) -> Array:
-    return signals["x"] - signals["x2"]
-
-
-def _spring_rate(signals: Signals) -> Array:
-    return signals["v"] - signals["v2"]
 
 
 def _body(*more: Term, name: str = "body") -> Equation:
@@ -61,23 +41,23 @@ def _body(*more: Term, name: str = "body") -> Equation:
 
 
 LINEAR = _body(name="linear")
-FRICTION = _body(Term("f", _sign, unit="N"), name="friction")
-DRAG = _body(Term("r2", _drag, unit="N s^2/m^2"), name="drag")
-CUBIC = _body(Term("k3", _cube, unit="N/m^3"), name="cubic")
+FRICTION = _body(Term("f", odd("v", 0), unit="N"), name="friction")
+DRAG = _body(Term("r2", odd("v", 2), unit="N s^2/m^2"), name="drag")
+CUBIC = _body(Term("k3", odd("x", 3), unit="N/m^3"), name="cubic")
 COUPLED = simultaneous(
     Equation(
         Term("m", "x", derivative=2, measured=("v",), unit="kg"),
         Term("k", "x", unit="N/m"),
-        Term("c2", _spring_rate, unit="N s/m"),
-        Term("k2", _spring, unit="N/m"),
+        Term("c2", difference("v", "v2"), unit="N s/m"),
+        Term("k2", difference("x", "x2"), unit="N/m"),
         -Term(1.0, "u"),
         name="driven",
         unit="N",
     ),
     Equation(
         Term("m2", "x2", derivative=2, measured=("v2",), unit="kg"),
-        -Term("c2", _spring_rate, unit="N s/m"),
-        -Term("k2", _spring, unit="N/m"),
+        -Term("c2", difference("v", "v2"), unit="N s/m"),
+        -Term("k2", difference("x", "x2"), unit="N/m"),
         name="carried",
         unit="N",
     ),
@@ -88,7 +68,7 @@ class Kind(NamedTuple):
     """A model, the physics behind the recordings, and what the model leaves out of it."""
 
     name: str
-    model: Equation | Procedure
+    model: Equation | Model
     left_out: str = ""
 
 
@@ -123,7 +103,7 @@ class Case(NamedTuple):
     kind: str
     fault: str
     noise: float
-    model: Equation | Procedure
+    model: Equation | Model
     record: Record
     truth: dict[str, float]
 
@@ -257,7 +237,7 @@ def cases(kind: Kind, fault: str, seed: int, systems: int) -> list[Case]:
     values = draw(kind, rng, systems)
     motion = simulate(values, rng, fault == "disturbed")
     model = kind.model
-    parameters = model.parameters
+    parameters = as_model(model).parameter_names
     signals = ("x", "v", "u", *(("x2", "v2") if kind.name == "coupled" else ()))
     if fault == "position only" and kind.name in ("friction", "drag", "coupled"):
         fault = "none"  # these equations read the velocity

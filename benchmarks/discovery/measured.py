@@ -16,10 +16,10 @@ from jaxtyping import Array, Float
 
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
-from benchmarks.measured.emps_axis import RisingAxis
+from benchmarks.measured.emps_axis import Axis
 from riecjax.discovery.discovery import Discovery
-from riecjax.equations.term import AbstractShape
-from riecjax.models.model import as_model
+from riecjax.equations.bases import AbstractShape
+from riecjax.equations.model import as_model
 from riecjax.records.preparation import upsample
 from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.reporting.discovery import sentence
@@ -35,7 +35,7 @@ MR_TRAIN = 1000
 """Samples of the damper's 1501 that the search reads."""
 
 
-class LimitedAxis(RisingAxis):
+class LimitedAxis(Axis):
     """An axis whose dry friction grows with the speed up to a limit.
 
     **Fields:** those of an axis, `slope` in N s/m up to the speed `limit` in m/s.
@@ -69,7 +69,7 @@ def silverbox_found(data: Path) -> dict[str, Any]:
         rx.Term("m", "y", derivative=2, measured=("dy",)), -rx.Term(1.0, "u"), name="circuit"
     )
     finer = rx.differentiate(upsample(train, silverbox.FACTOR // 2), "y", "dy")
-    model = rx.Model("circuit", "", procedure=lambda: start, band=(20, 150))
+    model = rx.Model("circuit", "", stages=start, band=(20, 150))
     found = rx.discover(model, finer, least=EXACT[0], smallest=EXACT[1])
     identified, widths = told(found)["values"], _widths(found)
     values = {**identified, **widths}
@@ -95,10 +95,10 @@ def silverbox_found(data: Path) -> dict[str, Any]:
     }
 
 
-def _shaped(procedure: rx.equations.Procedure) -> list[tuple[str, AbstractShape]]:
+def _shaped(model: rx.Model) -> list[tuple[str, AbstractShape]]:
     """Laws with a width, by name."""
-    every = (term for equation in procedure.equations for term in equation.terms)
-    named = [(term.prefix, term.basis) for term in every if isinstance(term, rx.Terms)]
+    every = (term for equation in model.equations for term in equation.terms)
+    named = [(str(term.name), term.basis) for term in every if term.basis is not None]
     return [(name, basis) for name, basis in named if isinstance(basis, AbstractShape)]
 
 
@@ -110,16 +110,14 @@ def _widths(found: Discovery) -> dict[str, float]:
 
 def _by_widths(found: Discovery) -> Callable[[Mapping[str, Any]], AbstractSystem]:
     """The system of what was found, of its coefficients and widths."""
-    procedure = found.model.build_procedure()
+    model = found.model
 
     def build(values: Mapping[str, Any]) -> AbstractSystem:
-        widths = [values[f"{name}_width"] for name, _ in _shaped(procedure)]
-        fitted = procedure
+        widths = [values[f"{name}_width"] for name, _ in _shaped(model)]
+        fitted = model
         if widths:
-            fitted = eqx.tree_at(
-                lambda p: [basis.width for _, basis in _shaped(p)], procedure, widths
-            )
-        return rx.equation_system(fitted, {name: values[name] for name in procedure.parameters})
+            fitted = eqx.tree_at(lambda p: [basis.width for _, basis in _shaped(p)], model, widths)
+        return rx.equation_system(fitted, {name: values[name] for name in model.parameter_names})
 
     return build
 
@@ -197,7 +195,7 @@ def _swings(model: rx.Model, estimate: rx.Estimate, record: rx.Record) -> float:
     """Relative error in percent of a simulation from the recording's first state."""
     values = {name: float(estimate[name]) for name in estimate.values}
     at = {name: float(record[name][0]) for name in ("theta", "dtheta")}
-    system = rx.equation_system(model.build_procedure(), values)
+    system = rx.equation_system(model, values)
     run = rx.simulate(system, record, method=FixedStep(4), initial_state=at)
     theta = np.asarray(record["theta"])
     return 100 * float(np.linalg.norm(run.record["theta"] - theta) / np.linalg.norm(theta))
@@ -229,9 +227,7 @@ def damper_found(data: Path) -> dict[str, Any]:
 
 def _left(model: Any, estimate: rx.Estimate, rest: rx.Record, whole: rx.Record) -> float:
     """Error of the force in percent of it, on what was not read, states known from before."""
-    (equation,) = residual_tests(
-        as_model(model).build_procedure(), whole, dict(estimate.values)
-    ).equations
+    (equation,) = residual_tests(as_model(model), whole, dict(estimate.values)).equations
     error, target = (np.asarray(of) for of in (equation.error.error, equation.error.target))
     late = np.asarray(equation.error.times) > float(rest.start_time)
     return 100 * math.sqrt(np.sum(error[late] ** 2) / np.sum(target[late] ** 2))

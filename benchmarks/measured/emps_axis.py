@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import riecjax as rx
-from riecjax.models.emps import Axis
 from riecjax.records.record import Signals
 
 KP, KV = 160.18, 243.45
@@ -23,7 +22,12 @@ RISE = {"excess": 0.1, "vs": 0.02, "width": 1e-4}
 
 @eqx.filter_jit
 def sampled_control(
-    axis: Axis, reference: rx.Record, *, gain: Array, start: Array, delay: int = 0
+    axis: rx.simulation.AbstractSystem,
+    reference: rx.Record,
+    *,
+    gain: Array,
+    start: Array,
+    delay: int = 0,
 ) -> dict[str, Array]:
     """The axis under its controller as the rig runs it: sampled, its force held between samples.
 
@@ -101,21 +105,37 @@ class StribeckBalance(rx.refinement.AbstractBalance):
         return viscous * v + level * jnp.tanh(v / self.width) - signals["force"]
 
 
-class RisingAxis(Axis):
-    """An axis whose friction's level changes with the speed."""
+class Axis(rx.simulation.AbstractSystem):
+    """A mass with friction that may differ between the directions, driven by a force."""
+
+    M: Float[Array, ""]
+    Fv_pos: Float[Array, ""]
+    Fc_pos: Float[Array, ""]
+    Fv_neg: Float[Array, ""]
+    Fc_neg: Float[Array, ""]
+    offset: Float[Array, ""]
+    states: ClassVar = (("q", "m"), ("dq", "m/s"))
+    inputs: ClassVar = (("force", "N"),)
+
+    @property
+    def reversing(self) -> tuple[str, ...]:
+        """The velocity, with whose sign the friction changes."""
+        return ("dq",)
 
     def levels(self, velocity: Array) -> tuple[Array, Array]:
         """The Coulomb levels in both directions at a velocity."""
-        raise NotImplementedError
+        return self.Fc_pos, self.Fc_neg
 
     def derivative(self, state: Array, inputs: Array) -> Array:
         """Velocity and acceleration."""
-        positive, negative = self.levels(state[1])
-        steady = Axis(self.M, self.Fv_pos, positive, self.Fv_neg, negative, self.offset)
-        return steady.derivative(state, inputs)
+        velocity = state[1]
+        ahead, back = self.levels(velocity)
+        forward, backward = self.Fv_pos * velocity + ahead, self.Fv_neg * velocity - back
+        friction = jnp.where(velocity > 0, forward, jnp.where(velocity < 0, backward, 0.0))
+        return jnp.stack([velocity, (inputs[0] - self.offset - friction) / self.M])
 
 
-class StribeckAxis(RisingAxis):
+class StribeckAxis(Axis):
     """An axis whose Coulomb friction is higher near rest.
 
     **Fields:** those of `Axis`, `excess` of static over Coulomb friction, and `vs` in m/s.

@@ -23,17 +23,12 @@ from benchmarks.measured.emps_axis import (
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.estimation.identify import identify
-from riecjax.models.emps import (
-    Axis,
-    emps_asymmetric_equation,
-    emps_asymmetric_system,
-    emps_equation,
-    emps_system,
-)
+from riecjax.models.catalogue import built_in_model
 from riecjax.records.preparation import differentiate
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.refine import Refined, refine
+from riecjax.simulation.system import AbstractSystem
 
 STEP = 1e-3
 EDGE = 49
@@ -73,19 +68,19 @@ def load_rig(folder: Path) -> Rig:
     return Rig(v["t"], measured, Record({"qg": v["qg"]}, STEP), gain, v["vir"], v["qm"])
 
 
-def identified_axes(rig: Rig) -> dict[str, Axis]:
+def identified_axes(rig: Rig) -> dict[str, AbstractSystem]:
     """Published values by pointwise least squares, and RIEC's on the raw record."""
     raw = Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
     raw = differentiate(raw, "q", "dq")
     criterion = RIEC(RandomWindows(0.05, 0.5, 20_000))
     found = {}
-    for name, equation, system, published in (
-        ("symmetric", emps_equation(), emps_system, SYMMETRIC),
-        ("asymmetric", emps_asymmetric_equation(), emps_asymmetric_system, ASYMMETRIC),
+    for name, model, published in (
+        ("symmetric", built_in_model("emps"), SYMMETRIC),
+        ("asymmetric", built_in_model("emps-asymmetric"), ASYMMETRIC),
     ):
-        found[f"published {name}"] = system({k: jnp.asarray(v) for k, v in published.items()})
-        estimate = identify(equation, raw, criterion, key=jax.random.key(0))
-        found[f"RIEC {name}"] = system({k: estimate[k] for k in published})
+        found[f"published {name}"] = model.build_system(published)
+        estimate = identify(model, raw, criterion, key=jax.random.key(0))
+        found[f"RIEC {name}"] = model.build_system({k: estimate[k] for k in published})
     return found
 
 
@@ -120,6 +115,6 @@ def errors(rig: Rig, record: dict[str, jax.Array], clock: float = STEP) -> dict[
     return found
 
 
-def sampled(rig: Rig, axis: Axis, delay: int) -> dict[str, jax.Array]:
+def sampled(rig: Rig, axis: AbstractSystem, delay: int) -> dict[str, jax.Array]:
     gain, start = jnp.asarray(rig.gain), jnp.asarray(rig.position[0])
     return sampled_control(axis, rig.reference, gain=gain, start=start, delay=delay)

@@ -14,7 +14,8 @@ from riecjax.criteria.test_functions import AbstractTestFunction
 from riecjax.criteria.windows import RandomWindows
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
-from riecjax.models.oscillators import duffing_equation, duffing_system
+from riecjax.models.catalogue import built_in_model
+from riecjax.models.oscillators import duffing_equation
 from riecjax.records.record import Record
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
@@ -42,7 +43,7 @@ def score(estimate: Estimate, fine: Record, first: int, last: int) -> float:
     part = fine.part((first - lost) * FACTOR, (last - 1 - lost) * FACTOR + 1)
     y = np.asarray(part["y"])
     start = {"y": y[0], "dy": (y[1] - y[0]) / float(part.time_step)}
-    system = duffing_system(dict(estimate.values))
+    system = built_in_model("duffing").build_system(dict(estimate.values))
     # One step between samples of the finer record is four or more per sample of the recorded one.
     run = simulate(system, part.select("u"), method=FixedStep(1), initial_state=start).checked()
     error = (np.asarray(run.record["y"]) - y)[::FACTOR]

@@ -13,7 +13,6 @@ of x1 to x4 are added up, in percent, as in Table 5. Over the pot-hole the tyre 
 which no linear tyre does: `lifting tyre` has a tyre whose force stays where it is recorded to stay.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +23,16 @@ from tests.machines import noisy
 
 import riecjax as rx
 from benchmarks.recorded import FOLDER, write_json
-from riecjax.equations import Procedure, RoofFunctions
+from riecjax.equations import RoofFunctions
 from riecjax.models.quarter_car.identification import (
     BREAK_POINTS,
     FORCES,
+    body_equation,
     mass_equation,
     suspension_velocity,
+    tyre_equation,
+    tyre_velocity,
+    wheel_equation,
 )
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.published import TABLE_2, TABLE_5
@@ -51,24 +54,13 @@ POINTS = (-1.0, -0.5, -0.25, -0.1, 0.0, 0.1, 0.25, 0.5, 1.0)
 STIFF = 1e6
 """K_series in N/m that refinement starts from: hardly a spring at all."""
 TABLE_3_TRUTH = {"M_us": 30.0, "M_s": 200.0, "M_mode": 100.0, "K_series": 500e3}
-Values = Mapping[str, Any]
+RATES = {"x1": tyre_velocity, "x2": suspension_velocity}
 
 
-def damper(points: tuple[float, ...]) -> rx.Terms:
-    """The damper's map on these break points."""
-    return rx.Terms("F", RoofFunctions(points), of=suspension_velocity, unit="N")
-
-
-def car(points: tuple[float, ...], tyre: rx.Equation) -> Procedure:
+def car(points: tuple[float, ...], tyre: rx.Equation) -> rx.Model:
     """The quarter car with its mode, and a spring in series with a damper of this map."""
-    spring = rx.Term("K_s", "x2", unit="N/m")
-    sprung = rx.Term("M_s", "x4", derivative=1, unit="kg")
-    body = rx.Equation(sprung, -spring, -damper(points), name="body", unit="N")
-    made = rx.staged(tyre, mass_equation(), body)
+    made = rx.staged(tyre, mass_equation(), body_equation(points)).with_rates(RATES)
     return made.with_modes(rx.HiddenMode("x4")).with_series_springs(rx.SeriesSpring("F_1"))
-
-
-LINEAR = rx.Equation(rx.Term(1.0, "F_t"), -rx.Term("K_t", "x1", unit="N/m"), name="tyre", unit="N")
 
 
 def lifting(lift: float) -> rx.Equation:
@@ -79,25 +71,11 @@ def lifting(lift: float) -> rx.Equation:
 
 def wheel_alone() -> ByFunction:
     """Wheel and damper between the recorded tyre force and the recorded body."""
-    unsprung = rx.Term("M_us", "x3", derivative=1, unit="kg")
-    spring = rx.Term("K_s", "x2", unit="N/m")
-    force = rx.Term(1.0, "F_t")
-    wheel = rx.Equation(force, -unsprung, -spring, -damper(POINTS), name="wheel", unit="N")
-    procedure = rx.staged(wheel).with_series_springs(rx.SeriesSpring("F_1"))
-    rates = {"x2": suspension_velocity}
-    return ByFunction(
-        lambda values: rx.equation_system(
-            procedure, {name: jnp.asarray(value) for name, value in values.items()}, rates=rates
-        )
-    )
+    model = rx.staged(wheel_equation(POINTS)).with_rates({"x2": suspension_velocity})
+    model = model.with_series_springs(rx.SeriesSpring("F_1"))
+    return ByFunction(lambda values: rx.equation_system(model, values))
 
 
-def closing(signals: Mapping[str, jax.Array]) -> jax.Array:
-    """x1' = v_r - x3."""
-    return signals["v_r"] - signals["x3"]
-
-
-RATES = {"x1": closing, "x2": suspension_velocity}
 WHEEL = wheel_alone()
 REDUCED = rx.find_model("quarter-car")
 WITH_MODE = REDUCED.with_modes(rx.HiddenMode("x4"))
@@ -121,11 +99,9 @@ def models(
     systems: dict[str, rx.simulation.AbstractSystem] = {
         "reduced": REDUCED.identified_system(reduced.values, road),
         "mode": WITH_MODE.identified_system(mode.values, road),
-        "mode and spring": rx.equation_system(car(BREAK_POINTS, LINEAR), found, rates=RATES),
-        "refined map": rx.equation_system(car(POINTS, LINEAR), best, rates=RATES),
-        "refined map, lifting tyre": rx.equation_system(
-            car(POINTS, tyre), {**best, **law}, rates=RATES
-        ),
+        "mode and spring": rx.equation_system(car(BREAK_POINTS, tyre_equation()), found),
+        "refined map": rx.equation_system(car(POINTS, tyre_equation()), best),
+        "refined map, lifting tyre": rx.equation_system(car(POINTS, tyre), {**best, **law}),
     }
     named = {name: float(best[name]) for name in TABLE_3_TRUTH}
     return systems, named | {"M_us, reduced": float(reduced["M_us"])}

@@ -26,10 +26,6 @@ def _sine(signals: Mapping[str, Array]) -> Array:
     return jnp.sin(signals["q"])
 
 
-def _direction(signals: Mapping[str, Array]) -> Array:
-    return jnp.sign(signals["v"])
-
-
 PENDULUM = rx.Equation(
     rx.Term("J", "q", derivative=2, measured=("dq",), unit="kg m^2"),
     rx.Term("c", "q", derivative=1, measured=("dq",), unit="N m s"),
@@ -42,7 +38,7 @@ DRY = rx.Equation(
     rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
     rx.Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
     rx.Term("k", "x", unit="N/m"),
-    rx.Term("f", _direction, unit="N"),
+    rx.Term("f", rx.odd("v", 0), unit="N"),
     -rx.Term(1.0, "u"),
     name="dry",
     unit="N",
@@ -142,12 +138,7 @@ def motion(name: str, seed: int, share: float = 1.0) -> dict[str, np.ndarray]:
         drive += np.sin(2 * np.pi * frequency * time + phase)
     drive *= share * rms * np.sqrt(2 / TONES)
     model = find_model(machine.model)
-    values = {k: jnp.asarray(v) for k, v in machine.truth.items()}
-    system = (
-        rx.equation_system(model.build_procedure(), values)
-        if model.system is None
-        else model.build_system(machine.truth)
-    )
+    system = model.build_system(machine.truth)
     inputs = rx.Record.from_samples({machine.drive: drive}, time_step=1 / (RATE * FINE))
     record = rx.simulate(system, inputs, intersample="smooth").checked().record
     return {signal: np.asarray(record[signal]) for signal in machine.signals}

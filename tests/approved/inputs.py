@@ -257,7 +257,7 @@ damper = rx.Equation(
 RIG = rx.Model(
     "rig",
     "a mass that is pushed",
-    procedure=lambda: rx.Equation(
+    stages=rx.Equation(
         rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),
         -rx.Term(1.0, "u"),
         name="rig",

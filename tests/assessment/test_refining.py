@@ -168,7 +168,7 @@ def test_an_output_that_an_input_reaches_at_once_is_not_compared():
     model = rx.find_model("quarter-car")
     names = ("F_t", "x1", "x2", "x3", "x4")
     record = rx.Record({n: jnp.sin(jnp.arange(40.0) + i) for i, n in enumerate(names)}, 0.01)
-    values = dict.fromkeys(model.build_procedure().parameters, 1.0)
+    values = dict.fromkeys(model.parameter_names, 1.0)
     system = model.identified_system({n: jnp.asarray(v) for n, v in values.items()}, record)
     assert refining._channels(system, [record]) == ("x3", "x4")
     driven = record.with_signals({"v_r": jnp.cos(jnp.arange(40.0))})

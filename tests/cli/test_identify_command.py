@@ -39,7 +39,7 @@ OWN_BAND = """
 import riecjax as rx
 
 tyre = rx.Equation(rx.Term("K_t", "x1", unit="N/m"), -rx.Term(1.0, "F_t"), name="tyre", unit="N")
-slow = rx.Model("tyre", "a tyre", procedure=lambda: tyre, band=(2.0, 4.0))
+slow = rx.Model("tyre", "a tyre", stages=tyre, band=(2.0, 4.0))
 """
 
 

@@ -13,7 +13,7 @@ from riecjax.criteria.windows import RandomWindows
 from riecjax.models.catalogue import MODELS
 from riecjax.records.record import Record
 
-IDENTIFIED = [name for name, model in MODELS.items() if model.procedure is not None]
+IDENTIFIED = [name for name, model in MODELS.items() if model.stages]
 
 
 @pytest.mark.portable
@@ -39,9 +39,8 @@ def test_each_is_shown_with_its_equations_if_it_has_any(name, capsys):
 @pytest.mark.parametrize("name", IDENTIFIED)
 def test_listed_parameters_are_those_of_the_equations(name):
     model = MODELS[name]
-    procedure = model.build_procedure()
-    assert {q.name: q.unit for q in model.parameters} == procedure.units
-    assert tuple(q.name for q in model.parameters) == procedure.parameters
+    assert {q.name: q.unit for q in model.parameters} == model.units
+    assert tuple(q.name for q in model.parameters) == model.parameter_names
 
 
 @pytest.mark.parametrize("pointwise", [False, True], ids=["riec", "dols"])
@@ -52,14 +51,14 @@ def test_listed_signals_are_all_that_the_equations_read(name, pointwise):
     rng = np.random.default_rng(0)
     needed = [q for q in model.signals if pointwise or "DOLS" not in q.meaning]
     record = Record({q.name: rng.normal(size=50) for q in needed}, 0.1)
-    for stage in model.build_procedure().stages:
+    for stage in model.stages:
         for equation in stage:
             # Tracing reads every signal and compiles nothing.
             rows = eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
             assert rows.columns.shape[0] == 1 + len(equation.parameters)
 
 
-@pytest.mark.parametrize("name", [name for name, model in MODELS.items() if model.system])
+@pytest.mark.parametrize("name", MODELS)
 def test_listed_inputs_are_those_of_the_system(name):
     model = MODELS[name]
     assert tuple(q.name for q in model.inputs) == model.build_system({}).input_names

@@ -13,8 +13,8 @@ UNITS = {"m": "kg", "c": "N s/m", "k": "N/m^3"}
 IMPORTS = """
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
-from riecjax.equations.procedure import simultaneous, staged
-from riecjax.models.model import Model, Quantity
+from riecjax.equations.model import Model, simultaneous, staged
+from riecjax.equations.quantity import Quantity
 """
 EQUATION = 'Equation(Term("m", "a"), Term("c", "v"), -Term(1.0, "f"), name="cart")'
 
@@ -61,13 +61,13 @@ def test_an_equation_of_a_file(capsys):
         (f"thing = simultaneous({EQUATION})", "mine.py:thing"),
         (f"def thing():\n    return {EQUATION}", "mine.py:thing"),
         (
-            f"def thing():\n    return Model('it', '', procedure=lambda: {EQUATION})",
+            f"def thing():\n    return Model('it', '', stages={EQUATION})",
             "mine.py:thing",
         ),
         # Where a file has one, it needs no name.
         (f"cart = {EQUATION}\nprocedure = staged(cart)", "mine.py"),
         (f"_part = {EQUATION}\nboth = staged(_part)\nsame = both", "mine.py"),
-        (f"cart = {EQUATION}\nthing = Model('it', '', procedure=lambda: cart)", "mine.py"),
+        (f"cart = {EQUATION}\nthing = Model('it', '', stages=cart)", "mine.py"),
     ],
 )
 def test_what_a_model_may_be(capsys, definition, reference):
@@ -105,17 +105,32 @@ def test_names_with_square_brackets_are_printed_as_they_are(capsys):
     assert "[N s/m]" in result.out
 
 
+def test_verbose_says_in_order_what_was_done_to_the_recording(capsys):
+    model(IMPORTS + "thing = " + EQUATION)
+    options = (
+        "--every=2 --low-pass=v=20 --remove-offset=f --shift=a=0.01 --criterion=dols --verbose"
+    )
+    result = call(capsys, "identify", "cart.csv", "--model=mine.py:thing", *options.split(" "))
+    lines = [line.partition(": ") for line in result.out.splitlines()]
+    assert [words for begins, _, words in lines if begins == "prepared"] == [
+        "advanced: a by 0.01 s",
+        "f: mean removed",
+        "zero-phase 4th-order Butterworth low-pass: v at 20 Hz",
+        "every 2nd sample",
+    ]
+
+
 FAILING = {
     "syntax error": ("def f(:\n", ("mine.py", "SyntaxError", "line 1")),
     "missing object": ("other = 1\n", ("mine.py", "no object 'thing'")),
     "exception": ("raise RuntimeError('first\\nsecond')\n", ("RuntimeError: first second",)),
     "import of nothing": ("import no_such_module\n", ("no_such_module",)),
     "exit": ("import sys\nsys.exit(0)\n", ("mine.py",)),
-    "wrong kind": ("thing = 3\n", ("'thing'", "not a Model, an Equation or a Procedure")),
+    "wrong kind": ("thing = 3\n", ("'thing'", "not a Model or an Equation")),
     "function that fails": ("def thing():\n    return {}['a']\n", ("mine.py", "KeyError")),
     "function with arguments": ("def thing(a):\n    return a\n", ("mine.py", "argument")),
     "model of the wrong kind": (
-        IMPORTS + "thing = Model('thing', '', procedure=lambda: 3)\n",
+        IMPORTS + "thing = Model('thing', '', stages=3)\n",
         ("Equation",),
     ),
     "model for simulation only": (IMPORTS + "thing = Model('it', '')\n", ("not identified",)),

@@ -12,10 +12,10 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import SteppedLaw
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
+from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
-from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.uncertainty.intervals import Naive
 
@@ -197,7 +197,7 @@ def test_by_default_windows_are_half_periods_of_the_models_band():
     record = record_of(900, 0)
     plain = identify(EQUATION, record)
     assert plain.criterion.describe() == RIEC(AllWindows(0.05, 0.5)).describe()
-    model = Model("mine", "", procedure=lambda: EQUATION, band=(2.0, 5.0))
+    model = Model("mine", "", stages=EQUATION, band=(2.0, 5.0))
     found = identify(model, record)
     same = identify(EQUATION, record, RIEC(AllWindows(0.1, 0.25)))
     np.testing.assert_array_equal(found.theta, same.theta)

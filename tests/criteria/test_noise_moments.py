@@ -7,8 +7,8 @@ import pytest
 import riecjax as rx
 from nightly import nightly
 from riecjax.criteria import noise_moments
-from riecjax.equations.procedure import as_procedure
-from riecjax.equations.term import RoofFunctions
+from riecjax.equations.bases import RoofFunctions
+from riecjax.equations.model import as_model
 from riecjax.summaries.stage_sums import stage_normal_equations
 
 STEP, N, PAIRS = 0.01, 300, 150
@@ -73,7 +73,7 @@ def moments(equation, criterion, noise, arrays, present=None):
     def of(arrays):
         signals = {n: rx.Signal(v, (present or {}).get(n)) for n, v in arrays.items()}
         record = rx.Record(signals, STEP).with_noise(noise)
-        found = stage_normal_equations(as_procedure(equation), record, criterion, key)
+        found = stage_normal_equations(as_model(equation), record, criterion, key)
         return found[0].total().clean, found[0].total().moments
 
     both = jax.jit(lambda arrays: jax.lax.map(of, arrays, batch_size=25))(arrays)

@@ -7,7 +7,7 @@ from tests.machines import MACHINES, SHORT, noisy
 
 import riecjax as rx
 from riecjax.criteria.suited import suited
-from riecjax.equations.procedure import as_procedure
+from riecjax.equations.model import as_model
 
 STEP = 0.01
 TIME = STEP * np.arange(2000)
@@ -19,7 +19,7 @@ FIRST_ORDER = rx.Equation(rx.Term("c", "x", derivative=1), rx.Term("k", "x"), -r
 
 
 def chosen(equation, record, band=None):
-    return suited(as_procedure(equation), band, [record])
+    return suited(as_model(equation), band, [record])
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ import riecjax as rx
 from nightly import nightly
 from riecjax.criteria.quadrature import ORDERS, running_integral
 from riecjax.criteria.windows import WindowSet
+from riecjax.equations.expressions import faster_than
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.term import faster_than
 
 fit = partial(rx.identify, intervals=rx.Naive())
 """No test here asks for intervals."""

@@ -20,10 +20,9 @@ def record(*names: str) -> rx.Record:
 
 
 def candidates(model: rx.Equation | rx.Model, *names: str, **units: str):
-    procedure = rx.equations.Procedure(((model,),)) if isinstance(model, rx.Equation) else None
-    procedure = procedure or model.build_procedure()  # pyright: ignore[reportAttributeAccessIssue]
-    called = [name for stage in procedure.equation_names for name in stage]
-    return default_candidates(procedure.equations, called, [record(*names)], units)
+    model = rx.equations.as_model(model)
+    called = [name for stage in model.equation_names for name in stage]
+    return default_candidates(model.equations, called, [record(*names)], units)
 
 
 def units_of(found) -> dict[str, str]:

@@ -5,21 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.equations.term import (
-    DeadZone,
-    Polynomial,
-    Saturation,
-    Stribeck,
-    Term,
-    constant,
-    difference,
-    even,
-    faster_than,
-    friction,
-    odd,
-    product,
-    roof,
-)
+from riecjax.equations.bases import DeadZone, Polynomial, Saturation, Stribeck, friction, roof
+from riecjax.equations.expressions import constant, difference, even, faster_than, odd, product
+from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.records.record import Record, Signals
 

@@ -6,8 +6,9 @@ from tests.machines import BODY
 
 import riecjax as rx
 from riecjax.criteria.criterion import DOLS
+from riecjax.equations.bases import Polynomial, roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Polynomial, Term, Terms, roof
+from riecjax.equations.term import Term, Terms
 from riecjax.errors import DataError, ModelError
 from riecjax.records.record import Record
 
@@ -95,7 +96,7 @@ def test_a_missing_signal_is_explained_with_a_remedy(term, words):
 TRAVEL = rx.difference("x1", "x2")
 
 
-def equation(*terms: rx.Term | rx.Terms) -> rx.equations.Procedure:
+def equation(*terms: rx.Term) -> rx.Model:
     return rx.staged(rx.Equation(*terms, -rx.Term(1.0, "F"), name="body"))
 
 
@@ -138,4 +139,4 @@ def test_dampers_are_taken_however_they_are_written():
     ]
     for damper in taken:
         body = equation(rx.Term("m", "v", derivative=1), damper)
-        assert body.with_series_springs(rx.SeriesSpring("c")).parameters[-1] == "K_series"
+        assert body.with_series_springs(rx.SeriesSpring("c")).parameter_names[-1] == "K_series"

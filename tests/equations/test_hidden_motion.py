@@ -10,8 +10,10 @@ from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from nightly import nightly
+from riecjax.equations.expressions import evaluate
 from riecjax.equations.hidden_elements import Shape
 from riecjax.equations.hidden_motion import filtered
+from riecjax.records.signal import Signal
 from riecjax.validation import equation_error
 
 TIMES = STANDARD.step * np.arange(2000)
@@ -24,7 +26,8 @@ def smooth(t: np.ndarray) -> np.ndarray:
 def test_a_mass_moves_as_scipy_says():
     p, q = 6 / 21000, 120 / 21000
     shape = Shape.of_mode(jnp.asarray(p), jnp.asarray(q))
-    found, known = filtered(jnp.asarray(smooth(TIMES)), None, jnp.asarray(STANDARD.step), shape)
+    passed = filtered(Signal(smooth(TIMES)), jnp.asarray(STANDARD.step), shape)
+    found, known = passed.values, passed.present
     # Twenty steps to a sample, so that lines between them are as good as the curve.
     times = STANDARD.step / 20 * np.arange(40000)
     _, truth, _ = scipy.signal.lsim(([q, 1], [p, q, 1]), smooth(times), times)
@@ -43,7 +46,7 @@ def test_samples_after_a_gap_wait_until_it_is_forgotten():
     samples = np.where(missing, np.nan, smooth(TIMES))
     record = rx.Record.from_samples({"v": samples}, time_step=STANDARD.step)
     shape = Shape.of_mode(jnp.asarray(6 / 21000), jnp.asarray(120 / 21000))
-    _, known = filtered(record["v"], record.present(("v",)), record.time_step, shape)
+    known = filtered(evaluate("v", record), record.time_step, shape).present
     # 1 % is left after ln(100) 2 p / q = 0.46 s.
     waited = int(np.log(100) * 2 * 6 / 120 / STANDARD.step)
     expected = np.ones(2000, bool)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.noisy_columns import noisy_columns
-from riecjax.equations.term import RoofFunctions
 
 STEP, LEVEL = 0.01, 0.1
 # Evenly over all arguments, so that a mean over samples is an integral over them.

@@ -32,25 +32,23 @@ def equation(*more):
     )
 
 
-def estimate(procedure, x, force, **settings):
+def estimate(model, x, force, **settings):
     record = rx.Record.from_samples({"x": x, "F": force}, time=TIME)
-    found = rx.identify(
-        procedure, record, CRITERION, intervals=rx.Sandwich(), noise="none", **settings
-    )
+    found = rx.identify(model, record, CRITERION, intervals=rx.Sandwich(), noise="none", **settings)
     return {name: float(value) for name, value in found.items()}
 
 
 @pytest.mark.slow
 def test_the_zero_of_a_load_cell():
     x, force = motion()
-    procedure = rx.staged(equation()).with_unknown_offset("F", "N")
-    assert procedure.units["offset_F"] == "N"
+    model = rx.staged(equation()).with_sensor_errors(offsets=["F"])
+    assert model.units["offset_F"] == "N"
     # The recording's force is 7 N too high.
-    found = estimate(procedure, x, force + 7.0)
+    found = estimate(model, x, force + 7.0)
     assert found == pytest.approx({"m": M, "c": C, "k": K, "offset_F": 7.0}, rel=2e-3)
     # The equations are simulated as the sensors show.
     record = rx.Record.from_samples({"x": x, "F": force + 7.0}, time=TIME)
-    held = rx.validation.validate_held_out(rx.equation_system(procedure, found), record)
+    held = rx.validation.validate_held_out(rx.equation_system(model, found), record)
     assert float(held.signals["x"].fit) > 98
     # Without it the spring would take part of it.
     assert estimate(rx.staged(equation()), x + 0.5, force)["k"] != pytest.approx(K, rel=0.02)
@@ -58,16 +56,16 @@ def test_the_zero_of_a_load_cell():
 
 def test_the_zero_of_a_position_comes_times_its_stiffness():
     x, force = motion()
-    procedure = rx.staged(equation()).with_unknown_offset("x", "m")
-    assert procedure.units["k_offset_x"] == "N"
-    found = estimate(procedure, x + 0.5, force)
+    model = rx.staged(equation()).with_sensor_errors(offsets=["x"])
+    assert model.units["k_offset_x"] == "N"
+    found = estimate(model, x + 0.5, force)
     assert found == pytest.approx({"m": M, "c": C, "k": K, "k_offset_x": 0.5 * K}, rel=2e-3)
 
 
 def test_the_gain_of_a_load_cell_where_the_mass_is_known():
     x, force = motion()
-    procedure = rx.staged(equation()).with_unknown_gain("F")
-    found = estimate(procedure, x, force / 1.25, known={"m": M})
+    model = rx.staged(equation()).with_sensor_errors(gains=["F"])
+    found = estimate(model, x, force / 1.25, known={"m": M})
     assert found == pytest.approx({"m": M, "c": C, "k": K, "gain_F": 1.25}, rel=2e-3)
 
 
@@ -78,16 +76,16 @@ DERIVED = rx.staged(rx.Equation(rx.Term("c", "v", derivative=1), -rx.Term(1.0, "
 
 
 @pytest.mark.parametrize(
-    ("change", "signal", "words"),
+    ("model", "errors", "words"),
     [
-        (CONSTANT.with_unknown_offset, "F", "told apart from 'friction'"),
-        (PLAIN.with_unknown_gain, "x", "told apart from 'm'"),
-        (CUBIC.with_unknown_offset, "x", "k3 is a function of 'x'"),
-        (PLAIN.with_unknown_offset, "G", "no equation has a term of 'G'"),
-        (DERIVED.with_unknown_offset, "v", "no equation has a term of 'v'"),
-        (PLAIN.with_unknown_gain, "G", "no equation reads 'G'"),
+        (CONSTANT, {"offsets": ["F"]}, "told apart from 'friction'"),
+        (PLAIN, {"gains": ["x"]}, "told apart from 'm'"),
+        (CUBIC, {"offsets": ["x"]}, "k3 is a function of 'x'"),
+        (PLAIN, {"offsets": ["G"]}, "no equation has a term of 'G'"),
+        (DERIVED, {"offsets": ["v"]}, "no equation has a term of 'v'"),
+        (PLAIN, {"gains": ["G"]}, "no equation reads 'G'"),
     ],
 )
-def test_what_cannot_be_told_apart(change, signal, words):
+def test_what_cannot_be_told_apart(model, errors, words):
     with pytest.raises(ModelError, match=words):
-        change(signal)
+        model.with_sensor_errors(**errors)

@@ -8,8 +8,9 @@ from nightly import nightly
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows
+from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, Terms, roof
+from riecjax.equations.term import Term, Terms
 from riecjax.errors import IdentifiabilityError, MissingSignalError
 from riecjax.estimation.check import check
 from riecjax.estimation.identify import identify

@@ -6,7 +6,7 @@ import pytest
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.equations.procedure import as_procedure
+from riecjax.equations.model import as_model
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.parameters import plan_parameters
 
@@ -60,11 +60,11 @@ def record(motion, noise=0.0, mean=0.0, seed=0):
 
 def findings(model, records, criterion=HATS, **settings):
     records = records if isinstance(records, list) else [records]
-    procedure = as_procedure(model)
+    model = as_model(model)
     sums = rx.summarise(model, records, criterion)
     given = {"known": None, "per_record": (), **settings}
-    asked = plan_parameters(procedure, len(records), given["known"], given["per_record"])
-    return constant_targets(procedure, asked, sums)
+    asked = plan_parameters(model, len(records), given["known"], given["per_record"])
+    return constant_targets(model, asked, sums)
 
 
 HUM = FORCE * (1 + 0.02 * np.sin(2 * np.pi * 49 * TIME))

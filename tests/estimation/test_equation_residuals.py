@@ -118,8 +118,8 @@ def hung():
     return rx.Equation(rx.Term("m2", "a1"), -rx.Term("k", "s"), -rx.Term("c", "sv"), name="hung")
 
 
-def of_masses(procedure, one):
-    return rx.identify(procedure, one, rx.DOLS(), intervals=rx.Sandwich())
+def of_masses(model, one):
+    return rx.identify(model, one, rx.DOLS(), intervals=rx.Sandwich())
 
 
 @pytest.mark.raises_finding("no_known_term")

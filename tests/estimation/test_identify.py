@@ -58,7 +58,7 @@ def assert_relative(found, expected, tolerance):
     assert np.max(np.abs(found - expected) / np.abs(expected)) < tolerance
 
 
-# The paper's staged procedure in plain NumPy.
+# The paper's staged model in plain NumPy.
 
 
 def numpy_quarter_car(windows, record, by_wheel):
@@ -90,9 +90,9 @@ def drive():
 
 @pytest.mark.parametrize("by", ["body", *nightly(["wheel"])])
 def test_the_staged_quarter_car_agrees_with_plain_numpy(drive, by):
-    procedure = {"body": quarter_car_by_body, "wheel": quarter_car_by_wheel}[by]()
+    model = {"body": quarter_car_by_body, "wheel": quarter_car_by_wheel}[by]()
     drawn = rx.RandomWindows(0.05, 0.5, 1000)
-    found = fit(procedure, drive, rx.RIEC(drawn, rx.Boxcar(2)), key=KEY, noise="none")
+    found = fit(model, drive, rx.RIEC(drawn, rx.Boxcar(2)), key=KEY, noise="none")
     assert found.parameters == ("K_t", "M_us", "M_s", "K_s", "F_1", "F_2", "F_3", "F_4")
     assert_relative(found.theta, numpy_quarter_car(drawn, drive, by == "wheel"), 1e-9)
     assert found.stage_names == ("tyre", "masses", by)

@@ -47,8 +47,7 @@ def share_of(record, noise: GivenNoise = "auto"):
 
 
 def share_kept(equations: NormalEquations) -> float:
-    less, _ = borne_out(equations, equations)
-    return float(np.asarray(less.noise).sum() / np.asarray(equations.noise).sum())
+    return float(np.asarray(borne_out(equations).noise).sum() / np.asarray(equations.noise).sum())
 
 
 def test_noise_of_a_right_model_is_borne_out_and_corrected():

@@ -92,10 +92,10 @@ def test_what_cannot_be_asked(clean):
         rx.identify(MODEL, [clean, clean], per_record=["k"])
     damper = rx.Terms("F", rx.roof([-1.0, 0.0, 1.0]), "v")
     mapped = rx.Equation(BODY.terms[0], damper, -rx.Term(1.0, "F"), name="mapped")
-    procedure = rx.staged(mapped).with_series_springs(rx.SeriesSpring("F_1"))
+    model = rx.staged(mapped).with_series_springs(rx.SeriesSpring("F_1"))
     with pytest.raises(rx.ModelError, match=r"rx\.refine"):
-        rx.identify(procedure, clean)
+        rx.identify(model, clean)
     with pytest.raises(rx.ModelError, match="behind its spring"):
-        equation_error(procedure, clean, dict.fromkeys(procedure.parameters, 1.0))
+        equation_error(model, clean, dict.fromkeys(model.parameter_names, 1.0))
     with pytest.raises(rx.ModelError, match=r"refine by rx\.OutputError"):
         rx.refine(MODEL, clean, dict(TRUTH), rx.IntegralError())

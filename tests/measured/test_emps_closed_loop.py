@@ -15,7 +15,7 @@ from benchmarks.measured.emps_closed_loop import (
 
 from conftest import measured_data
 from riecjax.criteria.windows import AllWindows
-from riecjax.models.emps import Axis
+from riecjax.simulation.system import AbstractSystem
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="module")
-def axes(rig) -> dict[str, Axis]:
+def axes(rig) -> dict[str, AbstractSystem]:
     return identified_axes(rig)
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from nightly import by_day
 from riecjax.criteria.criterion import DOLS
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import MODELS, built_in_model
-from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 from riecjax.simulation.inputs import band_limited_noise
@@ -18,8 +18,8 @@ from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.uncertainty.intervals import Naive
 
-IDENTIFIED = [name for name, model in MODELS.items() if model.procedure is not None]
-SIMULATED = [name for name, model in MODELS.items() if model.system is not None]
+IDENTIFIED = [name for name, model in MODELS.items() if model.stages]
+SIMULATED = [*MODELS]
 ROUND_TRIPS = [
     name for name in IDENTIFIED if name in SIMULATED and not MODELS[name].own_simulation_parameters
 ]
@@ -64,11 +64,10 @@ def test_an_unknown_name_is_refused_with_those_that_exist():
 @pytest.mark.parametrize("name", IDENTIFIED)
 def test_listed_parameters_and_units_are_those_of_the_equations(name):
     model = MODELS[name]
-    procedure = model.build_procedure()
     listed = {p.name: p.unit for p in model.parameters}
-    assert set(listed) == set(procedure.parameters)
-    assert listed == {parameter: procedure.units[parameter] for parameter in listed}
-    assert [p.name for p in model.parameters] == list(procedure.parameters)
+    assert set(listed) == set(model.parameter_names)
+    assert listed == {parameter: model.units[parameter] for parameter in listed}
+    assert [p.name for p in model.parameters] == list(model.parameter_names)
 
 
 @pytest.mark.parametrize("name", SIMULATED)
@@ -107,7 +106,7 @@ def test_a_setting_changes_the_system_and_an_unknown_one_is_refused(name):
 
 def test_what_a_model_cannot_do_is_refused():
     with pytest.raises(ModelError, match="simulated but not identified"):
-        MODELS["quarter-car-source"].build_procedure()
+        as_model(MODELS["quarter-car-source"])
     with pytest.raises(ModelError, match="neither equations nor a system"):
         Model("only-equation", "").build_system({})
 
@@ -123,7 +122,7 @@ def test_dols_with_exact_derivatives_returns_what_was_simulated(name):
     if name.startswith("emps"):
         # At rest dry friction balances whatever it can, of which sign(0) = 0 knows nothing.
         record = record.with_signals({"dq": Signal(record["dq"], record["dq"] != 0)})
-    estimate = identify(model.build_procedure(), record, DOLS(), intervals=Naive())
+    estimate = identify(model, record, DOLS(), intervals=Naive())
     for parameter, value in truth(model).items():
         np.testing.assert_allclose(estimate[parameter], value, rtol=1e-8, err_msg=parameter)
 

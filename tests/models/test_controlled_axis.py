@@ -7,13 +7,13 @@ import pytest
 import scipy.integrate
 from benchmarks.measured.emps_axis import (
     RISE,
+    Axis,
     sampled_control,
     stribeck_axis,
     stribeck_balance,
 )
 
 import riecjax as rx
-from riecjax.models.emps import Axis
 from riecjax.records.record import Record
 
 VALUES = {

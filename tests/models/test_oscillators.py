@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from riecjax.models.catalogue import built_in_model
-from riecjax.models.oscillators import TwoMass
+from riecjax.simulation.system import AbstractSystem
 
 PARAMETERS = {
     "duffing": {"m": 2.0, "d": 0.7, "k1": 30.0, "k2": -40.0, "k3": 900.0},
@@ -52,8 +52,9 @@ def test_derivative_is_the_printed_equation(model, state):
 M1, M2, OMEGA, ZETA = 10.0, 1.0, 100.0, 0.5
 
 
-def system() -> TwoMass:
-    return TwoMass(*(jnp.asarray(value) for value in (M1, M2, OMEGA, ZETA)))
+def system() -> AbstractSystem:
+    values = {"m1": M1, "m2": M2, "omega_n": OMEGA, "zeta": ZETA}
+    return built_in_model("two-mass").build_system(values)
 
 
 @pytest.mark.parametrize("state", np.random.default_rng(0).normal(size=(4, 4)), ids=range(4))

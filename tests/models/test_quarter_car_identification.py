@@ -12,9 +12,9 @@ from riecjax.models.quarter_car.identification import (
     BREAK_POINTS,
     FORCES,
     INNER,
-    QuarterCar,
     body_balance,
     quarter_car_of_break_points,
+    quarter_car_system,
     wheel_balance,
 )
 from riecjax.records.record import Record
@@ -42,7 +42,7 @@ def test_derivative_is_equation_21(velocity):
     x3 = x4 + velocity
     suspension = 22e3 * x2 + damper_force(velocity)
     expected = [v_r - x3, velocity, (175e3 * x1 - suspension) / 28.0, suspension / 290.0]
-    car = QuarterCar.from_parameters({k: jnp.asarray(v) for k, v in PARAMETERS.items()})
+    car = quarter_car_system(PARAMETERS)
     found = car.derivative(jnp.array([x1, x2, x3, x4]), jnp.array([v_r]))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 

@@ -8,9 +8,9 @@ import pytest
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car.identification import (
-    QuarterCar,
     quarter_car_by_body,
     quarter_car_by_wheel,
+    quarter_car_system,
 )
 from riecjax.models.quarter_car.reconstruction import Pothole, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
@@ -73,10 +73,10 @@ def test_variants_equal_identify_with_its_equation_and_known_masses(criterion, v
             reproduction.identify_variants(training, made, key)[VARIANTS.index(variant)],
         )
     )
-    procedure = quarter_car_by_wheel() if variant.startswith("W") else quarter_car_by_body()
+    model = quarter_car_by_wheel() if variant.startswith("W") else quarter_car_by_body()
     known = {"M_us": 30.0, "M_s": 300.0} if variant.endswith("true") else {}
     settings = {"known": known, "intervals": Naive(), "noise": "none"}
-    expected = identify(procedure, training, made, key=key, **settings)
+    expected = identify(model, training, made, key=key, **settings)
     for name in reproduction.PARAMETERS:
         # The same normal equations, but in one block here and in many there.
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-8, err_msg=name)
@@ -92,7 +92,7 @@ def test_pothole_errors_are_those_of_the_identified_model_against_the_source(var
     inputs = Record({"v_r": velocity}, step)
     truth = simulate(source(), inputs, method=METHOD).record
     place = CRITERIA.index("DOLS"), VARIANTS.index(variant)
-    model = QuarterCar.from_parameters(dict(zip(reproduction.PARAMETERS, alone.parameters[place])))
+    model = quarter_car_system(dict(zip(reproduction.PARAMETERS, alone.parameters[place])))
     predicted = simulate(model, inputs, method=METHOD).record
     expected = [
         100 * np.linalg.norm(predicted[s] - truth[s]) / np.linalg.norm(truth[s])

@@ -102,15 +102,15 @@ def test_samples_that_no_square_holds_are_made_of_nothing(size):
 
 
 def test_slopes_of_local_polynomials_take_its_place():
-    procedure = find_model("drag-oscillator").build_procedure()
-    (found,) = ready(procedure, recording(0, 0.01))
+    model = find_model("drag-oscillator")
+    (found,) = ready(model, recording(0, 0.01))
     assert found.steps[0].startswith("dx: computed from x, by a filter of 3 samples; in its place")
     assert found.record.noise.is_made_of("dx", "x")
     exact = signals()["dx"][(2001 - found.record.sample_count) // 2 :][: found.record.sample_count]
     errors = np.asarray(found.record["dx"]) - exact
     assert np.std(errors) < 0.3 * np.std(np.gradient(signals(0, 0.01)["x"], STEP) - signals()["dx"])
     # What is given of its noise stays.
-    (kept,) = ready(procedure, recording(0, 0.01), {"dx": 0.1})
+    (kept,) = ready(model, recording(0, 0.01), {"dx": 0.1})
     assert not kept.steps
     assert not kept.record.noise.is_made_of("dx", "x")
 

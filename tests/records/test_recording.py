@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from riecjax.equations.model import Model
+from riecjax.equations.quantity import Quantity
 from riecjax.errors import DataError
-from riecjax.models.model import Model, Quantity
 from riecjax.records.recording import as_recordings
 
 MODEL = Model(

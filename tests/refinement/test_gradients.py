@@ -12,7 +12,7 @@ from tests.machines import drag_record as record
 from nightly import nightly
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows
-from riecjax.models.emps import Axis
+from riecjax.models.catalogue import built_in_model
 from riecjax.models.oscillators import drag_oscillator_equation
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
@@ -67,11 +67,11 @@ def test_gradients_through_friction_are_those_of_differences():
     """An axis that is driven to and fro, and sticks at every turn."""
     t = np.arange(1500) / 1000
     drive = Record.from_samples({"force": 40 * np.sin(4 * t) ** 3}, time_step=1e-3)
-    axis = Axis(*(jnp.asarray(v) for v in (95.0, 200.0, 20.0, 200.0, 20.0, 0.0)))
+    axis = built_in_model("emps").build_system({"M": 95.0, "Fv": 200.0, "offset": 0.0})
 
     @jax.jit
     def velocity(coulomb):
-        own = eqx.tree_at(lambda a: (a.Fc_pos, a.Fc_neg), axis, (coulomb, coulomb))
+        own = eqx.tree_at(lambda a: a.values["Fc"], axis, coulomb)
         return simulate(own, drive, method=FixedStep(8)).record["dq"][::100]
 
     still = np.asarray(velocity(jnp.asarray(20.0))) == 0

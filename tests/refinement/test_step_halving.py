@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
@@ -12,20 +11,21 @@ import scipy.signal
 
 from riecjax.errors import ModelError
 from riecjax.estimation.parameters import Parameter, ParameterTable
-from riecjax.models.oscillators import Duffing
+from riecjax.models.catalogue import built_in_model
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit
 from riecjax.refinement.optimum import Optimum, Reached, RefinementStatus
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import halve_steps, refine
 from riecjax.simulation.method import Adaptive, FixedStep
+from riecjax.simulation.system import AbstractSystem
 
 RATE = 100
 HARD = {"d": 2.0, "k1": 100.0, "k3": 3e6}
 
 
-def duffing() -> Duffing:
-    return Duffing(*(jnp.asarray(v) for v in (1.0, 2.0, 100.0, 0.0, 3e6)))
+def duffing() -> AbstractSystem:
+    return built_in_model("duffing").build_system({"m": 1.0, "k2": 0.0, **HARD})
 
 
 @pytest.fixture(scope="module")

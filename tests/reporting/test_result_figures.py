@@ -10,9 +10,8 @@ from reporting_charts import assert_whole_in_print
 
 import riecjax as rx
 from riecjax.assessment.assessment import Assessment
-from riecjax.equations.procedure import staged
+from riecjax.equations.model import as_model, staged
 from riecjax.estimation.check import Check
-from riecjax.models.model import as_model
 from riecjax.reporting.charts.chart import Dots, Line
 from riecjax.reporting.identification import identification_document
 from riecjax.reporting.result_figures import (
@@ -42,10 +41,9 @@ def identified(record):
     return rx.identify(EQUATION, record, rx.DOLS(), known={"c": 3.0})
 
 
-def result_of(estimate, procedure, record) -> Assessment:
+def result_of(estimate, model, record) -> Assessment:
     return Assessment(
-        model=as_model(procedure, "cart"),
-        procedure=procedure,
+        model=as_model(model),
         recordings=[rx.Recording(record, "a.csv", ("filtered",))],
         validated_on=[],
         checked=Check([], [], ()),
@@ -95,11 +93,11 @@ def test_numbers_that_are_not_finite_become_null(identified, record):
 )
 def test_fit_shows_what_is_explained_against_what_was_measured(record, criterion, unit):
     equation = rx.Equation(*EQUATION.terms[:2], -rx.Term(1.0, "f", unit="N"), unit="N")
-    procedure = staged(equation)
+    model = staged(equation)
     key = jax.random.key(0)
-    summary = rx.summarise(procedure, record, criterion, key=key, survey=True)
-    found = rx.estimate(procedure, summary)
-    chart = identification_figures(result_of(found, procedure, record))["fit"]
+    summary = rx.summarise(model, record, criterion, key=key, survey=True)
+    found = rx.estimate(model, summary)
+    chart = identification_figures(result_of(found, model, record))["fit"]
     fit, residual = chart.panels
     dots, left = fit.marks[-1], residual.marks[-1]
     assert isinstance(dots, Dots)
@@ -128,9 +126,9 @@ def test_curves_pass_through_their_break_points_and_leave_the_hysteresis():
     equation = rx.Equation(
         -rx.Terms("F_d", rx.roof(points), "v", unit="N"), rx.Term(1.0, "F"), unit="N"
     )
-    procedure = staged(equation)
-    estimate = rx.identify(procedure, record, rx.DOLS())
-    (curve,) = identified_curves(result_of(estimate, procedure, record))
+    model = staged(equation)
+    estimate = rx.identify(model, record, rx.DOLS())
+    (curve,) = identified_curves(result_of(estimate, model, record))
     inner = (np.array(points) > v.min()) & (np.array(points) < v.max())
     at_points = np.interp(np.array(points)[inner], curve.x, curve.y)
     np.testing.assert_allclose(at_points, np.asarray(estimate.theta)[inner], atol=0.02)

@@ -5,63 +5,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from nightly import by_day
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import simultaneous, staged
+from riecjax.equations.model import simultaneous, staged
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
-from riecjax.models.catalogue import MODELS
 from riecjax.records.record import Record
 from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
-
-BY_HAND = (
-    "duffing",
-    "drag-oscillator",
-    "emps",
-    "emps-asymmetric",
-    "quarter-car",
-    "quarter-car-wheel",
-)
-
-
-def across_tyre(signals):
-    return signals["v_r"] - signals["x3"]
-
-
-def across_suspension(signals):
-    return signals["x3"] - signals["x4"]
-
-
-KINEMATICS = {"x1": across_tyre, "x2": across_suspension}
-
-
-@pytest.mark.parametrize("name", by_day(BY_HAND, "duffing", "emps", "quarter-car"))
-def test_simulates_as_the_hand_written_system_does(name):
-    """A quarter car's tyre equation has no derivative: it determines the tyre force."""
-    model = MODELS[name]
-    car = name.startswith("quarter-car")
-    values = {p.name: p.default or 40.0 for p in model.parameters}
-    by_hand = model.build_system(values)
-    # The order of the coefficients' values is the user's.
-    made = equation_system(
-        model.build_procedure(), dict(reversed(values.items())), rates=KINEMATICS if car else None
-    )
-    assert set(made.state_names) == set(by_hand.state_names)
-    assert made.input_names == by_hand.input_names
-    time = np.arange(400) * 0.01
-    drive = (0.01 if car else 1.0) * (30 * np.sin(5 * time) + 20 * np.cos(11.3 * time))
-    inputs = Record({by_hand.input_names[0]: drive}, 0.01)
-    start = {by_hand.state_names[0]: 0.02, by_hand.state_names[-1]: 0.1}
-    found, expected = (
-        simulate(system, inputs, initial_state=start).checked().record for system in (made, by_hand)
-    )
-    assert set(found.arrays) == set(expected.arrays)
-    for each in expected.arrays:
-        # Coulomb friction at rest amplifies rounding: a step may end on either side of zero.
-        scale = float(jnp.max(jnp.abs(expected[each])))
-        np.testing.assert_allclose(found[each], expected[each], atol=1e-10 * scale, err_msg=each)
 
 
 def spring_force(signals):

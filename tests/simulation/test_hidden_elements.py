@@ -10,11 +10,11 @@ from tests.machines import LAG_MODEL as MODEL
 from tests.machines import LAG_TRUTH as TRUTH
 
 import riecjax as rx
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import difference
-from riecjax.models.model import Model, Quantity, as_model
-from riecjax.refinement.objective import ByCoefficients, ByFunction
-from riecjax.simulation.equation_system import EquationSystem, WithModes
+from riecjax.equations.expressions import difference
+from riecjax.equations.model import Model
+from riecjax.equations.quantity import Quantity
+from riecjax.refinement.objective import ByCoefficients, as_parametric_system
+from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.linearisation import linearise
 
 VALUES = {"m": 2.0, "c": 0.7, "k": 90.0, "M_mode": 0.5, "K_mode": 60.0, "B_mode": 0.8}
@@ -132,17 +132,17 @@ def test_quarter_car_carries_an_engine(name):
         ("K_mode", "N/m"),
         ("B_mode", "N s/m"),
     ]
-    assert {q.name for q in model.parameters} == set(model.build_procedure().parameters)
+    assert {q.name for q in model.parameters} == set(model.parameter_names)
     values = {k: jnp.asarray(v) for k, v in {**QUARTER_CAR, **DAMPER, **MOUNT}.items()}
     road = rx.Record({"v_r": np.zeros(50)}, 0.005)
     driven = model.identified_system(values, road)
-    assert isinstance(driven, WithModes)
+    assert isinstance(driven, EquationSystem)
     assert driven.state_names == ("x1", "x2", "x3", "x4", "mode_deflection", "mode_velocity")
     state, inputs = linearise(driven)
     np.testing.assert_allclose(state, quarter_car(), rtol=1e-10, atol=1e-9)
     np.testing.assert_allclose(inputs, np.eye(6)[:, :1], atol=1e-12)
-    every = model.parametric_system(road)
-    assert isinstance(every, ByFunction)
+    every = as_parametric_system(model, road)
+    assert isinstance(every, ByCoefficients)
     assert jax.tree.structure(every.build(values)) == jax.tree.structure(driven)
     forced = model.identified_system(values, rx.Record({"x1": np.zeros(9), "x2": np.zeros(9)}, 0.1))
     assert isinstance(forced, EquationSystem)
@@ -151,42 +151,36 @@ def test_quarter_car_carries_an_engine(name):
     np.testing.assert_allclose(inputs, quarter_car()[2:, :2], rtol=1e-10, atol=1e-9)
 
 
-def test_coupled_accelerations_are_simulated_by_their_equations():
+def test_a_mode_is_simulated_by_equations_where_a_system_of_ones_own_lacks_it():
     class Free(rx.simulation.AbstractSystem):
         states = (("a", ""), ("b", ""))
         inputs = (("u", ""),)
 
-    plain = as_model(rx.staged(FIRST, SECOND))
-    model = Model(
-        "cart",
-        "",
-        procedure=lambda: rx.staged(FIRST, SECOND),
-        parameters=plain.parameters,
-        system=lambda values: Free(),
-        inputs=(Quantity("u", "N", ""),),
-    ).with_modes(rx.HiddenMode("a"))
+    inputs = (Quantity("u", "N", ""),)
+    plain = Model("cart", "", rx.staged(FIRST, SECOND), inputs=inputs, system=lambda _: Free())
+    values = dict.fromkeys(plain.parameter_names, 2.0) | {"q": 0.5}
+    assert isinstance(plain.build_system(values), Free)
+    model = plain.with_modes(rx.HiddenMode("a"))
+    values = dict.fromkeys(model.parameter_names, 2.0) | {"q": 0.5}
     record = rx.Record({"u": np.zeros(20)}, 0.1)
-    values = dict.fromkeys(model.build_procedure().parameters, jnp.asarray(2.0))
-    values["q"] = jnp.asarray(0.5)
     assert isinstance(model.identified_system(values, record), EquationSystem)
-    assert isinstance(model.parametric_system(record), ByCoefficients)
-    with pytest.raises(rx.ModelError, match="cannot carry a hidden mode"):
-        model.build_system({name: 1.0 for name in values})
+    assert isinstance(as_parametric_system(model, record), ByCoefficients)
+    assert isinstance(model.build_system(values), EquationSystem)
 
 
 def recorded(seconds: float) -> rx.Record:
     """The oscillator with its mode under a random force, of which x and v are recorded."""
-    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    model = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
     force = 20 * np.random.default_rng(0).normal(size=round(seconds / 0.02))
     inputs = rx.Record({"u": force}, 0.02)
     start = {"x": 0.1, "v": 1.0, "mode_velocity": 1.0}
-    made = rx.simulate(rx.equation_system(procedure, VALUES), inputs, initial_state=start)
+    made = rx.simulate(rx.equation_system(model, VALUES), inputs, initial_state=start)
     return made.record.select("u", "x", "v")
 
 
 def test_validation_starts_a_mode_carried_along():
-    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
-    held = rx.validation.validate_held_out(rx.equation_system(procedure, VALUES), recorded(5.0))
+    model = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    held = rx.validation.validate_held_out(rx.equation_system(model, VALUES), recorded(5.0))
     assert dict(held.started_from) == {
         "x": "measured",
         "v": "measured",
@@ -202,10 +196,10 @@ def test_validation_starts_a_mode_carried_along():
 
 @pytest.mark.slow
 def test_refinement_finds_the_mode_again():
-    procedure = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
+    model = rx.staged(oscillator()).with_modes(rx.HiddenMode("x"))
     start = {name: 1.1 * value for name, value in VALUES.items()}
     by = rx.OutputError(intersample="lines")
-    refined = rx.refine(procedure, recorded(5.0), start, by)
+    refined = rx.refine(model, recorded(5.0), start, by)
     assert refined.initial_state_names == ("x", "v", "mode_deflection", "mode_velocity")
     for name, value in VALUES.items():
         np.testing.assert_allclose(refined.values[name], value, rtol=1e-4)
@@ -218,7 +212,7 @@ WHEEL = {"M": 30.0, "K": 20e3, **MAP, "K_series": 300e3}
 RATES = {"d": difference("v", "u")}
 
 
-def wheel() -> Procedure:
+def wheel() -> Model:
     """A wheel below a body that moves by u: F = M v' + K d + map(v - u), d' = v - u."""
     equation = rx.Equation(
         rx.Term(1.0, "F"),
@@ -299,7 +293,7 @@ def test_validation_starts_a_spring_at_the_map():
     assert held.predicts
     assert dict(held.started_from)["series_force"] == "carried"
     assert float(held.signals["v"].fit) > 98
-    rigid = rx.equation_system(Procedure(wheel().stages), WHEEL, rates=RATES)
+    rigid = rx.equation_system(Model(stages=wheel().stages), WHEEL, rates=RATES)
     assert float(rx.validation.validate_held_out(rigid, part).signals["v"].fit) < 98
     # The map at the velocity that was recorded_wheel, which differs by what the spring gives way.
     start = float(held.record["series_force"][0])
@@ -308,25 +302,25 @@ def test_validation_starts_a_spring_at_the_map():
     assert start == pytest.approx(expected, rel=1e-9)
 
 
-def body(damper: rx.Term | rx.Terms) -> rx.Equation:
+def body(damper: rx.Term) -> rx.Equation:
     """The body of the machines with another damper."""
     inertia, _, *others = BODY.terms
     return rx.Equation(inertia, damper, *others, name="body", unit="N")
 
 
 def test_what_cannot_be_asked():
-    procedure = rx.staged(BODY)
+    model = rx.staged(BODY)
     with pytest.raises(rx.ModelError, match=r"no equation has a coefficient 'b'.*m, c, k"):
-        procedure.with_series_springs(rx.SeriesSpring("b"))
+        model.with_series_springs(rx.SeriesSpring("b"))
     with pytest.raises(rx.ModelError, match="SeriesSpring"):
-        procedure.with_series_springs("c")  # pyright: ignore[reportArgumentType]
+        model.with_series_springs("c")  # pyright: ignore[reportArgumentType]
     for damper, of, message in (
         (rx.Terms("f", rx.friction(), of="v"), "f_viscous", "roof functions"),
         (rx.Terms("c", rx.Polynomial((1, 3)), "v"), "c_1", "inverse of its law"),
     ):
         sprung = rx.staged(body(damper)).with_series_springs(rx.SeriesSpring(of))
         with pytest.raises(rx.ModelError, match=message):
-            rx.equation_system(sprung, dict.fromkeys(sprung.parameters, 1.0), rates={"x": "v"})
+            rx.equation_system(sprung, dict.fromkeys(sprung.parameter_names, 1.0), rates={"x": "v"})
     other = rx.Equation(
         rx.Term("n", "w", derivative=1), rx.Term("c", difference("w", "v")), name="other"
     )
@@ -336,6 +330,6 @@ def test_what_cannot_be_asked():
             {**TRUTH, "n": 1.0},
             rates={"x": "v"},
         )
-    sprung = procedure.with_series_springs(rx.SeriesSpring("c"))
+    sprung = model.with_series_springs(rx.SeriesSpring("c"))
     with pytest.raises(rx.ModelError, match="c, a spring in series, is zero"):
         rx.equation_system(sprung, {**TRUTH, "c": 0.0}, rates={"x": "v"})

@@ -6,12 +6,11 @@ import pytest
 
 import riecjax as rx
 from riecjax.models.catalogue import built_in_model
-from riecjax.models.oscillators import DragOscillator
 from riecjax.simulation.linearisation import FOLDS, growth, linearise, modes
 
 
-def oscillator(m=2.0, r=0.6, r2=0.5, k=50.0) -> DragOscillator:
-    return DragOscillator(*(jnp.asarray(value) for value in (m, r, r2, k)))
+def oscillator(m=2.0, r=0.6, r2=0.5, k=50.0) -> rx.simulation.AbstractSystem:
+    return built_in_model("drag-oscillator").build_system({"m": m, "r": r, "r2": r2, "k": k})
 
 
 def test_jacobians_at_rest_and_at_a_point_equal_those_by_hand():

@@ -7,7 +7,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from riecjax.errors import ModelError
-from riecjax.models.oscillators import DragOscillator
+from riecjax.models.catalogue import built_in_model
 from riecjax.records.record import Record
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
@@ -42,8 +42,8 @@ def integrator() -> Integrator:
     return Integrator(jnp.asarray(2.0), jnp.asarray(0.3))
 
 
-def oscillator() -> DragOscillator:
-    return DragOscillator(**{name: jnp.asarray(value) for name, value in DRAG.items()})
+def oscillator() -> AbstractSystem:
+    return built_in_model("drag-oscillator").build_system(DRAG)
 
 
 def noise(seed: int, rms: float = 6.0, bandwidth: float = 3.0) -> Record:

@@ -10,7 +10,7 @@ import riecjax as rx
 from nightly import nightly
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.summaries.summary import load
-from riecjax.summaries.task import task
+from riecjax.summaries.task import ready
 
 STEP = 0.01
 STD = {"x": 0.01, "dx": 0.1, "u": 1.0}
@@ -56,8 +56,8 @@ def noise_in(equation, of="noise"):
 @pytest.mark.parametrize("count", [140_000, *nightly([1500])])
 def test_a_record_in_chunks_adds_up_to_the_same_in_one_piece(count, test_function, error):
     criterion = rx.RIEC(BOXCAR.windows, test_function)
-    asked = task(EQUATION, record(count, gaps=(300, 301)), criterion, None, STD)
-    lags, one = criterion.law(asked.records[0]), asked.records[0]
+    (one,) = (r.record for r in ready(rx.staged(EQUATION), record(count, gaps=(300, 301)), STD))
+    lags = criterion.law(one)
     blocks = StartBlocks(0, count, 1, count)
     noisy = criterion.noisy_columns(EQUATION, one)
 

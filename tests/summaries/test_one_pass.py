@@ -9,7 +9,7 @@ import riecjax as rx
 from nightly import by_day, nightly
 from riecjax.summaries import one_pass
 from riecjax.summaries.stage_sums import traced_sums
-from riecjax.summaries.task import task
+from riecjax.summaries.task import ready, task
 
 STEP = 0.005
 EQUATION = rx.Equation(
@@ -33,8 +33,8 @@ def record_of(count, seed=0, gaps=()):
 
 def agree(record, criterion, key=None, rtol=1e-12):
     """The same moments in the same blocks as of the record that is not filled up."""
-    asked = task(EQUATION, record, criterion, key, "none")
-    plain = traced_sums(asked.procedure, record, asked.criterion, key)
+    asked = task(EQUATION, ready(rx.staged(EQUATION), record, "none"), criterion, key)
+    plain = traced_sums(asked.model, record, asked.criterion, key)
     found = rx.summarise(EQUATION, record, criterion, key=key, noise="none").recordings[0]
     assert int(found.blocks) == int(plain.blocks)
     assert float(found.block_seconds) == pytest.approx(float(plain.block_seconds))

@@ -6,7 +6,7 @@ import pytest
 from tests.machines import DRAG_TRUTH, drag_record
 
 import riecjax as rx
-from riecjax.equations.procedure import as_procedure
+from riecjax.equations.model import as_model
 from riecjax.summaries.sensor_choice import with_less_noise
 
 STEP = 0.01
@@ -35,7 +35,7 @@ BY_VELOCITY = equation(-rx.Term("c", "v", measured=("a",), unit="N s/m", known=5
 def read(noise, criterion=BOXCAR, record=None):
     record = rx.Record(MOTION, STEP) if record is None else record
     record = record.with_noise(rx.Noise.given(noise)) if isinstance(noise, dict) else record
-    return with_less_noise(as_procedure(BY_POSITION), record, criterion)
+    return with_less_noise(as_model(BY_POSITION), record, criterion)
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def read(noise, criterion=BOXCAR, record=None):
     ],
 )
 def test_boxcars_read_the_sensor_that_adds_less(noise, criterion, expected):
-    found, wanted = read(noise, criterion), as_procedure(expected)
+    found, wanted = read(noise, criterion).stages, as_model(expected).stages
     assert jax.tree.structure(found) == jax.tree.structure(wanted)
     np.testing.assert_array_equal(jax.tree.leaves(found), jax.tree.leaves(wanted))
 
@@ -63,7 +63,7 @@ def test_a_velocity_that_is_made_of_the_position_is_not_read():
     record = rx.Record({name: MOTION[name] for name in ("x", "u")}, STEP)
     record = record.with_noise(rx.Noise.given({"x": 0.1, "u": 0.0}))
     found = read(None, record=rx.differentiate(record, "x", "v"))
-    assert jax.tree.structure(found) == jax.tree.structure(as_procedure(BY_POSITION))
+    assert jax.tree.structure(found.stages) == jax.tree.structure(as_model(BY_POSITION).stages)
 
 
 @pytest.mark.slow

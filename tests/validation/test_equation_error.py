@@ -7,8 +7,9 @@ import pytest
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.term import Term, constant
+from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal

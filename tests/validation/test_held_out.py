@@ -7,7 +7,6 @@ import pytest
 from riecjax.errors import DataError, ModelError
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.oscillators import (
-    Duffing,
     pendulum_equation,
     two_mass_equation,
 )
@@ -16,14 +15,15 @@ from riecjax.records.signal import Signal
 from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
+from riecjax.simulation.system import AbstractSystem
 from riecjax.validation.held_out import validate_held_out
 
 VALUES = {"m": 1.0, "d": 0.5, "k1": 100.0, "k2": 0.0, "k3": 800.0}
 COUNT, STEP = 1200, 0.01
 
 
-def duffing(**changes: float) -> Duffing:
-    return Duffing(**{name: jnp.asarray(v) for name, v in {**VALUES, **changes}.items()})
+def duffing(**changes: float) -> AbstractSystem:
+    return built_in_model("duffing").build_system({**VALUES, **changes})
 
 
 def drive(count: int = COUNT) -> np.ndarray:

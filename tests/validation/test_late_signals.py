@@ -7,7 +7,7 @@ import pytest
 
 from nightly import nightly
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import as_procedure, staged
+from riecjax.equations.model import as_model, staged
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
@@ -17,7 +17,7 @@ from riecjax.validation.late_signals import course_of, late_signals, signal_dela
 
 STEP, SAMPLES = 0.005, 6000
 TRUTH = {"m": 2.0, "c": 9.0, "k": 400.0}
-AXIS = as_procedure(
+AXIS = as_model(
     Equation(
         Term("m", "x", derivative=2, measured=("v",), unit="kg"),
         Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),

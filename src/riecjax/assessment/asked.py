@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import estimated
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.memory import REMEDY, require_memory
-from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.summaries.summarise import summarise
@@ -42,14 +41,12 @@ Numbered = Sequence[tuple[int | None, Recording]]
 class Asked(NamedTuple):
     """What is asked: a model, a criterion, and recordings to estimate from (`fitted`).
 
-    **Fields:** `procedure`, the model's equations, built once: equations that are built anew may
-    hold other functions, and would be compiled anew; `held`, the last parts of recordings if
-    those are held out, and `further` recordings, both to validate on; `table` of the parameters;
-    `intervals`, how uncertainty is estimated; `settings`, what else was said.
+    **Fields:** `held`, the last parts of recordings if those are held out, and `further`
+    recordings, both to validate on; `table` of the parameters; `intervals`, how uncertainty is
+    estimated; `settings`, what else was said.
     """
 
     model: Model
-    procedure: Procedure
     criterion: AbstractCriterion
     fitted: list[Recording]
     held: list[Recording]
@@ -78,20 +75,20 @@ class Asked(NamedTuple):
 
         **Raises:** as [`identify`][riecjax.identify].
         """
-        summary = summarise(self.procedure, records, self.criterion, key=self.settings.key)
-        return estimated(self.procedure, summary, self.table, Naive())
+        summary = summarise(self.model, records, self.criterion, key=self.settings.key)
+        return estimated(self.model, summary, self.table, Naive())
 
-    def otherwise(self, procedure: Procedure) -> Estimate:
+    def otherwise(self, model: Model) -> Estimate:
         """What is estimated by other equations from the same records.
 
         **Raises:** as [`identify`][riecjax.identify].
         """
-        summary = summarise(procedure, self.records, self.criterion, key=self.settings.key)
-        return estimated(procedure, summary, self.table, self.intervals)
+        summary = summarise(model, self.records, self.criterion, key=self.settings.key)
+        return estimated(model, summary, self.table, self.intervals)
 
 
 def require_memory_to_assess(
-    procedure: Procedure,
+    model: Model,
     records: Sequence[Record],
     criterion: AbstractCriterion,
     *,
@@ -105,10 +102,10 @@ def require_memory_to_assess(
     samples = sum(record.sample_count for record in records)
     peak = 0.0
     for record in records:
-        columns = len(procedure.equations) + len(record.arrays)
+        columns = len(model.equations) + len(record.arrays)
         peak += record.sample_count * BYTES_PER_SAMPLE * columns
         if criterion.needs_key:
-            rows = float(criterion.row_count(record) or 0) * (len(procedure.parameters) + 1)
+            rows = float(criterion.row_count(record) or 0) * (len(model.parameter_names) + 1)
             peak += rows * BYTES_PER_ROW
     verb = "checking" if checking else "assessing"
     require_memory(f"{verb} the model on {samples} samples", peak, REMEDY)

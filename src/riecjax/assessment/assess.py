@@ -14,7 +14,7 @@ from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
+from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import (
     Check,
@@ -33,7 +33,6 @@ from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
-from riecjax.models.model import as_model
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
 from riecjax.settings import Assess, taking
@@ -50,9 +49,7 @@ if TYPE_CHECKING:
 
 
 @taking(Assess)
-def assess(
-    model: Equation | Procedure | HasProcedure, recordings: Records, settings: Assess
-) -> "Assessment":
+def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "Assessment":
     """Identify a model's parameters from recordings, and find out how far to trust them.
 
     What `riecjax identify` does: [`check`][], [`identify`][], [`refine`][] where that is warranted
@@ -83,43 +80,42 @@ def assess(
     `IdentifiabilityError` for what [`Check.answerable`][] denies. What cannot be tested or
     simulated raises nothing: it is a finding.
     """
-    model = as_model(model)
-    procedure = with_rests(model.build_procedure(), settings.at_rest)
-    recordings = ready(procedure, recordings, settings.noise)
+    model = with_rests(as_model(model), settings.at_rest)
+    recordings = ready(model, recordings, settings.noise)
     plain = [each.record for each in recordings]
-    criterion = criterion_for(settings, procedure, model.band, plain)
+    criterion = criterion_for(settings, model, model.band, plain)
 
     def concerned(some: Sequence[Recording]) -> list[Recording]:
         """The recordings with what is said of signals that the criterion reads."""
-        return [each.concerning(read_of(procedure, each, criterion)) for each in some]
+        return [each.concerning(read_of(model, each, criterion)) for each in some]
 
     fitted, held = concerned(recordings), []
     if settings.hold_out is not None:
         fitted, held = map(list, zip(*(each.split(settings.hold_out) for each in fitted)))
     further: Any = settings.validate_on
-    further = concerned(ready(procedure, further)) if further else []
+    further = concerned(ready(model, further)) if further else []
     # What is refused without arithmetic is refused before a sample is read.
-    table = plan_parameters(procedure, len(fitted), settings.known, settings.per_record)
-    parts = model, procedure, criterion, fitted, held, further, table
+    table = plan_parameters(model, len(fitted), settings.known, settings.per_record)
+    parts = model, criterion, fitted, held, further, table
     asked = Asked(*parts, intervals_of(settings.intervals), settings)
-    with naming_copies(procedure, fitted, criterion):
+    with naming_copies(model, fitted, criterion):
         return _answer(asked)
 
 
 def _answer(asked: Asked) -> "Assessment":
-    procedure, records, criterion = asked.procedure, asked.records, asked.criterion
+    model, records, criterion = asked.model, asked.records, asked.criterion
     table, settings, key = asked.table, asked.settings, asked.settings.key
-    require_memory_to_assess(procedure, records, criterion)
+    require_memory_to_assess(model, records, criterion)
     # Read once: all that follows is made from these sums.
-    sweep = settings.sweep and not procedure.has_hidden
+    sweep = settings.sweep and not model.has_hidden
     bins = None
     if sweep and criterion.in_closed_form:
         with contextlib.suppress(DataError):  # too short a record, which the check says
             bins = sweep_edges(records, criterion)
     with explaining_errors(asked.fitted):
-        summary = summarise(procedure, records, criterion, key=key, bins=bins, survey=True)
-    estimate = on_host(estimated(procedure, summary, table, asked.intervals))
-    evidence, ordinary = _about_hidden(procedure, estimate, summary)
+        summary = summarise(model, records, criterion, key=key, bins=bins, survey=True)
+    estimate = on_host(estimated(model, summary, table, asked.intervals))
+    evidence, ordinary = _about_hidden(model, estimate, summary)
     excited = excitations(ordinary, table)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
@@ -133,25 +129,24 @@ def _answer(asked: Asked) -> "Assessment":
     from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
 
-    checked = check_sums(procedure, ready(procedure, records), table, ordinary, excited)
+    checked = check_sums(model, ready(model, records), table, ordinary, excited)
     checked = trust.with_doubts(asked, estimate, checked)
     refused = doubted is not None
     refinement, validations, failed = refining.answered(asked, estimate, refused)
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
         failed = [*failed, *refining.outside_bounds(estimate, settings.bounds)]
-    residuals, choice, untested = trust.what_is_left(procedure, records, estimate, asked.again)
-    resting = at_rest_findings(procedure, records, estimate, asked.otherwise)
+    residuals, choice, untested = trust.what_is_left(model, records, estimate, asked.again)
+    resting = at_rest_findings(model, records, estimate, asked.otherwise)
     over_lengths = None
     if sweep and summary.criterion.windows is not None:
         with contextlib.suppress(DataError):  # too short for any other length
             if summary.bins is None and isinstance(summary.criterion, RIEC):
                 edges = sweep_edges(records, summary.criterion)
-                summary = summarise(procedure, records, summary.criterion.every, bins=edges)
+                summary = summarise(model, records, summary.criterion.every, bins=edges)
             over_lengths = on_host(sweep_of_sums(summary, table))
     return Assessment(
-        model=asked.model,
-        procedure=procedure,
+        model=model,
         recordings=asked.fitted,
         validated_on=asked.further,
         checked=checked,
@@ -168,10 +163,9 @@ def _answer(asked: Asked) -> "Assessment":
 
 
 def assess_summary(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     summary: Summary,
     *,
-    procedure: Procedure | None = None,
     lengths: Summary | None = None,
     findings: Sequence[Finding] = (),
     known: Mapping[str, float | Array] | None = None,
@@ -183,8 +177,6 @@ def assess_summary(
     **Arguments:** `model`, `known` and `intervals` as for [`assess`][riecjax.assess];
 
     - `summary` of recordings by [`summarise`][riecjax.summarise].
-    - `procedure`: what the model builds, where that is there already: equations that are built once
-      compile once.
     - `lengths`: sums of the same recordings in bins of window lengths, for drift.
     - `findings` of the recordings, each with the parameters that it concerns, or for all; see
       [`recording_findings`][riecjax.estimation.recording_findings].
@@ -195,21 +187,19 @@ def assess_summary(
     from riecjax.assessment.assessment import Assessment
 
     model = as_model(model)
-    procedure = model.build_procedure() if procedure is None else procedure
-    summary.require_model(procedure)
-    table = plan_parameters(procedure, len(summary.recordings), known, ())
-    estimate = on_host(estimated(procedure, summary, table, intervals_of(intervals)))
-    evidence, ordinary = _about_hidden(procedure, estimate, summary)
+    summary.require_model(model)
+    table = plan_parameters(model, len(summary.recordings), known, ())
+    estimate = on_host(estimated(model, summary, table, intervals_of(intervals)))
+    evidence, ordinary = _about_hidden(model, estimate, summary)
     excited = excitations(ordinary, table)
     raise_if_refused(excited)
     sweep = None
-    if lengths is not None and not procedure.has_hidden:
+    if lengths is not None and not model.has_hidden:
         with contextlib.suppress(DataError):  # too short for any
-            lengths.require_model(procedure)
+            lengths.require_model(model)
             sweep = on_host(sweep_of_sums(lengths, table))
     return Assessment(
         model=model,
-        procedure=procedure,
         recordings=(),
         validated_on=(),
         checked=Check(
@@ -222,15 +212,15 @@ def assess_summary(
 
 
 def _about_hidden(
-    procedure: Procedure, estimate: Estimate, summary: Summary
+    model: Model, estimate: Estimate, summary: Summary
 ) -> tuple[list["ModeEvidence"], Summary]:
     """What speaks for hidden modes, and the sums, linearised about hidden elements."""
     evidence = []
-    if procedure.modes:
+    if model.modes:
         from riecjax.estimation.evidence import mode_evidence
 
-        evidence = mode_evidence(procedure, estimate)
-    return evidence, linear_sums(procedure, summary, estimate.table)
+        evidence = mode_evidence(model, estimate)
+    return evidence, linear_sums(model, summary, estimate.table)
 
 
 class Answering(NamedTuple):
@@ -251,7 +241,7 @@ class Answering(NamedTuple):
 
 
 def check_answering(
-    model: Equation | Procedure | HasProcedure, records: Records, settings: CheckSettings
+    model: Equation | Model, records: Records, settings: CheckSettings
 ) -> Answering:
     """[`check`][], and where noise rules out an answer by windows, whether refinement has one.
 
@@ -261,25 +251,24 @@ def check_answering(
 
     **Raises:** as [`check`][].
     """
-    model = as_model(model)
-    procedure, recordings = model.build_procedure(), as_recordings(records)
+    model, recordings = as_model(model), as_recordings(records)
     plain, key = [each.record for each in recordings], settings.key
-    criterion = criterion_for(settings, procedure, model.band, plain)
-    require_memory_to_assess(procedure, plain, criterion, checking=True)
-    summary = summarise(procedure, recordings, criterion, key=key, survey=True)
-    table = plan_parameters(procedure, len(recordings), settings.known, settings.per_record)
-    linear = linear_sums(procedure, summary, table)
+    criterion = criterion_for(settings, model, model.band, plain)
+    require_memory_to_assess(model, plain, criterion, checking=True)
+    summary = summarise(model, recordings, criterion, key=key, survey=True)
+    table = plan_parameters(model, len(recordings), settings.known, settings.per_record)
+    linear = linear_sums(model, summary, table)
     excited = excitations(linear, table)
-    checked = check_sums(procedure, ready(procedure, recordings), table, linear, excited)
+    checked = check_sums(model, ready(model, recordings), table, linear, excited)
     by_refinement = None
     if checked.refusal is not None and checked.refusal.code == "unidentifiable":
         # Not earlier: to import all that simulates takes seconds.
         from riecjax.assessment.refining import answered
 
-        parts = model, procedure, criterion, recordings, [], [], table
+        parts = model, criterion, recordings, [], [], table
         asked = Asked(*parts, Sandwich(), Assess(key=key))
         with contextlib.suppress(IdentifiabilityError):
-            start = on_host(estimated(procedure, summary, table, asked.intervals))
+            start = on_host(estimated(model, summary, table, asked.intervals))
             refinement, _, _ = answered(asked, start, True)
             refined = None if refinement is None else refinement.answer
             if refined is not None:

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 from jaxtyping import Array, Key
 
 from riecjax.assessment.verdict import Verdict, verdict
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
-from riecjax.models.model import Model
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.shows import Drawn, opened
@@ -101,7 +100,7 @@ class Assessment(Drawn):
 
     **Fields:**
 
-    - `model`, and the `procedure` that it builds.
+    - `model`.
     - `recordings` that were estimated from, and those that it was only `validated_on`: with the
       steps and findings that concern signals which the criterion reads.
     - `checked`: what was looked at before the fit.
@@ -117,7 +116,6 @@ class Assessment(Drawn):
     """
 
     model: Model
-    procedure: Procedure
     recordings: Sequence[Recording]
     validated_on: Sequence[Recording]
     checked: Check
@@ -179,7 +177,7 @@ class Assessment(Drawn):
         smoothness, record = self.estimate.criterion.smoothness, self.recordings[0].record
         reading = [
             equation
-            for stage in self.procedure.stages
+            for stage in self.model.stages
             for equation in stage
             if equation.signals_read(record, smoothness) & set(finding.signals)
         ]

@@ -14,13 +14,12 @@ from jaxtyping import Array
 
 from riecjax.assessment.asked import Asked, Numbered
 from riecjax.assessment.assessment import ValidationRun
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError, RiecjaxError
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.parameters import values_in_recording
 from riecjax.findings import Finding
-from riecjax.models.model import Model
 from riecjax.records import leave_out, shift
 from riecjax.records.faults.derivative_pairs import Relation, compare, relations
 from riecjax.records.record import Record
@@ -35,7 +34,7 @@ from riecjax.validation.residuals import ResidualTests, residual_tests
 
 
 def what_is_left(
-    procedure: Procedure,
+    model: Model,
     records: list[Record],
     estimate: Estimate,
     again: Callable[[list[Record]], Estimate],
@@ -47,12 +46,12 @@ def what_is_left(
     windowed = estimate.criterion.windows is not None
     # A fit is not lost because what it leaves cannot be tested.
     try:
-        errors = errors_over_records(procedure, records, estimate.values)
-        silent = silent_inputs(procedure.equations, records, errors, estimate.criterion.windows)
-        faults = tuple(silent) or tuple(late_signals(procedure, records, estimate))
-        drifting = [] if faults else [*drifting_inputs(procedure, records, errors, estimate, again)]
-        residuals = residual_tests(procedure, records, estimate, errors=errors, faults=faults)
-        choice = window_choice(procedure, records, estimate, errors=errors) if windowed else None
+        errors = errors_over_records(model, records, estimate.values)
+        silent = silent_inputs(model.equations, records, errors, estimate.criterion.windows)
+        faults = tuple(silent) or tuple(late_signals(model, records, estimate))
+        drifting = [] if faults else [*drifting_inputs(model, records, errors, estimate, again)]
+        residuals = residual_tests(model, records, estimate, errors=errors, faults=faults)
+        choice = window_choice(model, records, estimate, errors=errors) if windowed else None
     except RiecjaxError as error:
         return None, None, [Finding("residuals_not_tested", str(error))]
     return residuals, choice, drifting
@@ -120,7 +119,7 @@ def system_of(
     model: Model, values: Mapping[str, Array], number: int | None, recording: Recording
 ) -> AbstractSystem:
     """The model with these values, along a recording with or without parameters of its own."""
-    names = model.build_procedure().parameters
+    names = model.parameter_names
     own = values if number is None else values_in_recording(names, values, number)
     return model.identified_system({name: own[name] for name in names}, recording.record)
 
@@ -134,7 +133,7 @@ IN_REACH = ("stuck_sensor", "clipped")
 def with_doubts(asked: Asked, estimate: Estimate, checked: Check) -> Check:
     """What was checked, with how far each fault moves each parameter as its `doubts`."""
     codes = {f.code for f in checked.findings} & {*IN_TIME, *IN_SIZE, *IN_ZERO, *IN_REACH}
-    pairs = list(relations(asked.procedure.derivatives))
+    pairs = list(relations(asked.model.derivatives))
     # Share by which each parameter moves once all records have no such fault.
     doubts: dict[str, dict[str, float]] = {}
     for code in codes:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
-from riecjax.equations.term import Term, constant
+from riecjax.equations.expressions import constant
 from riecjax.findings import CODES, KINDS, Finding, code_of, codes_of
 from riecjax.shows import Shown
 from riecjax.validation.sweep import MOST
@@ -126,10 +126,10 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     if "uneven_errors" in by:
         # The zero of an input's sensor, where its equation has no constant term yet.
         names = {e.name for e in tests if e.has_constant_part}
-        for equation in assessment.procedure.equations:
+        for equation in assessment.model.equations:
             if equation.name in names and all(t.of is not constant for t in equation.terms):
-                known = [t for t in equation.terms if isinstance(t, Term) and t.name is None]
-                inputs = [t.of for t in known if isinstance(t.of, str) and t.derivative == 0]
+                known = [t for t in equation.terms if t.signal and not t.parameters]
+                inputs = [str(t.signal) for t in known if t.derivative == 0]
                 for name in inputs[:1]:
                     words = f"Estimate the zero of the sensor of {name}"
                     yield Step(words, ("--unknown-offset", name))

@@ -19,8 +19,8 @@ from riecjax.standard_output import keep_for_answers
 from riecjax.whole_files import read_plain, seen_from
 
 if TYPE_CHECKING:
+    from riecjax.equations.model import Model
     from riecjax.findings import Finding
-    from riecjax.models.model import Model
     from riecjax.records.recording import Recording
     from riecjax.reporting.document import Document
 

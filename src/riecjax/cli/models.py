@@ -2,13 +2,14 @@
 
 import json
 from dataclasses import dataclass
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from riecjax.cli.command import Given, settings_command
-from riecjax.models.catalogue import MODELS, find_model
-from riecjax.models.model import Model, Quantity
+from riecjax.equations.quantity import Quantity
+from riecjax.models.catalogue import LISTED, Listing, find_model
 from riecjax.settings import CODE, Document, Settings, setting
 from riecjax.standard_output import answer
 
@@ -26,8 +27,7 @@ def command(given: Given) -> None:
 
     With a NAME, or path/to/file.py[:object], show that model and its equations.
     """
-    name = given.name
-    shown = list(MODELS.values()) if name is None else [find_model(name)]
+    shown = list(LISTED.values()) if given.name is None else [find_model(given.name)]
     if given.as_json:
         from riecjax.reporting.document import SCHEMA
 
@@ -52,19 +52,20 @@ def command(given: Given) -> None:
         console.print(model.name, style="bold", highlight=False)
         console.print(f"  {model.summary}", highlight=False)
         console.print(_table(model))
-    if name is not None and shown[0].procedure is not None:
-        from riecjax.reporting.equations import procedure_in_words
+    if isinstance(shown[0], Listing) or not shown[0].stages:
+        return
+    from riecjax.reporting.equations import model_in_words
 
-        console.print("  equations", style="dim")
-        for line in procedure_in_words(shown[0].build_procedure()):
-            console.print(f"  {line}", highlight=False, markup=False)
+    console.print("  equations", style="dim")
+    for line in model_in_words(shown[0]):
+        console.print(f"  {line}", highlight=False, markup=False)
 
 
 def _entry(quantity: Quantity) -> dict[str, object]:
     return {"name": quantity.name, "unit": quantity.unit, "meaning": quantity.meaning}
 
 
-def _table(model: Model) -> Table:
+def _table(model: Any) -> Table:
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 2))
     table.add_column("role", style="dim")
     table.add_column("name")

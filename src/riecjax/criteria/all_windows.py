@@ -51,7 +51,7 @@ same example, (R / r)^2 = 2, and the error 1e-7. Running sums begin anew with ea
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +61,7 @@ from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins
 from riecjax.criteria.quadrature import Primitives, running_sum, sum_between
 from riecjax.leaves import Leaf
+from riecjax.records.signal import both
 
 
 class StartRange(NamedTuple):
@@ -114,8 +115,7 @@ def moments_in_blocks(
         moments = moments.reshape(*apart, *moments.shape[-2:])
         return jnp.sum(moments, axis=-3), jnp.sum(number.reshape(apart), axis=-1)
     n = values.shape[1]
-    real = jnp.arange(n) < blocks.unpadded
-    valid = real if present is None else present & real
+    valid: Any = both(present, jnp.arange(n) < blocks.unpadded)
     # Of a block of traced size no more is known than that it is shorter than the longest window.
     width = min((size if isinstance(size, int) else reach) + reach, n)
     window_moments = boxcar_moments if primitives.difference == 1 else hat_moments

@@ -414,14 +414,14 @@ class RIEC(AbstractCriterion):
                 return self.test_function.moments(columns, lags, blocks, reach)[0]
 
             noise = self.noise_of(noisy, part.noise, lags, blocks, products)
-            added = None if noise is None else (flipped(noise.total), noise.of_source[None])
             moments = self.test_function.moments(noisy.columns, lags, blocks, reach)
-            return flipped(moments), added
+            total, of_source = (None, None) if noise is None else (noise.total, noise.of_source)
+            return flipped((moments, total)), jax.tree.map(lambda leaf: leaf[None], of_source)
 
         size, beyond = windows.block(n), self.test_function.margin
-        moments, added = in_chunks(record, of_chunk, block=size, reach=reach, margin=beyond)
-        noise = None if added is None else NoiseMoments(flipped(added[0]), added[1].sum(0))
-        return flipped(moments), noise
+        sums, of_source = in_chunks(record, of_chunk, block=size, reach=reach, margin=beyond)
+        moments, total = flipped(sums)
+        return moments, None if total is None else NoiseMoments(total, of_source.sum(0))
 
     def law(self, record: Record) -> LagBins:
         """The law of window lengths on a record."""

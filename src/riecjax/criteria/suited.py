@@ -20,11 +20,10 @@ from riecjax.criteria.test_functions import (
     GradedBump,
 )
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Term
+from riecjax.equations.model import Model
 from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
-from riecjax.records.preparation import with_local_derivative
+from riecjax.records.preparation.filtering import local_slope
 from riecjax.records.record import Record
 from riecjax.settings import Contradiction, Fit
 
@@ -44,7 +43,7 @@ MOST = 2
 
 def criterion_for(
     fit: Fit | AbstractCriterion | None,
-    procedure: Procedure,
+    model: Model,
     band: tuple[float, float] | None,
     records: Sequence[Record],
 ) -> AbstractCriterion:
@@ -61,17 +60,17 @@ def criterion_for(
         return criterion
     if not isinstance(fit, Fit):
         require("the criterion", fit, AbstractCriterion | None, WRITE_CRITERION)
-        return suited(procedure, band, records)
+        return suited(model, band, records)
     if not (criterion is None or isinstance(criterion, str)):
         require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
     if criterion == "dols":
         return DOLS()
     if not fit.says_of_windows:
-        return suited(procedure, band, records)
+        return suited(model, band, records)
     band = fit.band or band or DEFAULT_BAND
     # Bumps have no quadrature: to ask for one is to ask for boxcars.
     if fit.test_function in (None, "auto") and fit.quadrature is None:
-        criterion = suited(procedure, band, records)
+        criterion = suited(model, band, records)
     else:
         criterion = RIEC.of_band(band, _test_function(fit))
     own: Any = criterion.windows
@@ -106,19 +105,17 @@ def _test_function(fit: Fit) -> AbstractTestFunction:
     return dataclasses.replace(weight, quadrature=int(fit.quadrature))
 
 
-def suited(
-    procedure: Procedure, band: tuple[float, float] | None, records: Sequence[Record]
-) -> RIEC:
+def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Record]) -> RIEC:
     """The criterion to take unless another is asked for, which says why if it has no boxcars.
 
     **Arguments:** `band` in hertz that the model should explain, 1 to 10 if there is none.
     """
-    if procedure.has_hidden:
-        return _with_modes(procedure, band or DEFAULT_BAND, list(records))
+    if model.has_hidden:
+        return _with_modes(model, band or DEFAULT_BAND, list(records))
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
     # Derivatives that boxcars would read of linear terms, and that no sensor measured.
     lacking = []
-    for term in (t for e in procedure.equations for t in e.terms if isinstance(t, Term)):
+    for term in (t for e in model.equations for t in e.terms if t.is_linear):
         name = term.measured[0] if term.measured else "a velocity"
         for record in records if term.derivative == 2 else ():
             made = isinstance(term.of, str) and record.noise.is_made_of(name, term.of)
@@ -138,15 +135,15 @@ def suited(
     return RIEC(bump.windows.between(alpha, beta), bump.test_function, why)
 
 
-def _with_modes(procedure: Procedure, band: tuple[float, float], records: Sequence[Record]) -> RIEC:
+def _with_modes(model: Model, band: tuple[float, float], records: Sequence[Record]) -> RIEC:
     """Bumps of lengths from what shows the fastest mode to what the slowest motion asks for.
 
     A mode shows best in windows of 1.3 of its periods. The shortest serve modes up to `FASTER`
     times the band, or a given one; no window has fewer samples than its derivatives need. What a
     spring delays shows in the fastest motion, for which the same lengths serve.
     """
-    orders = [t.derivative for stage in procedure.linear.stages for e in stage for t in e.terms]
-    fastest = max([FASTER * band[1], *(1.5 * mode.hz for mode in procedure.modes if mode.hz)])
+    orders = [t.derivative for stage in model.linear.stages for e in stage for t in e.terms]
+    fastest = max([FASTER * band[1], *(1.5 * mode.hz for mode in model.modes if mode.hz)])
     steps = np.array([float(record.time_step) for record in records])
     durations = np.array([float(record.duration) for record in records])
     half, _ = GradedBump().lengths_of_band(band)
@@ -158,7 +155,7 @@ def _with_modes(procedure: Procedure, band: tuple[float, float], records: Sequen
     return RIEC(AllWindows(alpha, beta), weight, why)
 
 
-def with_velocities(procedure: Procedure, record: Record) -> tuple[Record, list[str]]:
+def with_velocities(model: Model, record: Record) -> tuple[Record, list[str]]:
     """Add the velocities that functions of an equation read and the record lacks, if it can.
 
     Slopes of local polynomials of the signals that the equations call them derivatives of (not
@@ -167,7 +164,7 @@ def with_velocities(procedure: Procedure, record: Record) -> tuple[Record, list[
     **Returns:** the record, and what was added, in words.
     """
     steps = []
-    for equation in (e for stage in procedure.stages for e in stage):
+    for equation in model.equations:
         below = {name: of for of, name in equation.derivatives}
         while any(name not in record.arrays for name in below):
             try:
@@ -177,6 +174,7 @@ def with_velocities(procedure: Procedure, record: Record) -> tuple[Record, list[
                 name, of = error.signal, below.get(error.signal)
                 if of not in record.arrays or not is_concrete(record):
                     break
-            record, width = with_local_derivative(record, of, name)
-            steps.append(f"{name}: slope of {of} by local polynomials, {width:.3g} s to each side")
+            op = local_slope(record, of)
+            record = record.through({name: op})
+            steps.append(op.words.format(name))
     return record, steps

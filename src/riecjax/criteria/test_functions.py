@@ -24,7 +24,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -50,6 +50,7 @@ from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
+from riecjax.records.signal import both
 
 # Gains of windows: how much of each frequency one window, or a range of lengths, lets through.
 #
@@ -221,10 +222,9 @@ class Dirac(AbstractTestFunction):
         self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
     ) -> Integrals:
         """Every column at the start of every window, where the sample is not padding."""
-        valid = valid_windows(windows, columns.present)
+        valid: Any = valid_windows(windows, columns.present)
         if unpadded is not None:
-            inside = windows.start < unpadded
-            valid = inside if valid is None else valid & inside
+            valid = both(valid, windows.start < unpadded)
         return Integrals(columns.values[0][:, windows.start], valid)
 
 
@@ -323,29 +323,21 @@ class _Differences(AbstractTestFunction):
         are cubes of a chunk's length, beside which those of a window have no digit left."""
         if self.smoothness == 2 and columns.values.dtype == jnp.float32:
             return None
-        points = self._points(columns, windows, blocks)
-        weights = boxcar_noise_weights if self.smoothness == 1 else hat_noise_weights
-        return None if points is None else weights(points, self.quadrature, columns.time_step)
-
-    def _points(
-        self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
-    ) -> Points | None:
         present, n = columns.present, columns.sample_count
         if isinstance(windows, LagBins):
-            return points_of_windows(present, n, windows, blocks, self.smoothness)
-        if not jnp.issubdtype(windows.start.dtype, jnp.integer):
+            points = points_of_windows(present, n, windows, blocks, self.smoothness)
+        elif not jnp.issubdtype(windows.start.dtype, jnp.integer):
             return None
-        whole = valid_windows(windows, present)
-        one = jnp.ones(windows.start.shape) if whole is None else whole.astype(float)
-        half = (windows.stop - windows.start) // 2
-        middle = windows.start + half
-
-        def at(place: Array, weight: Array) -> Array:
-            return jnp.zeros(n, one.dtype).at[place].add(weight)
-
-        return Points(
-            at(windows.start, one), at(middle, one), at(middle, half * one), at(windows.stop, one)
-        )
+        else:
+            whole = valid_windows(windows, present)
+            one = jnp.ones(windows.start.shape) if whole is None else whole.astype(float)
+            half = (windows.stop - windows.start) // 2
+            places = windows.start, windows.start + half, windows.start + half, windows.stop
+            nothing = jnp.zeros(n, one.dtype)
+            each = zip(places, (one, one, half * one, one))
+            points = Points(*(nothing.at[place].add(weight) for place, weight in each))
+        weights = boxcar_noise_weights if self.smoothness == 1 else hat_noise_weights
+        return weights(points, self.quadrature, columns.time_step)
 
 
 class Boxcar(_Differences):
@@ -558,10 +550,10 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
         """Where a window of this length may start: inside, with no sample missing."""
         start = jnp.arange(columns.sample_count)
-        inside = start + length < blocks.unpadded
         window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
         unbroken = valid_windows(window, columns.present)
-        return inside if unbroken is None else inside & unbroken
+        valid: Any = both(unbroken, start + length < blocks.unpadded)
+        return valid
 
     def _at_every_start(
         self, columns: Columns, unpadded: Count | None

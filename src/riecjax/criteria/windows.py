@@ -184,8 +184,8 @@ def _band(alpha: float | Leaf, beta: float | Leaf) -> tuple[Leaf, Leaf]:
 class AllWindows(AbstractWindows):
     """Every window on samples, from alpha to beta: all equally likely, or by a law w(T).
 
-    What random windows converge to as their number grows: the same estimate without sampling
-    noise, in closed form (see `all_windows`). The cost does not depend on how many there are.
+    What random windows converge to as their number grows: the same estimate without the scatter of
+    a draw, in closed form (see `all_windows`). The cost does not depend on how many there are.
 
     Alpha and beta are rounded to samples, so that nothing can be differentiated by them.
 

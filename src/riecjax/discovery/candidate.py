@@ -13,24 +13,12 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
+from riecjax.equations.bases import AbstractShape, DeadZone, Saturation, Stribeck
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, constant, even, odd, product, read_expression
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
 from riecjax.equations.motions import Motion, motions_and_unread, per
-from riecjax.equations.term import (
-    AbstractShape,
-    AbstractTerm,
-    DeadZone,
-    Expression,
-    Saturation,
-    Stribeck,
-    Term,
-    Terms,
-    constant,
-    even,
-    odd,
-    product,
-    read_expression,
-)
+from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, RiecjaxError, require
 from riecjax.models.catalogue import object_of_file
 from riecjax.records.record import Record
@@ -143,9 +131,7 @@ def renamed(one: AnyCandidate, name: str) -> AnyCandidate:
     if isinstance(one, Shaped):
         return replace(one, name=name)
     terms = tuple(
-        Term(name, t.of, derivative=t.derivative, measured=t.measured, unit=t.unit, sign=t.number)
-        if isinstance(t, Term) and t.name == one.name
-        else t
+        t.with_fields(coefficient=name) if t.is_linear and t.name == one.name else t
         for t in one.terms
     )
     return replace(one, name=name, terms=terms)

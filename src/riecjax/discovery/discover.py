@@ -25,15 +25,14 @@ from riecjax.discovery.search import (
 )
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
+from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.equations.motions import reading_velocities
-from riecjax.equations.procedure import HasProcedure, Procedure, with_rests
 from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
-from riecjax.models.model import Model, as_model
 from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
@@ -53,9 +52,7 @@ IN_DISORDER = ("late_signal", "low_passed", "two_clocks", "lost_rows", "not_its_
 
 
 @taking(DiscoverSettings)
-def discover(
-    model: Equation | Procedure | HasProcedure, records: Records, settings: DiscoverSettings
-) -> Discovery:
+def discover(model: Equation | Model, records: Records, settings: DiscoverSettings) -> Discovery:
     """Find the terms that a model lacks, by what they predict of blocks of time left out.
 
     The model's own terms stay. Candidates are added, exchanged and taken away again by what they
@@ -81,47 +78,46 @@ def discover(
     **Raises:** as [`identify`][]; `ModelError` for a model with hidden elements, and for candidates
     that are none; `DataError` for recordings too short to leave blocks of time out.
     """
-    found = as_model(model)
-    procedure = with_rests(found.build_procedure(), settings.at_rest)
-    if procedure.has_hidden:
+    model = with_rests(as_model(model), settings.at_rest)
+    if model.has_hidden:
         raise ModelError(
             "terms are looked for beside a model without hidden modes and springs: leave these out."
         )
     # In the model's own words: of candidates none can be known, nor set a scale.
-    if unknown := [name for name in settings.known if name not in procedure.parameters]:
+    if unknown := [name for name in settings.known if name not in model.parameter_names]:
         raise ModelError(
-            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(procedure.parameters)}."
+            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(model.parameter_names)}."
         )
-    procedure.plan({*procedure.known, *settings.known})
+    model.plan({*model.known, *settings.known})
     # Velocities that candidates read and no sensor measured are formed, if they can be.
-    reading, recordings = reading_velocities(procedure), []
+    reading, recordings = reading_velocities(model), []
     for one in as_recordings(records):
         with contextlib.suppress(DataError):  # too short, which sums will say
             record, steps = with_velocities(reading, one.record)
             one = replace(one, record=record, steps=(*one.steps, *steps))
         recordings.append(one)
     if settings.candidates is None:
-        units = {signal.name: signal.unit for signal in found.signals}
+        units = {signal.name: signal.unit for signal in model.signals}
         sampled = [one.record for one in recordings]
         for record in sampled:
             units |= {name: unit for name, unit in dict(record.units).items() if unit}
-        names = [name for stage in procedure.equation_names for name in stage]
-        usual = default_candidates(procedure.equations, names, sampled, units)
-        offered = without_twins(without_taken(usual, procedure.parameters), procedure)
+        names = [name for stage in model.equation_names for name in stage]
+        usual = default_candidates(model.equations, names, sampled, units)
+        offered = without_twins(without_taken(usual, model.parameter_names), model)
     else:
         offered = as_candidates(settings.candidates)
-    with_all = extended(procedure, members(offered))
+    with_all = extended(model, members(offered))
     plan_parameters(with_all, 1, settings.known, ())
     whole = ready(with_all, recordings, settings.noise)
     plain = [one.record for one in whole]
-    own = criterion_for(settings, procedure, found.band, plain)
+    own = criterion_for(settings, model, model.band, plain)
     # Without draws of its own, standard errors by blocks are the same.
     usual = settings.intervals in (None, "bootstrap") and settings.seed == 0
     intervals = None if usual else intervals_of(settings.intervals, settings.seed)
     for one in whole:  # before they are given states that nobody recorded
-        read_of(procedure, one, own)
-    held = {**{name: float(value) for name, value in procedure.known.items()}, **settings.known}
-    asked = _Asked(found, procedure, offered, own, held, intervals, settings)
+        read_of(model, one, own)
+    held = {**{name: float(value) for name, value in model.known.items()}, **settings.known}
+    asked = _Asked(model, offered, own, held, intervals, settings)
     if settings.candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
@@ -129,16 +125,13 @@ def discover(
         return answer
     # Hidden elements have criteria of their own.
     of_all, by_blocks = asked.identifying(in_time, own if settings.says_of_criterion else None)
-    return with_mode(
-        answer, of_all, by_blocks, lambda chosen: _with_chosen(found, procedure, chosen)
-    )
+    return with_mode(answer, of_all, by_blocks, lambda chosen: _with_chosen(model, chosen))
 
 
 class _Asked(NamedTuple):
     """What is asked of the recordings, however often they are searched."""
 
     model: Model
-    procedure: Procedure
     offered: list[AnyCandidate]
     criterion: AbstractCriterion
     known: Mapping[str, float]
@@ -205,28 +198,27 @@ def _left(found: Discovery) -> float:
 def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDelay | None]:
     """What is found in recordings as they are, and the delay that explains what is left."""
     first, last = asked.parts(whole)
-    procedure, model, settings = asked.procedure, asked.model, asked.settings
+    model, settings = asked.model, asked.settings
     shares = settings.least, settings.smallest
-    sums = Sums(procedure, first, asked.criterion, asked.offered, asked.known, *shares)
+    sums = Sums(model, first, asked.criterion, asked.offered, asked.known, *shares)
     stages = _searched(sums)
     times = 0 if settings.hold_out is not None else settings.resamples
     drawn = [again(search, chosen, settings.seed, times) for search, chosen in stages]
     chosen = [_as_chosen(sums, search, of, one, drawn) for search, of in stages for one in of]
-    larger = _with_chosen(model, procedure, chosen)
+    larger = _with_chosen(model, chosen)
     estimate = asked.identified(larger, whole, asked.criterion)
     # What is amiss with recordings, and what is late against the equations.
-    extended_procedure = larger.build_procedure()
     amiss: list[Finding] = []
-    records = [with_memories(one.record, extended_procedure.memories) for one in last]
+    records = [with_memories(one.record, larger.memories) for one in last]
     for one, record in zip(last, records, strict=True):
         one = replace(one, record=record)
-        read = read_of(extended_procedure, one, estimate.criterion)
-        amiss += [*one.concerning(read).findings, *of_sensors(extended_procedure, one, read)]
+        read = read_of(larger, one, estimate.criterion)
+        amiss += [*one.concerning(read).findings, *of_sensors(larger, one, read)]
     late = None
     # Of signals that contradict each other an equation blames the wrong one.
     if not any(one.code in IN_DISORDER for one in amiss):
         with contextlib.suppress(RiecjaxError):  # too short to tell
-            late = late_cause(extended_procedure, records, estimate)
+            late = late_cause(larger, records, estimate)
     amiss += [] if late is None else [finding_of(late, records[0])]
     # The nearest of each law.
     rejected: dict[str, Rejected] = {}
@@ -240,7 +232,7 @@ def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDela
         tuple(sorted(rejected.values(), key=lambda one: -one.gain)),
         {
             " + ".join(names): tuple(search.path(of_stage))
-            for names, (search, of_stage) in zip(procedure.equation_names, stages, strict=True)
+            for names, (search, of_stage) in zip(model.equation_names, stages, strict=True)
             if search.offers
         },
         estimate,
@@ -256,7 +248,7 @@ def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
     """A search of each stage that terms were offered to, and what it found."""
     found: dict[str, float] = {}
     stages = []
-    for number, _ in enumerate(sums.procedure.stages):
+    for number, _ in enumerate(sums.model.stages):
         search, chosen = sums.settled(number, found)
         if search.folds.number < FEWEST:
             raise DataError(
@@ -286,15 +278,13 @@ def _as_chosen(
     return Chosen(one.chosen(width), width, one.unit, error, share)
 
 
-def _with_chosen(model: Model, procedure: Procedure, chosen: Sequence[Chosen]) -> Model:
+def _with_chosen(model: Model, chosen: Sequence[Chosen]) -> Model:
     candidates = [one.candidate for one in chosen]
     if not candidates:
         return model
     meanings = {name: one.meaning for one in candidates for name in one.columns}
     memories = list(dict.fromkeys(memory for one in candidates for memory in one.memories))
-    return model.with_terms(
-        by_equation(procedure, candidates), memories=memories, meanings=meanings
-    )
+    return model.with_terms(by_equation(model, candidates), memories=memories, meanings=meanings)
 
 
 def _errors(

@@ -20,10 +20,10 @@ from riecjax.equations.hidden_elements import (
     accelerated,
     mode_frequency,
 )
+from riecjax.equations.model import Model
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.findings import Finding
-from riecjax.models.model import Model
 from riecjax.shows import Shown
 
 ELSE = 1e-4
@@ -136,9 +136,9 @@ def with_mode(
     same with standard errors by blocks of time, whatever intervals were asked for; `with_terms`,
     the model that was given with some of what was chosen.
     """
-    procedure = found.start.build_procedure()
-    stages = {name: " + ".join(names) for names in procedure.equation_names for name in names}
-    bodies = {n: accelerated(one) for n, one in zip(stages, procedure.equations, strict=True)}
+    model = found.start
+    stages = {name: " + ".join(names) for names in model.equation_names for name in names}
+    bodies = {n: accelerated(one) for n, one in zip(stages, model.equations, strict=True)}
     fits, both = found.estimate.equations, (identified, by_blocks)
     for name in sorted((n for n in stages if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
         most = LEAVES * float(fits[name].model_rms)

@@ -1,16 +1,13 @@
 """A discovered model as a Python file that `identify` and `simulate` take."""
 
-import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 
-import numpy as np
-
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.hidden_elements import ModeParameters
-from riecjax.equations.term import AbstractShape, AbstractTerm, Term, Terms, source_of
+from riecjax.equations.term import written
 from riecjax.errors import ModelError
 
 
@@ -28,15 +25,15 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     table = found.estimate.table
     of_mode = {n: v for n, v in values.items() if isinstance(table[n].element, ModeParameters)}
     added: dict[str, list[str]] = {}
-    first = found.start.build_procedure().equation_names[0][0]
+    first = found.start.equation_names[0][0]
     own = False
     for one in (chosen.candidate for chosen in found.chosen):
-        lines = [_term_source(term) for term in one.terms]
+        lines = [term.source for term in one.terms]
         if None in lines:
             if candidates is None:
                 raise ModelError(f"{one.name} is of a function of your own: name its file.")
             own = True
-            lines = [f"*rx.discovery.named({_path(candidates, folder)}, {_quoted(one.name)}).terms"]
+            lines = [f"*rx.discovery.named({_path(candidates, folder)}, {written(one.name)}).terms"]
         added.setdefault(one.equation or first, []).extend(map(str, lines))
     start = _path(model, folder)
     body = [f"MODEL = rx.find_model({start})"]
@@ -49,18 +46,18 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
         body.append("    {")
         for equation, lines in added.items():
             terms = (f"            {line}," for line in lines)
-            body += [f"        {_quoted(equation)}: [", *terms, "        ],"]
+            body += [f"        {written(equation)}: [", *terms, "        ],"]
         body.append("    },")
         states = []
         for memory in dict.fromkeys(m for one in of_terms for m in one.memories):
             given = ((field, getattr(memory, field.name)) for field in fields(memory))
-            words = ", ".join(_quoted(value) for field, value in given if value != field.default)
+            words = ", ".join(written(value) for field, value in given if value != field.default)
             states.append(f"        rx.equations.{type(memory).__name__}({words}),")
         body += ["    memories=[", *states, "    ],"] if states else []
         body += [*_mapping("values", others), *meanings, ")"]
     if found.mode is not None:
         body[-1] += ".with_modes("
-        mode = f"rx.HiddenMode({_quoted(found.mode.on)}, {found.mode.hz!r})"
+        mode = f"rx.HiddenMode({written(found.mode.on)}, {found.mode.hz!r})"
         body += [f"    {mode},", *_mapping("values", of_mode if found.chosen else values), ")"]
     folder_line = ["HERE = Path(__file__).parent"] if "HERE" in start or own else []
     folder_line += [""] if folder_line else []
@@ -75,7 +72,7 @@ def _path(reference: str, folder: Path) -> str:
     if reference.endswith(".py"):
         path, separator, attribute = reference, "", ""
     if not path.endswith(".py"):
-        return _quoted(reference)
+        return written(reference)
     beside = os.path.relpath(Path(path).resolve(), folder.resolve()).replace(os.sep, "/")
     return f'f"{{HERE}}/{beside}{separator}{attribute}"'
 
@@ -83,33 +80,5 @@ def _path(reference: str, folder: Path) -> str:
 def _mapping(name: str, values: Mapping[str, object]) -> list[str]:
     if not values:
         return []
-    each = (f"        {_quoted(key)}: {_quoted(value)}," for key, value in values.items())
+    each = (f"        {written(key)}: {written(value)}," for key, value in values.items())
     return [f"    {name}={{", *each, "    },"]
-
-
-def _quoted(value: object) -> str:
-    """As Python writes it, texts in double quotes."""
-    if isinstance(value, tuple):
-        return f"({', '.join(map(_quoted, value))}{',' * (len(value) == 1)})"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
-
-
-def _term_source(term: AbstractTerm) -> str | None:
-    """A term as it is written, `None` for what is of a function of the user's own."""
-    words: Sequence[str]
-    if isinstance(term, Term) and term.name is not None and float(np.asarray(term.number)) == 1:
-        of = source_of(term.of)
-        settings = {"derivative": term.derivative, "measured": term.measured, "unit": term.unit}
-        defaults = {"derivative": 0, "measured": (), "unit": ""}
-        words = [_quoted(term.name), of or ""]
-    elif isinstance(term, Terms) and isinstance(term.basis, AbstractShape):
-        of = source_of(term.of)
-        shape = f"rx.equations.{type(term.basis).__name__}({float(np.asarray(term.basis.width))!r})"
-        settings, defaults = {"unit": term.unit}, {"unit": ""}
-        words = [_quoted(term.prefix), shape, of or ""]
-    else:
-        return None
-    if of is None:
-        return None
-    words += [f"{k}={_quoted(v)}" for k, v in settings.items() if v != defaults[k]]
-    return f"rx.{type(term).__name__}({', '.join(words)})"

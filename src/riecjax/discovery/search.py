@@ -45,12 +45,12 @@ from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, renamed
+from riecjax.equations.bases import DeadZone, Saturation
 from riecjax.equations.memories import with_memories
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractShape, AbstractTerm, DeadZone, Saturation, Term, Terms
+from riecjax.equations.model import Model
+from riecjax.equations.term import AbstractTerm
 from riecjax.records.recording import Recording
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import sum_of_equations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 
@@ -493,22 +493,22 @@ def _among(search: Search, chosen: Sequence[Offer]) -> list[Offer]:
 
 
 def by_equation(
-    procedure: Procedure, candidates: Iterable[Candidate]
+    model: Model, candidates: Iterable[Candidate]
 ) -> Mapping[str, Sequence[AbstractTerm]]:
     """The terms of candidates by the equation that each is for, the first one by default."""
-    first = procedure.equation_names[0][0]
+    first = model.equation_names[0][0]
     found: dict[str, list[AbstractTerm]] = {}
     for one in candidates:
         found.setdefault(one.equation or first, []).extend(one.terms)
     return found
 
 
-def extended(procedure: Procedure, candidates: Iterable[Candidate]) -> Procedure:
+def extended(model: Model, candidates: Iterable[Candidate]) -> Model:
     """The same equations with the terms of candidates.
 
-    **Raises:** `ModelError` as [`Procedure.with_terms`][].
+    **Raises:** `ModelError` as [`Model.with_terms`][].
     """
-    return procedure.with_terms(by_equation(procedure, candidates))
+    return model.with_terms(by_equation(model, candidates))
 
 
 def members(candidates: Iterable[AnyCandidate]) -> list[Candidate]:
@@ -521,7 +521,7 @@ def members(candidates: Iterable[AnyCandidate]) -> list[Candidate]:
 
 
 def without_twins(
-    candidates: Sequence[AnyCandidate], procedure: Procedure, chosen: Container[str] = ()
+    candidates: Sequence[AnyCandidate], model: Model, chosen: Container[str] = ()
 ) -> list[AnyCandidate]:
     """Candidates without what saturates where a line or a dead zone of the same signal is.
 
@@ -530,32 +530,28 @@ def without_twins(
 
     **Arguments:** `chosen`, names of those candidates that are in the equations too.
     """
-    names = [name for stage in procedure.equation_names for name in stage]
-    own = zip(names, (equation.terms for equation in procedure.equations), strict=True)
+    names = [name for stage in model.equation_names for name in stage]
+    own = zip(names, (equation.terms for equation in model.equations), strict=True)
     there = [(name, term) for name, terms in own for term in terms]
     offered = [(one, (one.equation or names[0], members([one])[0].terms[0])) for one in candidates]
-    beyond = {_signal(pair) for _, pair in offered if _has_shape(pair[1], DeadZone)}
+    beyond = {_signal(pair) for _, pair in offered if isinstance(pair[1].basis, DeadZone)}
     there += [pair for one, pair in offered if one.name in chosen]
     straight = {
         _signal((name, term))
         for name, term in there
-        if _has_shape(term, DeadZone) or (isinstance(term, Term) and not term.derivative)
+        if isinstance(term.basis, DeadZone) or (term.is_linear and not term.derivative)
     }
     return [
         one
         for one, pair in offered
-        if not (_has_shape(pair[1], Saturation) and _signal(pair) in straight & beyond)
+        if not (isinstance(pair[1].basis, Saturation) and _signal(pair) in straight & beyond)
     ]
 
 
 def _signal(place: tuple[str, AbstractTerm]) -> tuple[str, object]:
     """Of which equation and of what a term is."""
     equation, term = place
-    return equation, getattr(term, "of", None)
-
-
-def _has_shape(term: AbstractTerm, kind: type[AbstractShape]) -> bool:
-    return isinstance(term, Terms) and isinstance(term.basis, kind)
+    return equation, term.of
 
 
 def without_taken(
@@ -579,13 +575,13 @@ SEVERAL = 4
 
 @dataclass
 class Sums:
-    """Sums of a procedure's equations with candidates.
+    """Sums of a model's equations with candidates.
 
     **Fields:** `candidates`, whose widths change; `known`, coefficients that are held; `least`
     and `smallest` as of a [`Search`][riecjax.discovery.search.Search].
     """
 
-    procedure: Procedure
+    model: Model
     recordings: list[Recording]
     criterion: AbstractCriterion
     candidates: list[AnyCandidate]
@@ -605,7 +601,7 @@ class Sums:
         carrying = [
             replace(one, record=with_memories(one.record, memories)) for one in self.recordings
         ]
-        self.summary = summarise(extended(self.procedure, every), carrying, self.criterion)
+        self.summary = summarise(extended(self.model, every), carrying, self.criterion)
 
     def search(self, stage: int, found: Mapping[str, float]) -> Search:
         """A search of one stage, as the sums are now, what earlier ones found being known."""
@@ -642,7 +638,7 @@ class Sums:
             rough = [one for one in chosen if not one.simple and one.family not in near]
             if not rough or len(near) >= SEVERAL:
                 families = {one.family for one in chosen}
-                fewer = without_twins(self.candidates, self.procedure, families)
+                fewer = without_twins(self.candidates, self.model, families)
                 if len(fewer) == len(self.candidates):
                     return search, chosen
                 self.candidates = fewer

@@ -19,7 +19,8 @@ Signals at whose zero a function jumps, as dry friction does at a velocity's.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -29,11 +30,13 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Expression, Sampled, Term, Terms, both_present
+from riecjax.equations.expressions import Expression, combined, evaluate
+from riecjax.equations.model import Model
+from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
 from riecjax.records.record import Record, Signals
+from riecjax.records.signal import Signal
 
 FAR = 1e6
 """Widths beyond which a weight is 1."""
@@ -45,8 +48,6 @@ class InMotion(AbstractTerm):
     term: AbstractTerm
     velocity: str = eqx.field(static=True)
     width: Leaf
-    of: Expression = eqx.field(static=True)
-    derivative: int = eqx.field(static=True)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -70,37 +71,35 @@ class InMotion(AbstractTerm):
 
         return both
 
-    def samples(self, record: Record, order: int) -> Sampled:
+    def samples(self, record: Record, order: int) -> Signal:
         """Samples of the weighted term; see the base class."""
-        velocity = record[self.velocity]
-        ratio = jnp.clip(velocity / self.width, -FAR, FAR)
-        weight = ratio**2 / (1 + ratio**2)
+        velocity = evaluate(self.velocity, record)
+        ratio = combined(lambda v: jnp.clip(v / self.width, -FAR, FAR), velocity)
+        weight = combined(lambda r: r**2 / (1 + r**2), ratio)
         if order or not self.term.derivative:
             below = self.term.derivative if order else 0
-            values, present = self.term.samples(record, below)
-            return Sampled(
-                values * weight[None], both_present(present, record.present((self.velocity,)))
-            )
-        assert isinstance(self.term, Term)
-        integral = velocity - self.width * jnp.arctan(ratio)
-        of = integral if self.derivative else velocity * weight
-        values = jnp.asarray(self.term.number) * of
-        return Sampled(values[None], record.present((self.velocity,)))
+            samples = self.term.samples(record, below)
+            return combined(lambda values, weight: values * weight[None], samples, weight)
+        if self.derivative:
+            of = combined(lambda v, r: v - self.width * jnp.arctan(r), velocity, ratio)
+        else:
+            of = combined(operator.mul, velocity, weight)
+        return combined(lambda values: (jnp.asarray(self.term.factor) * values)[None], of)
 
     def __neg__(self) -> "InMotion":
         return eqx.tree_at(lambda own: own.term, self, -self.term)
 
 
-def in_motion(procedure: Procedure, record: Record) -> Procedure:
-    """The procedure with equations weighted where a velocity with dry friction rests.
+def in_motion(model: Model, record: Record) -> Model:
+    """The model with equations weighted where a velocity with dry friction rests.
 
     The same unless rests are to be masked, and under trace; and of hidden elements.
     """
-    if procedure.at_rest == "keep" or procedure.has_hidden:
-        return procedure
-    rests = rests_of(procedure, record)
+    if model.at_rest == "keep" or model.has_hidden:
+        return model
+    rests = rests_of(model, record)
     if not rests:
-        return procedure
+        return model
 
     def of(equation: Equation) -> Equation:
         own = _jumping_at_rest(equation, record, rests)
@@ -109,14 +108,14 @@ def in_motion(procedure: Procedure, record: Record) -> Procedure:
             return equation
         return equation.of_terms(*terms)
 
-    stages = tuple(tuple(map(of, stage)) for stage in procedure.stages)
-    unchanged = all(a is b for s, t in zip(stages, procedure.stages) for a, b in zip(s, t))
-    return procedure if unchanged else replace(procedure, stages=stages)
+    stages = tuple(tuple(map(of, stage)) for stage in model.stages)
+    unchanged = all(a is b for s, t in zip(stages, model.stages) for a, b in zip(s, t))
+    return model if unchanged else replace(model, stages=stages)
 
 
-def rests_of(procedure: Procedure, record: Record) -> dict[str, Rest]:
+def rests_of(model: Model, record: Record) -> dict[str, Rest]:
     """Rests of the signals at whose zero some equation jumps, by signal; none under trace."""
-    if not is_concrete(procedure, record) or is_under_trace():
+    if not is_concrete(model, record) or is_under_trace():
         return {}
     if next(iter(record.arrays.values())).ndim != 1:
         return {}
@@ -124,13 +123,12 @@ def rests_of(procedure: Procedure, record: Record) -> dict[str, Rest]:
     found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}
     if not found:
         return {}
-    jumping = {n for e in procedure.equations for n in _jumping_at_rest(e, record, found)}
+    jumping = {n for e in model.equations for n in _jumping_at_rest(e, record, found)}
     return {name: rest for name, rest in found.items() if name in jumping}
 
 
 def _jumping_at_rest(equation: Equation, record: Record, among: dict[str, Rest]) -> tuple[str, ...]:
-    functions = [(t.of, t.basis if isinstance(t, Terms) else None) for t in equation.terms]
-    return reversing_states(functions, tuple(sorted(among)), tuple(sorted(record.arrays)))
+    return reversing_states(equation.terms, sorted(among), sorted(record.arrays))
 
 
 def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] | None:
@@ -140,8 +138,8 @@ def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] |
     for term in equation.terms:
         left = term.derivative
         if left:
-            left -= taken.get(term.of, -2) if isinstance(term.of, str) else -2
-            if not isinstance(term, Term) or left > 1:
+            left -= -2 if term.signal is None else taken.get(term.signal, -2)
+            if left > 1:
                 return None
         own = {"of": term.of, "derivative": left}
         found.append(InMotion(term=term, velocity=velocity, width=np.asarray(rest.width), **own))
@@ -151,34 +149,28 @@ def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] |
 ASIDE, JUMP = 1e-9, 1e-4
 """A velocity to either side of zero, and the share of itself that a function jumps by there."""
 
-Basis = Callable[[Array], Array]
-
 
 def reversing_states(
-    functions: Sequence[tuple[Expression, Basis | None]],
-    states: Sequence[str],
-    signals: Sequence[str],
+    terms: Iterable[AbstractTerm], states: Sequence[str], signals: Sequence[str]
 ) -> tuple[str, ...]:
-    """States at whose zero a function jumps, as dry friction does of a velocity.
+    """States at whose zero a term jumps, as dry friction does of a velocity.
 
-    **Arguments:** expressions, and what bases make of them, of `signals`, the states among these.
+    **Arguments:** terms of `signals`, the states among these.
     """
     found: set[str] = set()
-    for of, basis in functions:
-        if basis is not None:
-            found |= _jumping(of, basis, tuple(states), tuple(signals))
-        elif not isinstance(of, str):
-            found |= _jumping_alone(of, tuple(states), tuple(signals))
+    for term in terms:
+        if not term.is_linear:
+            found |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
+        elif term.signal is None:
+            found |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
     return tuple(state for state in states if state in found)
 
 
-@functools.lru_cache
-def _jumping_alone(of: Expression, states: tuple[str, ...], signals: tuple[str, ...]) -> set[str]:
-    return _jumping(of, None, states, signals)
-
-
 def _jumping(
-    of: Expression, basis: Basis | None, states: tuple[str, ...], signals: tuple[str, ...]
+    of: Expression,
+    functions: Callable[[Array], Array] | None,
+    states: tuple[str, ...],
+    signals: tuple[str, ...],
 ) -> set[str]:
     """The states at whose zero one function jumps (none of a function that is not concrete)."""
     # Four samples for each state: next to its zero and well away, on both sides.
@@ -191,7 +183,7 @@ def _jumping(
         with jax.ensure_compile_time_eval():
             probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
             samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
-            values = np.asarray(samples if basis is None else basis(samples))
+            values = np.asarray(samples if functions is None else functions(samples))
     except Exception:  # whatever is wrong with a user's function is said where it is used
         return set()
     if not values.shape or values.shape[-1] != len(states) * places.size:
@@ -199,3 +191,6 @@ def _jumping(
     above, below, far, other = np.moveaxis(values.reshape(-1, len(states), places.size), -1, 0)
     jumps = np.abs(above - below) > JUMP * np.maximum(np.abs(far), np.abs(other))
     return {state for state, jump in zip(states, np.atleast_1d(jumps.any(axis=0))) if jump}
+
+
+_jumping_alone = functools.lru_cache(_jumping)

@@ -8,18 +8,12 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from riecjax.compilation import kept_jit
-from riecjax.equations.term import (
-    AbstractTerm,
-    Expression,
-    Sampled,
-    Term,
-    both_present,
-    evaluate,
-    read_expression,
-)
+from riecjax.equations.expressions import Expression, combined, evaluate, label_of, read_expression
+from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signals
+from riecjax.records.signal import Signal
 from riecjax.shows import Shown
 
 PROBE = 64
@@ -101,11 +95,7 @@ class Equation(Shown, eqx.Module):
     @property
     def known(self) -> Mapping[str, Leaf]:
         """Values of the named coefficients that are known in advance."""
-        return {
-            term.name: term.known
-            for term in self.terms
-            if isinstance(term, Term) and term.name is not None and term.known is not None
-        }
+        return {name: value for term in self.terms for name, value in term.known_values.items()}
 
     @property
     def has_target(self) -> bool:
@@ -118,23 +108,17 @@ class Equation(Shown, eqx.Module):
         return tuple(
             pair
             for term in self.terms
-            if isinstance(term, Term) and isinstance(term.of, str)
+            if isinstance(term.of, str)
             for pair in zip((term.of, *term.measured), term.measured)
         )
 
-    def trusted(self, record: Record) -> Bool[Array, " n"] | None:
-        """Where `where` holds and its signals are present; `None` without `where`."""
+    def trusted(self, sampled: Signal, record: Record) -> Signal:
+        """Samples of the equation, present only where it is to be trusted."""
         if self.where is None:
-            return None
-        mask, present = evaluate(self.where, record)
-        return both_present(mask.astype(bool), present)
-
-    def present(self, record: Record, read: Iterable[Sampled]) -> Bool[Array, " n"] | None:
-        """Where the equation is to be trusted and everything that was read of it is present."""
-        present = self.trusted(record)
-        for sampled in read:
-            present = both_present(present, sampled.present)
-        return present
+            return sampled
+        mask = evaluate(self.where, record)
+        holds = Signal(mask.values, mask.values.astype(bool))
+        return combined(lambda values, *_: values, sampled, mask, holds)
 
     def signals_read(self, record: Record, smoothness: int) -> set[str]:
         """Names of the signals that a criterion reads which takes `smoothness` derivatives off.
@@ -155,7 +139,7 @@ class Equation(Shown, eqx.Module):
         return signals.read
 
 
-def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
+def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[str]:
     """Expressions whose value at one sample depends on others, as `equation: name` (not under jit).
 
     A mean, a difference between neighbours or a filter would see only a chunk of the record, or
@@ -176,7 +160,7 @@ def mixing_expressions(equations: list[Equation], record: Record) -> list[str]:
     )
     alone = _each_by_itself(tuple(f for _, f in functions), probe)
     return [
-        f"{label}: {getattr(function, '__name__', 'an expression')}"
+        f"{label}: {label_of(function)}"
         for (label, function), good in zip(functions, np.asarray(alone))
         if not good
     ]
@@ -190,8 +174,8 @@ def _each_by_itself(
     parts = [record.part(0, half), record.part(half, PROBE)]
 
     def alone(function: Expression) -> Bool[Array, ""]:
-        whole, _ = evaluate(function, record)
-        halves = jnp.concatenate([evaluate(function, part)[0] for part in parts])
+        whole = evaluate(function, record).values
+        halves = jnp.concatenate([evaluate(function, part).values for part in parts])
         # Of differences of large numbers, compilers may round halves otherwise than the whole.
         size = jnp.max(jnp.abs(whole), where=jnp.isfinite(whole), initial=0.0)
         return jnp.all(jnp.isclose(whole, halves, rtol=1e-9, atol=1e-9 * size, equal_nan=True))

@@ -43,10 +43,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import AbstractBasis, AbstractTerm, Term, Terms, constant
+from riecjax.equations.expressions import constant
+from riecjax.equations.term import AbstractTerm, Column, Term
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
+from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 KNOWN_UNITS = {"N s/m": "N/m", "N": "N/m", "N m s/rad": "N m/rad", "N m": "N m/rad"}
 """Unit of a spring by that of the element's coefficients."""
@@ -171,8 +175,10 @@ def why_no_element(term: AbstractTerm, equations: Iterable[Equation]) -> str:
     differentiates twice, x' is a velocity; of another one x' may as well be an acceleration.
     """
     units = set(term.units.values())
+    if not term.is_linear and term.basis is None:
+        return "is a function of a kind that no spring's force is known of"
     twice = {t.of for e in equations for t in e.terms if t.derivative == 2}
-    guessed = term.derivative == 1 and isinstance(term.of, str) and term.of not in twice
+    guessed = term.derivative == 1 and term.signal is not None and term.signal not in twice
     guessed = guessed and units == {""}
     if term.of is constant:
         return "is a constant, whose force never follows anything"
@@ -189,10 +195,10 @@ def why_no_element(term: AbstractTerm, equations: Iterable[Equation]) -> str:
 
 def force_elements(
     equations: Sequence[Equation], among: Sequence[Equation]
-) -> dict[str, Term | Terms]:
+) -> dict[str, AbstractTerm]:
     """Unknown terms of some equations that a spring may be in series with, by their first
     coefficient; `equations` are all of the model, which tell what is a velocity."""
-    terms = (t for e in among for t in e.terms if isinstance(t, Term | Terms) and t.parameters)
+    terms = (t for e in among for t in e.terms if t.parameters)
     return {t.parameters[0]: t for t in terms if not why_no_element(t, equations)}
 
 
@@ -201,10 +207,81 @@ def stiffness_name(number: int) -> str:
     return "K_series" if number == 0 else f"K_series_{number + 1}"
 
 
-def element_sign(element: AbstractTerm):
-    """What an element's force is multiplied by in its equation."""
-    assert isinstance(element, Term | Terms)
-    return element.number if isinstance(element, Term) else element.sign
+LEAST_SLOPE = 0.01
+"""Of a map, as a share of its mean slope."""
+
+
+class SpringElement(eqx.Module):
+    """A force element with a spring in series.
+
+    **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
+    `stiffness`, the name of the spring's parameter.
+    """
+
+    element: AbstractTerm
+    state: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    stiffness: str = eqx.field(static=True)
+
+    @property
+    def points(self) -> Float[Array, " points"] | None:
+        """Break points of the element's law, `None` of a linear one."""
+        basis = self.element.basis
+        return basis.break_points if isinstance(basis, RoofFunctions) else None
+
+    def rate(
+        self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
+    ) -> Float[Array, " 1"]:
+        """Time derivative of the force."""
+        own = jnp.stack([values[n] for n in self.element.parameters])
+        points = self.points
+        if points is None:
+            inner = force / own[0]
+        else:
+            inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
+        return values[self.stiffness] * (velocity - inner)
+
+    def static(
+        self, velocity: Float[Array, " n"], values: Mapping[str, Array]
+    ) -> Float[Array, " n"]:
+        """The force at a velocity that does not change: the spring takes up none of it."""
+        own = jnp.stack([values[n] for n in self.element.parameters])
+        points = self.points
+        if points is None:
+            return own[0] * velocity
+        return RoofFunctions(points).interpolate(_rising(own, points), velocity)
+
+
+def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
+    """The same map where it rises, and one of least slope where it does not."""
+    mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
+    least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
+    rises = jnp.maximum(jnp.diff(forces), least)
+    return forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
+
+
+def with_springs(
+    equations: tuple[Equation, ...], springs: Sequence[SeriesSpring]
+) -> tuple[tuple[Equation, ...], tuple[SpringElement, ...]]:
+    """Equations that hold elements' forces in the elements' places, and these elements.
+
+    **Raises:** `ModelError` for an element whose law has no inverse that is known.
+    """
+    elements = []
+    for number, spring in enumerate(springs):
+        first, force = next((t, e.unit) for e in equations if (t := spring.element(e)) is not None)
+        if not (first.is_linear or isinstance(first.basis, RoofFunctions)):
+            raise ModelError(
+                f"a spring in series with {first.name} needs the inverse of its law, which is "
+                f"known of one coefficient and of roof functions (rx.roof) only."
+            )
+        name = "series_force" if number == 0 else f"series_{number + 1}_force"
+        elements.append(SpringElement(first, name, force, stiffness_name(number)))
+        equations = tuple(
+            e.of_terms(*(Term(t.factor, name) if spring.of in t.parameters else t for t in e.terms))
+            for e in equations
+        )
+    return equations, tuple(elements)
 
 
 TARGET = "target"
@@ -235,14 +312,13 @@ class HiddenMode(eqx.Module):
         ):
             raise ModelError(f"a mode's frequency is a positive number of hertz; got {self.hz}.")
 
-    def inertia(self, equation: Equation) -> Term | None:
+    def inertia(self, equation: Equation) -> AbstractTerm | None:
         """The term of an equation that accelerates the body, if it has one."""
         for term in equation.terms:
-            if not (isinstance(term, Term) and isinstance(term.of, str)):
-                continue
-            velocity = term.measured[0] if term.measured else f"d{term.of}"
-            if (term.derivative == 1 and term.of == self.on) or (
-                term.derivative == 2 and self.on in (term.of, velocity)
+            velocity = term.measured[0] if term.measured else f"d{term.signal}"
+            if term.signal is not None and (
+                (term.derivative == 1 and term.signal == self.on)
+                or (term.derivative == 2 and self.on in (term.signal, velocity))
             ):
                 return term
         return None
@@ -250,7 +326,7 @@ class HiddenMode(eqx.Module):
     def units(self, number: int, equations: Sequence[Equation]) -> dict[str, str]:
         """Units of the parameters of the mode with this number, by the body's own."""
         terms = [term for e in equations if (term := self.inertia(e)) is not None]
-        mass = next((term.unit for term in terms if term.unit), "")
+        mass = next((str(term.unit) for term in terms if term.unit), "")
         known = {"kg": ("N/m", "N s/m"), "kg m^2": ("N m/rad", "N m s/rad"), "": ("", "")}
         others = known.get(mass, (f"{mass}/s^2", f"{mass}/s"))
         return dict(zip(ModeParameters.of(number), (mass, *others)))
@@ -355,12 +431,13 @@ class Expanded(eqx.Module):
                 terms.append(unit_inertia)
             carried.append((ModeParameters.of(number), column))
         for number, spring in enumerate(springs):
-            if isinstance(spring.element(equation), Term):
+            element = spring.element(equation)
+            if element is not None and element.is_linear:
                 carried.append((SpringParameters.of(number, spring), spring.of))
         own = Equation(*terms, name=equation.name)
         columns = (TARGET, *own.parameters) if own.has_target else own.parameters
         most = sum(names.order for names, _ in carried)
-        raised = [_raised(t, k) for k in range(1, most + 1) for t in terms]
+        raised = [Differentiated(t, k) for k in range(1, most + 1) for t in terms]
         linear = equation.of_terms(*terms, *raised)
         return cls(linear, equation.parameters, columns, tuple(carried))
 
@@ -399,14 +476,15 @@ class Expanded(eqx.Module):
     @property
     def _places(self) -> Float[np.ndarray, "linear_columns columns_and_orders"]:
         """Which column of the linear equation each derivative of a column is."""
-        names = ("", *self.equation.parameters)
-        found = np.zeros((len(names), len(self.columns), self.most + 1))
+        columns = dict.fromkeys(c for term in self.equation.terms for c in term.columns)
+        linear = [Column(TARGET), *columns]
+        found = np.zeros((len(linear), len(self.columns), self.most + 1))
         for i, name in enumerate(self.columns):
             for order in range(self.most + 1):
-                own = "" if (name, order) == (TARGET, 0) else name + "'" * order
                 # A known term that is differentiated has not changed sides.
-                found[names.index(own), i, order] = -1.0 if name == TARGET and order else 1.0
-        return found.reshape(len(names), -1)
+                sign = -1.0 if name == TARGET and order else 1.0
+                found[linear.index(Column(name, order)), i, order] = sign
+        return found.reshape(len(linear), -1)
 
     def linearised(self, values: Values) -> Float[Array, "1+p columns"]:
         """Target and regressors of the equation linearised about these values, as combinations.
@@ -441,42 +519,49 @@ def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]
 
 def accelerated(equation: Equation) -> tuple[str, ...]:
     """Signals of bodies on which an equation could hide a mode."""
-    moving = (t.of for t in equation.terms if isinstance(t, Term) and t.derivative)
-    signals = dict.fromkeys(of for of in moving if isinstance(of, str))
+    signals = dict.fromkeys(t.signal for t in equation.terms if t.derivative and t.signal)
     return tuple(of for of in signals if HiddenMode(of).inertia(equation) is not None)
 
 
-def inertia_sign(inertia: Term) -> Leaf:
+def inertia_sign(inertia: AbstractTerm) -> Leaf:
     """What a mode's mass is multiplied by beside this inertia."""
-    number = inertia.number
-    if inertia.name is not None:
-        return number
-    return np.sign(number) if isinstance(number, np.ndarray) else jnp.sign(number)
+    factor = inertia.factor
+    if inertia.parameters:
+        return factor
+    return np.sign(factor) if isinstance(factor, np.ndarray) else jnp.sign(factor)
 
 
-def _raised(term: AbstractTerm, by: int) -> AbstractTerm:
-    """A term differentiated `by` times, under a name of its own."""
-    changes: dict[str, object] = {"derivative": term.derivative + by}
-    if isinstance(term, Terms):
-        changes["basis"] = _Labelled(term.basis, "'" * by)
-    else:
-        assert isinstance(term, Term)
-        changes |= {"name": (term.name or TARGET) + "'" * by, "known": None}
-    raised = object.__new__(type(term))
-    for field in type(term).__dataclass_fields__:
-        object.__setattr__(raised, field, changes.get(field, getattr(term, field)))
-    return raised
+class Differentiated(AbstractTerm):
+    """A term differentiated further, of columns under names of their own; known ones too."""
 
+    term: AbstractTerm
+    by: int = eqx.field(static=True)
 
-class _Labelled(AbstractBasis):
-    """A basis whose labels end in something more."""
-
-    basis: AbstractBasis
-    ending: str = eqx.field(static=True)
+    def __init__(self, term: AbstractTerm, by: int):
+        self.term, self.by = term, by
+        self.of, self.measured, self.unit = term.of, term.measured, term.unit
+        self.derivative = term.derivative + by
+        self.factor, self.basis = term.factor, term.basis
 
     @property
-    def labels(self) -> tuple[str, ...]:
-        return tuple(label + self.ending for label in self.basis.labels)
+    def columns(self) -> tuple[Column, ...]:
+        """Those of the term, that often differentiated."""
+        return tuple(Column(name, self.by) for name in self.term.parameters or (TARGET,))
 
-    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
-        return self.basis(x)
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the columns, with a prime for each derivative."""
+        return tuple(map(str, self.columns))
+
+    @property
+    def is_linear(self) -> bool:
+        """As of the term."""
+        return self.term.is_linear
+
+    def functions(self, x: Float[Array, " n"]) -> Float[Array, "columns n"]:
+        """Those of the term."""
+        return self.term.functions(x)
+
+    def samples(self, record: Record, order: int) -> Signal:
+        """Those of the term."""
+        return self.term.samples(record, order)

@@ -12,17 +12,18 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, evaluate
 from riecjax.equations.hidden_elements import (
     ModeParameters,
     Shape,
     SpringParameters,
     inertia_sign,
 )
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Term, evaluate
+from riecjax.equations.model import Model
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
@@ -34,9 +35,9 @@ LONGEST_START = 0.25
 
 
 def with_hidden_motion(
-    procedure: Procedure, record: Record, values: Mapping[str, Array]
-) -> tuple[Procedure, Record]:
-    """A procedure without hidden elements, and the record with their motion, for these values.
+    model: Model, record: Record, values: Mapping[str, Array]
+) -> tuple[Model, Record]:
+    """A model without hidden elements, and the record with their motion, for these values.
 
     Samples are marked missing until the start is forgotten, of a record and after each gap.
 
@@ -44,10 +45,10 @@ def with_hidden_motion(
     """
     added = _Added(record, {})
     stages = tuple(
-        tuple(_without_hidden(equation, procedure, added, values) for equation in stage)
-        for stage in procedure.stages
+        tuple(_without_hidden(equation, model, added, values) for equation in stage)
+        for stage in model.stages
     )
-    return Procedure(stages), record.with_signals(added.signals)
+    return Model(stages=stages), record.with_signals(added.signals)
 
 
 class _Added(NamedTuple):
@@ -56,22 +57,23 @@ class _Added(NamedTuple):
     record: Record
     signals: dict[str, Signal]
 
-    def add(self, name: str, samples: Array, present: Array | None, shape: Shape) -> None:
-        """What follows some samples by this shape."""
+    def add(self, name: str, of: Expression, shape: Shape) -> None:
+        """What follows an expression by this shape."""
         if name not in self.signals:
-            self.signals[name] = Signal(*filtered(samples, present, self.record.time_step, shape))
+            step = self.record.time_step
+            self.signals[name] = filtered(evaluate(of, self.record), step, shape)
 
 
 def _without_hidden(
-    equation: Equation, procedure: Procedure, added: _Added, values: Mapping[str, Array]
+    equation: Equation, model: Model, added: _Added, values: Mapping[str, Array]
 ) -> Equation:
     terms = list(equation.terms)
-    for number, spring in enumerate(procedure.springs):
+    for number, spring in enumerate(model.springs):
         names = SpringParameters.of(number, spring)
         for place, term in enumerate(terms):
             if spring.of in term.parameters:
                 terms[place] = _lagging(term, names, added, values)
-    for number, mode in enumerate(procedure.modes):
+    for number, mode in enumerate(model.modes):
         names = ModeParameters.of(number)
         inertia = mode.inertia(equation)
         if inertia is None:
@@ -89,17 +91,15 @@ def _without_hidden(
         )
         for body in moving:
             if body in added.record.arrays:
-                present = added.record.present((body,))
-                shape = names.shape(values)
-                added.add(f"{body} of {names.mass}", added.record[body], present, shape)
+                added.add(f"{body} of {names.mass}", body, names.shape(values))
     return equation.of_terms(*terms)
 
 
 def _lagging(
     term: AbstractTerm, names: SpringParameters, added: _Added, values: Mapping[str, Array]
-) -> Term:
+) -> AbstractTerm:
     """An element's term, of what its spring leaves of the motion across both."""
-    if not isinstance(term, Term):
+    if not term.is_linear:
         raise ModelError(
             f"what the map of '{names.coefficient}' does behind its spring is not known from the "
             f"motion across both alone: simulate the model, rx.validation.validate_held_out."
@@ -108,33 +108,20 @@ def _lagging(
     made = [of, *(f"{name} behind {names.stiffness}" for name in term.measured)]
     for name, read in zip(made, (term.of, *term.measured)):
         if callable(read) or read in added.record.arrays:
-            samples, present = evaluate(read, added.record)
-            added.add(name, samples, present, names.shape(values))
-    return Term(
-        names.coefficient,
-        of,
-        derivative=term.derivative,
-        measured=tuple(made[1:]),
-        unit=term.unit,
-        known=term.known,
-        sign=term.number,
-    )
+            added.add(name, read, names.shape(values))
+    return term.with_fields(of=of, measured=tuple(made[1:]))
 
 
-def filtered(
-    samples: Float[Array, " n"],
-    present: Bool[Array, " n"] | None,
-    step: Float[Array, ""],
-    shape: Shape,
-) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
+def filtered(signal: Signal, step: Float[Array, ""], shape: Shape) -> Signal:
     """N / D of some samples, and where that is known.
 
     By the discrete Fourier transform, exact for motion below half the sampling rate. The record is
     continued at both ends by its mirror image through the end point, which has the same slope.
     """
+    samples = jnp.asarray(signal.values)
     count = samples.shape[-1]
     place = jnp.arange(count)
-    there = jnp.ones(count, bool) if present is None else present
+    there = jnp.ones(count, bool) if signal.present is None else signal.present
     # The last sample that was there stands for those that are not.
     before = jax.lax.cummax(jnp.where(there, place, 0))
     x = samples[before]
@@ -145,4 +132,4 @@ def filtered(
     since = (place - jax.lax.cummax(jnp.where(there, -1, place))) * step
     longest = LONGEST_START * count * step
     start = jnp.minimum(-np.log(FORGOTTEN) * shape.decay, longest)
-    return moved.astype(samples.dtype), there & (since > start)
+    return Signal(moved.astype(samples.dtype), there & (since > start))

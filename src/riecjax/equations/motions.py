@@ -10,9 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from riecjax.equations.bases import Polynomial
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Polynomial, Term, Terms, odd
+from riecjax.equations.expressions import odd
+from riecjax.equations.model import Model
+from riecjax.equations.term import Term
 from riecjax.records.record import Record
 
 POSITIONS, VELOCITIES = ("m", "rad", "mm", "deg"), ("m/s", "rad/s", "mm/s", "deg/s")
@@ -63,9 +65,9 @@ def motions_and_unread(
         unit = units.get(position) or (per(of_velocity, "1/s") if of_velocity else "")
         for term in equation.terms if not unit and equation.unit else ():
             # By the units of the equation and of coefficients.
-            if isinstance(term, Term) and term.of == position and term.unit and not unit:
-                of_inertia = OF_INERTIA.get((equation.unit, term.unit), "")
-                by_order = {0: per(equation.unit, term.unit), 2: of_inertia}
+            if term.signal == position and term.unit and not unit:
+                of_inertia = OF_INERTIA.get((equation.unit, str(term.unit)), "")
+                by_order = {0: per(equation.unit, str(term.unit)), 2: of_inertia}
                 unit = by_order.get(term.derivative, "")
         one = Motion(held[0], held[1], unit)
         # What is read as a velocity here may be the derivative of a position there.
@@ -91,22 +93,25 @@ def motions_and_unread(
     return motions, [name for name in unread if name not in positions][:MOST_UNREAD]
 
 
-def reading_velocities(procedure: Procedure) -> Procedure:
+def reading_velocities(model: Model) -> Model:
     """The same equations with a term that reads each velocity that they have a name for."""
-    names = [name for stage in procedure.equation_names for name in stage]
+    names = [name for stage in model.equation_names for name in stage]
     added: dict[str, list[Term]] = {}
-    for name, equation in zip(names, procedure.equations, strict=True):
-        moving = [t for t in equation.terms if isinstance(t, Term) and isinstance(t.of, str)]
-        velocities = {t.measured[0] for t in moving if t.measured}
+    for name, equation in zip(names, model.equations, strict=True):
+        velocities = {t.measured[0] for t in equation.terms if t.signal and t.measured}
         added[name] = [Term(f"{name} {v}", odd(v, 2)) for v in sorted(velocities)]
-    return procedure.with_terms(added)
+    return model.with_terms(added)
 
 
 def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """Positions with their velocities, either of them empty where the equation has no name."""
     for term in equation.terms:
         of = term.of
-        if isinstance(term, Term) and isinstance(of, str):
+        if not isinstance(of, str):
+            continue
+        if not term.is_linear:
+            yield (of, "") if isinstance(term.basis, Polynomial) else ("", of)
+        else:
             first = next(iter(term.measured), "")
             if term.derivative == 2:
                 yield of, first
@@ -114,9 +119,7 @@ def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, 
                 yield "", of
             elif term.derivative == 1 and units.get(first, "m/s") in VELOCITIES:
                 yield of, first
-        elif isinstance(term, Terms) and isinstance(of, str):
-            yield (of, "") if isinstance(term.basis, Polynomial) else ("", of)
-        if isinstance(of, str) and not term.derivative:
+        if not term.derivative:
             if units.get(of) in POSITIONS:
                 yield of, ""
             elif units.get(of) in VELOCITIES:

@@ -32,27 +32,43 @@ r with each source, and what is left at one sample is a sum of three squares,
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import (
-    AbstractTerm,
-    Sampled,
-    Term,
-    Terms,
-    evaluate,
-    read_expression,
-    sum_columns,
-)
+from riecjax.equations.expressions import combined, evaluate, read_expression
+from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf
 from riecjax.records.noise import Noise
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
+
+
+class _Part(NamedTuple):
+    """Values that a term adds to columns of one order."""
+
+    term: AbstractTerm
+    order: int
+    values: Float[Array, "columns samples"]
+
+
+def _rows(parts: Iterable[_Part], parameters: tuple[str, ...]) -> dict[int, dict[int, Array]]:
+    """The sums of each coefficient's columns, by order and row; the first takes known terms."""
+    found: dict[int, dict[int, Array]] = {}
+    for part in parts:
+        names = part.term.parameters or (None,)
+        for name, values in zip(names, part.values, strict=True):
+            row = 0 if name is None else 1 + parameters.index(name)
+            # The terms sum to zero, so the known ones change sides and are regressed on the rest.
+            values = -values if name is None else values
+            rows = found.setdefault(part.order, {})
+            rows[row] = rows[row] + values if row in rows else values
+    return found
 
 
 class Columns(eqx.Module):
@@ -89,15 +105,6 @@ class Columns(eqx.Module):
         """Column by column, such as those of a disturbed record less those of a clean one."""
         return Columns(self.values - other.values, self.present, self.time_step, self.parameters)
 
-    def stretch(self, first: Int[Array, ""] | int, count: int) -> "Columns":
-        """`count` samples from `first` on, which may be traced."""
-
-        def cut(values: Array) -> Array:
-            return jax.lax.dynamic_slice_in_dim(values, first, count, axis=-1)
-
-        present = None if self.present is None else cut(self.present)
-        return Columns(cut(self.values), present, self.time_step, self.parameters)
-
 
 def sampled_columns(equation: Equation, record: Record, smoothness: int) -> Columns:
     """The columns of an equation, of whose derivatives a criterion takes `smoothness` off.
@@ -109,22 +116,24 @@ def sampled_columns(equation: Equation, record: Record, smoothness: int) -> Colu
 
 
 def columns_of_terms(
-    equation: Equation, record: Record, smoothness: int, read: Sequence[Sampled]
+    equation: Equation, record: Record, smoothness: int, read: Sequence[Signal]
 ) -> Columns:
     """The columns that samples of each of an equation's terms add up to."""
     names = equation.parameters
-    zero = jnp.zeros((1 + len(names), record.sample_count), record.time_step.dtype)
+    zero = jnp.zeros(record.sample_count, record.time_step.dtype)
 
-    def of_order(order: int) -> Float[Array, "columns n"]:
-        terms = [
-            (term, sampled.values)
-            for term, sampled in zip(equation.terms, read)
-            if min(term.derivative, smoothness) == order
-        ]
-        return sum_columns(terms, names) if terms else zero
+    def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
+        orders = (min(term.derivative, smoothness) for term in equation.terms)
+        rows = _rows(map(_Part, equation.terms, orders, each), names)
+        return jnp.stack(
+            [
+                jnp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
+                for order in range(smoothness + 1)
+            ]
+        )
 
-    values = jnp.stack([of_order(order) for order in range(smoothness + 1)])
-    return Columns(values, equation.present(record, read), record.time_step, names)
+    sampled: Any = equation.trusted(combined(sums, *read), record)
+    return Columns(sampled.values, sampled.present, record.time_step, names)
 
 
 Key = tuple[str, str]
@@ -150,16 +159,8 @@ class Movement(eqx.Module):
     values: dict[int, Float[Array, "rows samples"]]
     rows: dict[int, tuple[int, ...]] = eqx.field(static=True)
 
-    def __init__(self, parts: "Iterable[_Part]", parameters: tuple[str, ...]):
-        found: dict[int, dict[int, Array]] = {}
-        for part in parts:
-            names = part.term.parameters or (None,)
-            for name, values in zip(names, part.values, strict=True):
-                row = 0 if name is None else 1 + parameters.index(name)
-                # Known terms change sides.
-                values = -values if name is None else values
-                rows = found.setdefault(part.order, {})
-                rows[row] = rows[row] + values if row in rows else values
+    def __init__(self, parts: Iterable[_Part], parameters: tuple[str, ...]):
+        found = _rows(parts, parameters)
         self.rows = {order: tuple(sorted(rows)) for order, rows in found.items()}
         self.values = {
             order: jnp.stack(jnp.broadcast_arrays(*(rows[row] for row in self.rows[order])))
@@ -211,14 +212,6 @@ class _Curved(NamedTuple):
     squares: tuple[tuple[float, Float[Array, "columns samples"]], ...]
 
 
-class _Part(NamedTuple):
-    """Values that a term adds to columns of one order."""
-
-    term: AbstractTerm
-    order: int
-    values: Float[Array, "columns samples"]
-
-
 def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyColumns:
     """The columns of an equation as of [`sampled_columns`][], less what noise adds to their mean.
 
@@ -242,15 +235,15 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
     clean, weights = [], []
     for term in equation.terms:
         above, order = max(term.derivative - smoothness, 0), min(term.derivative, smoothness)
-        values, present = term.samples(record, above)
-        rises, curved = _term_noise(term, record, above, values, directions)
+        sampled = term.samples(record, above)
+        rises, curved = _term_noise(term, record, above, jnp.asarray(sampled.values), directions)
         for key, rise in rises.items():
             moves[key].append(_Part(term, order, rise))
         for keys, of in curved.items():
-            values = values - of.shift
+            sampled = combined(lambda values, shift=of.shift: values - shift, sampled)
             weights, squares = zip(*of.squares)
             bends.setdefault(keys, []).append(tuple(_Part(term, order, v) for v in squares))
-        clean.append(Sampled(values, present))
+        clean.append(sampled)
     names = equation.parameters
     movements = {key: Movement(parts, names) for key, parts in moves.items() if parts}
     return NoisyColumns(
@@ -290,10 +283,10 @@ def _term_noise(
     touching = {key: direction for key, direction in touching.items() if direction}
     if not touching:
         return {}, {}
-    if isinstance(term, Terms):
+    if term.basis is not None:
         # Functions of one argument, whose noise is that of all directions together.
         def argument(direction: Direction, step: Array) -> Array:
-            return evaluate(term.of, _moved(record, direction, step))[0]
+            return jnp.asarray(evaluate(term.of, _moved(record, direction, step)).values)
 
         zero = jnp.zeros(())
         at = argument({}, zero)
@@ -303,17 +296,17 @@ def _term_noise(
         }
         spread = jnp.sqrt(sum(slope**2 for slope in slopes.values()))
         size = jnp.where(spread > 0, spread, 1.0)
-        found = _curved(
-            values, lambda step: jnp.asarray(term.sign) * term.basis(at + step * spread)
-        )
+        factor = jnp.asarray(term.factor)
+        found = _curved(values, lambda step: factor * term.functions(at + step * spread))
         rises = {key: found.rise * (own / size)[None, :] for key, own in slopes.items()}
         return rises, {tuple(touching): found}
-    if isinstance(term, Term) and isinstance(expression, str):
-        number = jnp.asarray(term.number)
-        return {k: (number * d[expression]).reshape(1, 1) for k, d in touching.items()}, {}
+    if term.is_linear and isinstance(expression, str):
+        factor = jnp.asarray(term.factor)
+        return {k: (factor * d[expression]).reshape(1, 1) for k, d in touching.items()}, {}
     found = {
         (key,): _curved(
-            values, lambda step, d=d: term.samples(_moved(record, d, step), order).values
+            values,
+            lambda step, d=d: jnp.asarray(term.samples(_moved(record, d, step), order).values),
         )
         for key, d in touching.items()
     }

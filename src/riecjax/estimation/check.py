@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
-from riecjax.equations.term import RoofFunctions, Terms
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
@@ -99,7 +99,7 @@ def raise_if_not_carried(
 
 @contextlib.contextmanager
 def naming_copies(
-    procedure: Procedure, recordings: Sequence[Recording], criterion: AbstractCriterion
+    model: Model, recordings: Sequence[Recording], criterion: AbstractCriterion
 ) -> Iterator[None]:
     """Say of a refusal that one signal is a copy of another, where that is why.
 
@@ -109,7 +109,7 @@ def naming_copies(
         yield
     except IdentifiabilityError as error:
         for one in recordings:
-            names = read_of(procedure, one, criterion)
+            names = read_of(model, one, criterion)
             found = check_signals(one.record, names, computed=one.computed)
             for copy in (finding for finding in found if finding.code == COPIED):
                 raise IdentifiabilityError(f"{copy.message} {error}", COPIED) from None
@@ -126,9 +126,7 @@ def refusal_by(findings: Iterable[Finding]) -> Finding | None:
 
 
 @taking(CheckSettings)
-def check(
-    model: Equation | Procedure | HasProcedure, records: Records, settings: CheckSettings
-) -> Check:
+def check(model: Equation | Model, records: Records, settings: CheckSettings) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
 
     Nothing is estimated but hidden modes, whose shapes the regressors depend on, and nothing that
@@ -137,27 +135,27 @@ def check(
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    recordings = ready(as_procedure(model), records, settings.noise)
+    recordings = ready(as_model(model), records, settings.noise)
     asked = task(model, recordings, settings, settings.key)
-    procedure = asked.procedure
+    model = asked.model
     for recording in recordings:
-        read_of(procedure, recording, asked.criterion)
-    table = plan_parameters(procedure, len(recordings), settings.known, settings.per_record)
-    summary = linear_sums(procedure, summed(asked, survey=True), table)
-    return check_sums(procedure, recordings, table, summary, excitations(summary, table))
+        read_of(model, recording, asked.criterion)
+    table = plan_parameters(model, len(recordings), settings.known, settings.per_record)
+    summary = linear_sums(model, summed(asked, survey=True), table)
+    return check_sums(model, recordings, table, summary, excitations(summary, table))
 
 
-def linear_sums(procedure: Procedure, summary: Summary, table: ParameterTable) -> Summary:
+def linear_sums(model: Model, summary: Summary, table: ParameterTable) -> Summary:
     """The sums, linearised about hidden elements where there are some."""
-    if not procedure.has_hidden:
+    if not model.has_hidden:
         return summary
     from riecjax.estimation.mode_windows import linearised
 
-    return linearised(procedure, summary, table.known)
+    return linearised(model, summary, table.known)
 
 
 def check_sums(
-    procedure: Procedure,
+    model: Model,
     recordings: Sequence[Recording],
     table: ParameterTable,
     summary: Summary,
@@ -169,13 +167,11 @@ def check_sums(
     [`linear_sums`][riecjax.estimation.check.linear_sums]; `excited`, what
     [`excitations`][riecjax.estimation.excitation.excitations] says of it.
     """
-    read = [read_of(procedure, one, summary.criterion, summed=True) for one in recordings]
-    settings = procedure, table, summary
+    read = [read_of(model, one, summary.criterion, summed=True) for one in recordings]
+    settings = model, table, summary
     # Deviations from the mean are no regressors of hidden elements.
-    constant = (
-        () if procedure.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
-    )
-    sensors = [of_sensors(procedure, one, names) for one, names in zip(recordings, read)]
+    constant = () if model.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
+    sensors = [of_sensors(model, one, names) for one, names in zip(recordings, read)]
 
     def is_for_all(finding: Finding) -> bool:
         """Whether what is proposed does no harm to recordings without the fault."""
@@ -202,7 +198,7 @@ def check_sums(
         ),
         *_windows([one.record for one in recordings], summary.criterion),
         *_quadrature(summary),
-        *_break_points(procedure, summary),
+        *_break_points(model, summary),
         *constant,
         *(finding for stage in excited for finding in stage.findings()),
     ]
@@ -210,19 +206,19 @@ def check_sums(
 
 
 def read_of(
-    procedure: Procedure, recording: Recording, criterion: AbstractCriterion, summed: bool = False
+    model: Model, recording: Recording, criterion: AbstractCriterion, summed: bool = False
 ) -> tuple[str, ...]:
     """Names of the signals that a criterion reads; errors name the recording."""
     with recording.explaining_errors():
-        return signals_read(procedure, recording.record, criterion, summed)
+        return signals_read(model, recording.record, criterion, summed)
 
 
-def of_sensors(procedure: Procedure, recording: Recording, read: Collection[str]) -> list[Finding]:
+def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> list[Finding]:
     """What is amiss with the sensors of one recording, of which these signals are read."""
     record, computed = recording.record, recording.computed
-    pairs = [p for e in procedure.equations for p in e.derivatives if {*p} <= {*read}]
+    pairs = [p for e in model.equations for p in e.derivatives if {*p} <= {*read}]
     # Of an input that no equation reads, as a road, a recording may tell all the same.
-    known = [one for one in procedure.kinematics if {*one.names} <= {*record.arrays}]
+    known = [one for one in model.kinematics if {*one.names} <= {*record.arrays}]
     of_signals = check_signals(record, read, computed=computed, pairs=pairs)
     # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
     # Nor are rows lost where one signal alone jumps.
@@ -236,7 +232,7 @@ def of_sensors(procedure: Procedure, recording: Recording, read: Collection[str]
 
 
 def recording_findings(
-    procedure: Procedure, recording: Recording, criterion: AbstractCriterion
+    model: Model, recording: Recording, criterion: AbstractCriterion
 ) -> list[Finding]:
     """What is amiss with one recording and its sensors, as far as a criterion reads it.
 
@@ -245,8 +241,8 @@ def recording_findings(
 
     **Raises:** `DataError` for an absent signal or a record shorter than a window.
     """
-    read, record = read_of(procedure, recording, criterion, summed=True), recording.record
-    equations = [(e, e.signals_read(record, criterion.smoothness)) for e in procedure.equations]
+    read, record = read_of(model, recording, criterion, summed=True), recording.record
+    equations = [(e, e.signals_read(record, criterion.smoothness)) for e in model.equations]
 
     def concerned(finding: Finding) -> tuple[str, ...]:
         reading = [equation for equation, names in equations if {*finding.signals} & names]
@@ -258,21 +254,21 @@ def recording_findings(
         else finding._replace(parameters=concerned(finding))
         for finding in (
             *recording.concerning(read).findings,
-            *of_sensors(procedure, recording, read),
+            *of_sensors(model, recording, read),
         )
     ]
 
 
-def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
+def _break_points(model: Model, summary: Summary) -> Iterator[Finding]:
     """Roof functions past the reach of the data, whose values would be extrapolated."""
     reach: dict[str, list[Float[np.ndarray, "2"]]] = {}
     for survey, _ in _surveys(summary):
         for prefix, ends in survey.reach.items():
             reach.setdefault(prefix, []).append(np.asarray(ends))
-    for term in (term for equation in procedure.equations for term in equation.terms):
-        if not (isinstance(term, Terms) and isinstance(term.basis, RoofFunctions)):
+    for term in (term for equation in model.equations for term in equation.terms):
+        if not isinstance(term.basis, RoofFunctions):
             continue
-        least, most = np.min(reach[term.prefix]), np.max(reach[term.prefix])
+        least, most = np.min(reach[str(term.name)]), np.max(reach[str(term.name)])
         points = np.asarray(term.basis.break_points)
         # The end segments are continued: what counts is data past the last but one.
         idle = [points[0]] if least > points[1] else []
@@ -285,45 +281,38 @@ def _break_points(procedure: Procedure, summary: Summary) -> Iterator[Finding]:
             listed = " and ".join(f"{point:g}" for point in idle)
             yield Finding(
                 "break_points_outside",
-                f"{term.prefix}: the data reach from {least:.3g} to {most:.3g}, "
+                f"{term.name}: the data reach from {least:.3g} to {most:.3g}, "
                 f"far from the break point at {listed}, whose value is extrapolated. Move it into "
                 f"the reach of the data.",
                 parameters=tuple(term.parameters),
             )
 
 
-def _windows(records: list[Record], criterion: AbstractCriterion) -> list[Finding]:
+def _windows(records: list[Record], criterion: AbstractCriterion) -> Iterator[Finding]:
     windows = criterion.windows
     if windows is None:
-        return []
-    findings = []
+        return
     alpha, beta = float(windows.alpha), float(windows.beta)
     coarsest = max(float(record.time_step) for record in records)
     fewest = criterion.test_function.fewest_samples
     if alpha < (fewest - 0.5) * coarsest:
-        findings.append(
-            Finding(
-                "short_windows",
-                f"the shortest window, {alpha:g} s, spans {alpha / coarsest:.1f} samples of "
-                f"{coarsest:g} s; below {fewest} it is hardly an integral. Choose a larger "
-                f"alpha, or sample faster.",
-            )
+        yield Finding(
+            "short_windows",
+            f"the shortest window, {alpha:g} s, spans {alpha / coarsest:.1f} samples of "
+            f"{coarsest:g} s; below {fewest} it is hardly an integral. Choose a larger alpha, or "
+            f"sample faster.",
         )
     stretches = sum(round(float(record.duration) / (2 * beta)) for record in records)
     if stretches < FEWEST_STRETCHES:
         total = sum(float(record.duration) for record in records)
-        findings.append(
-            Finding(
-                "short_record",
-                f"{total:.3g} s recorded are only {stretches} stretches of twice the longest "
-                f"window, {beta:g} s; intervals will be rough. Record for longer or choose a "
-                f"smaller beta.",
-            )
+        yield Finding(
+            "short_record",
+            f"{total:.3g} s recorded are only {stretches} stretches of twice the longest window, "
+            f"{beta:g} s; intervals will be rough. Record for longer or choose a smaller beta.",
         )
-    return findings
 
 
-def _quadrature(summary: Summary) -> list[Finding]:
+def _quadrature(summary: Summary) -> Iterator[Finding]:
     """Compare the integrals with those of the highest order: how far the sampling carries."""
     sums: dict[str, Float[np.ndarray, "2"]] = {}
     for survey, names in _surveys(summary):
@@ -336,10 +325,8 @@ def _quadrature(summary: Summary) -> list[Finding]:
         for name, (error, size) in sums.items()
     }
     worst = max(shares, key=lambda name: shares[name])
-    if shares[worst] <= QUADRATURE_ERROR:
-        return []
-    return [
-        Finding(
+    if shares[worst] > QUADRATURE_ERROR:
+        yield Finding(
             "coarse_sampling",
             f"the motion is sampled so coarsely that its integrals are "
             f"{100 * shares[worst]:.2g} % off (at {worst}). Use quadrature of higher order (on the "
@@ -348,7 +335,6 @@ def _quadrature(summary: Summary) -> list[Finding]:
             parameters=() if worst == KNOWN_TERMS else (worst,),
             doubt=min(float(shares[worst]), 1.0),
         )
-    ]
 
 
 def _surveys(summary: Summary) -> Iterator[tuple[Survey, tuple[str, ...]]]:

@@ -29,14 +29,15 @@
 # one's c_i; deviations are what is left when columns are projected off it, or off each record's
 # part of it where means are its own.
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import constant
+from riecjax.equations.expressions import constant
+from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding
 from riecjax.linear_algebra import factor_of_gram
@@ -67,15 +68,13 @@ Rows = Float[np.ndarray, " rows"]
 
 # Values too large to be squared are for the fit to refuse.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def constant_targets(
-    procedure: Procedure, table: ParameterTable, summary: Summary
-) -> list[Finding]:
+def constant_targets(model: Model, table: ParameterTable, summary: Summary) -> list[Finding]:
     """Equations whose target is zero, or constant and reproduced by one term (not under jit).
 
     **Arguments:** `summary`, with a constant beside all equations.
     """
     findings = []
-    for seen in _averaged(procedure, table, summary):
+    for seen in _averaged(model, table, summary):
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
@@ -87,54 +86,49 @@ def constant_targets(
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def wrong_zeros(procedure: Procedure, table: ParameterTable, summary: Summary) -> Iterator[Finding]:
+def wrong_zeros(model: Model, table: ParameterTable, summary: Summary) -> Iterator[Finding]:
     """`wrong_zero` of equations that motion explains, and a fit with the means does not.
 
     Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
     are left out that read what an earlier stage finds.
     """
-    for seen in _averaged(procedure, table, summary):
-        for one in seen:
-            if {*table.everywhere(one.equation.parameters)} <= {*one.names, *table.known}:
-                yield from _wrong_zero(one)
+    for seen in itertools.chain.from_iterable(_averaged(model, table, summary)):
+        names = {*table.everywhere(seen.equation.parameters)}
+        if not names <= {*seen.names, *table.known}:
+            continue
+        if any(term.of is constant for term in seen.equation.terms) or not seen.columns:
+            continue
+        if not seen.share(seen.target) > seen.rounding:  # nothing of it moves
+            continue
+        left, (fitted, noise) = seen.left_by_motion(), seen.left_by_all()
+        if not fitted > max(DISAGREEING * np.hypot(left, noise) + SLIGHT, LEAST):
+            continue
+        inputs = seen.inputs
+        remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
+        moved = seen.moved_by_means()
+        most = max(moved, key=lambda name: moved[name])
+        yield Finding(
+            "wrong_zero",
+            f"{seen.equation.name}: the constant parts of the signals disagree with their motion, "
+            f"as with a wrong zero of a sensor: together they leave {100 * fitted:.2g} % of how "
+            f"the target varies, motion alone {100 * left:.2g} %. It moves {most} by "
+            f"{100 * moved[most]:.2g} % of its value. Estimate the zero as a constant"
+            + (f" (on the command line: {' '.join(remedy)})" if remedy else "")
+            + ": rx.Term('offset', rx.constant); or remove the signals' offsets.",
+            tuple(inputs),
+            tuple(seen.columns),
+            doubts=moved,
+            remedy=remedy,
+            step="Estimate the zero of a sensor, as a constant force",
+        )
 
 
-def _averaged(
-    procedure: Procedure, table: ParameterTable, summary: Summary
-) -> Iterator[list["_Averaged"]]:
+def _averaged(model: Model, table: ParameterTable, summary: Summary) -> Iterator[list["_Averaged"]]:
     """The equations of each stage."""
-    for number, stage in enumerate(procedure.stages):
+    for number, stage in enumerate(model.stages):
         _, unknown = table.stages[number]
         sums = zip(*(recording.stages[number] for recording in summary.recordings))
         yield [_Averaged(e, table, summary, of, unknown) for e, of in zip(stage, sums)]
-
-
-def _wrong_zero(seen: "_Averaged") -> Iterator[Finding]:
-    if any(term.of is constant for term in seen.equation.terms) or not seen.columns:
-        return
-    if not seen.share(seen.target) > seen.rounding:  # nothing of it moves
-        return
-    left, (fitted, noise) = seen.left_by_motion(), seen.left_by_all()
-    if not fitted > max(DISAGREEING * np.hypot(left, noise) + SLIGHT, LEAST):
-        return
-    inputs = seen.inputs
-    remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
-    moved = seen.moved_by_means()
-    most = max(moved, key=lambda name: moved[name])
-    yield Finding(
-        "wrong_zero",
-        f"{seen.equation.name}: the constant parts of the signals disagree with their motion, as "
-        f"with a wrong zero of a sensor: together they leave {100 * fitted:.2g} % of how the "
-        f"target varies, motion alone {100 * left:.2g} %. It moves {most} by "
-        f"{100 * moved[most]:.2g} % of its value. Estimate the zero as a constant"
-        + (f" (on the command line: {' '.join(remedy)})" if remedy else "")
-        + ": rx.Term('offset', rx.constant); or remove the signals' offsets.",
-        tuple(inputs),
-        tuple(seen.columns),
-        doubts=moved,
-        remedy=remedy,
-        step="Estimate the zero of a sensor, as a constant force",
-    )
 
 
 def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from riecjax.compilation import kept_jit
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import Expanded, ModeParameters, mode_frequency
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.hidden_modes import (
@@ -126,55 +126,43 @@ class ModeEvidence(Drawn):
         first = names == ModeParameters.of(0)
         close = "" if first else ", or cannot tell it from another that lies close"
         mode = f"the hidden mode on {self.on} ({names.mass})"
+        message = (
+            f"{self.stage}: the recordings do not carry this mode{close}: on time that it was not "
+            f"found from, {mode} explains {100 * max(self.explained, 0.0):.2g} % of what is left "
+            f"without it ({shares}). Leave it out; something else is missing, such as friction or "
+            f"a delay, or nothing."
+        )
         if not self.oscillates and self.explained > LITTLE:
-            return [
-                Finding(
-                    "mode_not_carried",
-                    f"{self.stage}: what fits best in place of {mode} is no oscillator: its "
-                    f"mass, stiffness or damping is negative, or its damping more than critical. "
-                    f"Leave it out; something else is missing, such as a delay of one signal.",
-                    parameters=tuple(names),
-                ),
-                *elsewhere,
-            ]
-        return [
-            Finding(
-                "mode_not_carried",
-                f"{self.stage}: the recordings do not carry this mode{close}: on time "
-                f"that it was not found from, {mode} explains "
-                f"{100 * max(self.explained, 0.0):.2g} % of what is left without it "
-                f"({shares}). Leave it out; something else is missing, such as friction or a "
-                f"delay, or nothing.",
-                parameters=tuple(names),
-            ),
-            *elsewhere,
-        ]
+            message = (
+                f"{self.stage}: what fits best in place of {mode} is no oscillator: its mass, "
+                f"stiffness or damping is negative, or its damping more than critical. Leave it "
+                f"out; something else is missing, such as a delay of one signal."
+            )
+        return [Finding("mode_not_carried", message, parameters=tuple(names)), *elsewhere]
 
 
-def mode_evidence(
-    model: Equation | Procedure | HasProcedure, estimate: Estimate
-) -> list[ModeEvidence]:
+def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvidence]:
     """What speaks for the hidden modes of an estimate, stage by stage (not under jit).
 
     **Raises:** `ModelError` for an estimate without a Summary or a model without modes.
     """
-    procedure, summary = as_procedure(model), estimate.summary
-    if summary is None or not procedure.modes:
+    model, summary = as_model(model), estimate.summary
+    if summary is None or not model.modes:
         raise ModelError("evidence is of an estimate, made outside jax.jit, of hidden modes.")
     values = {**estimate.known, **{name: estimate[name] for name in estimate.parameters}}
     given = {name: jnp.asarray(value) for name, value in estimate.known.items()}
-    found = find_modes(procedure, summary, given)
+    found = find_modes(model, summary, given)
     evidence = []
     known = dict(given)
-    for i, equations in enumerate(procedure.expanded):
+    for i, equations in enumerate(model.expanded):
         stage = ModeStage.of(equations, summary.equations()[i], known)
         own = [names for names in stage.sought if isinstance(names, ModeParameters)]
         if own:
             sums = summary.equations(found.bands[i])[i]
             # Modes that lie far from the frequency asked for, and the band that shows the last one.
-            strays, (low, high) = [], search_band(procedure, summary, own[-1])
+            strays, (low, high) = [], search_band(model, summary, own[-1])
             for names in own:
-                hz = procedure.mode_named(names).hz
+                hz = model.mode_named(names).hz
                 at_hz = float(mode_frequency(values, names)[0])
                 if hz is not None and not hz / NEAR <= at_hz <= hz * NEAR:
                     strays.append(Stray(names, hz, at_hz))
@@ -182,12 +170,12 @@ def mode_evidence(
                         low, high = np.minimum(low, at_hz / NEAR), np.maximum(high, at_hz * NEAR)
             band = low, high
             raw = on_host(_evidence(equations, sums, known, found.at[i], band))
-            label = procedure.plan(set(known))[i][0]
+            label = model.plan(set(known))[i][0]
             lengths = found.lengths[i] or summary.lengths_of(summary.band)
             mass, stiffness, damping = (float(values[name]) for name in own[-1])
             positive = min(mass, stiffness, damping) > 0
             oscillates = positive and damping**2 < 4 * mass * stiffness
-            on = procedure.mode_named(own[-1]).on
+            on = model.mode_named(own[-1]).on
             # Frequency and damping ratio, with errors by their logarithms' slopes:
             # log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
             carried = {name: jnp.asarray(estimate[name]) for name in own[-1]}

@@ -8,7 +8,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, IdentifiabilityError
@@ -19,27 +18,25 @@ from riecjax.estimation.stages import StageSolution, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
-from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
 
 
-def raise_if_nothing_to_fit(
-    table: ParameterTable, counts: Sequence[ArrayLike], sums: Sequence[ArrayLike]
-) -> None:
+def raise_if_nothing_to_fit(table: ParameterTable, totals: Sequence[NormalEquations]) -> None:
     """Refuse a stage without rows, or with sums that are not finite numbers (not under jit).
 
-    **Arguments:** of each stage of the `table`, `counts` of its rows and `sums` of their products.
+    **Arguments:** `totals` of each stage of the table.
 
     **Raises:** `DataError` naming the stage.
     """
-    for (label, unknown), count in zip(table.stages, counts):
-        if unknown and not bool(np.sum(np.asarray(count)) > 0):
+    for (label, unknown), total in zip(table.stages, totals):
+        if unknown and not bool(np.asarray(total.count) > 0):
             raise DataError(
                 f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
                 f"or repair the record's gaps."
             )
-    for (label, _), values in zip(table.stages, sums):
-        if not bool(np.all(np.isfinite(values))):
+    for (label, _), total in zip(table.stages, totals):
+        if not bool(np.all(np.isfinite(total.moments))):
             raise DataError(
                 f"{label}: its terms are not finite numbers on this record: a division by zero, a "
                 f"root of a negative number, or values too large to be squared. Scale the signals "
@@ -206,32 +203,29 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
     **Raises:** `DataError` for a stage without rows, or with terms that are not finite.
     """
     equations = summary.equations()
-    counts, sums = (
-        [sum(getattr(e, of).sum() for e in stage) for stage in equations]
-        for of in ("count", "moments")
-    )
-    raise_if_nothing_to_fit(table, counts, sums)
+    totals = [sum_of_equations([e.flattened().total() for e in stage]) for stage in equations]
+    raise_if_nothing_to_fit(table, totals)
 
-    def noise(i: int, j: int) -> NormalEquations:
-        e = equations[i][j]
-        if e.noise is not None:
-            return NormalEquations(e.noise.sum(1), e.count.sum(1), e.parameters)
+    def with_surveyed_noise(i: int, j: int) -> NormalEquations:
+        records = equations[i][j].of_records()
+        if records.noise is not None:
+            return records
         found = [one.stages[i][j].survey for one in summary.recordings]
-        count = e.count.sum(1)
         # Sums without a survey say nothing of the noise in their rows.
-        nothing = np.zeros(np.shape(e.moments)[-2:])
+        nothing = np.zeros(np.shape(records.moments)[-2:])
         each: Any = np.stack([nothing if s is None else np.asarray(s.noise) for s in found])
-        return NormalEquations(each * count[:, None, None], count, e.parameters)
+        return records.with_noise(each * records.count[:, None, None], records.of_source)
 
-    noises = [[noise(i, j) for j in range(len(stage))] for i, stage in enumerate(equations)]
-    totals = [[e.in_blocks_of_records() for e in stage] for stage in equations]
-    sources = summary.noise_by_source()
-    found, by_source = on_host(_excitations(totals, noises, sources, table))
+    of_records = [
+        [with_surveyed_noise(i, j) for j, _ in enumerate(stage)]
+        for i, stage in enumerate(equations)
+    ]
+    found, by_stage = on_host(_excitations(of_records, table))
     if all(e.noise is None for stage in equations for e in stage):
         return found
     # The source of noise that adds most to each stage's noisiest combination.
     names = [list(one.noise.sources) for one in summary.recordings]
-    stages = dict(zip((label for label, _ in table.stages), by_source))
+    stages = dict(zip((label for label, _ in table.stages), by_stage))
     corrected = []
     for one in found:
         stage = stages[one.stage_name]
@@ -240,7 +234,7 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
         place = [1 + stage.parameters.index(name) for name in one.parameters]
         scale = np.where(size > 0, size, 1)
         direction[place] = np.where(size > 0, one.noisiest_direction / scale, 0)
-        added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.moments), direction)
+        added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.of_source), direction)
         record, source = np.unravel_index(int(np.argmax(added)), added.shape)
         noisiest = names[record][source]
         corrected.append(dataclasses.replace(one, corrected=True, noisiest=noisiest))
@@ -249,21 +243,18 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
 
 @kept_jit
 def _excitations(
-    equations: list[list[NormalEquations]],
-    noise: list[list[NormalEquations]],
-    sources: list[list[NormalEquations]],
-    table: ParameterTable,
+    equations: list[list[NormalEquations]], table: ParameterTable
 ) -> tuple[list[Excitation], list[NormalEquations]]:
     stages, _ = stages_over_records(equations, table)
-    noises, _ = stages_over_records(noise, table)
     found = []
-    for stage, own, (label, unknown) in zip(stages, noises, table.stages):
+    for stage, (label, unknown) in zip(stages, table.stages):
         if unknown:
-            summed, added = stage.total(), own.total()
-            mean = added.moments / jnp.where(added.count > 0, added.count, 1.0)
+            summed = stage.total()
+            assert summed.noise is not None
+            mean = summed.noise / jnp.where(summed.count > 0, summed.count, 1.0)
             rows = tuple(table[name] for name in unknown)
             found.append(excitation_of(summed.with_noise(None), mean, rows, label))
-    return found, stages_over_records(sources, table)[0]
+    return found, stages
 
 
 def excitation_of(

@@ -6,12 +6,12 @@ from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate
@@ -27,12 +27,12 @@ from riecjax.estimation.stages import (
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.record import Records
-from riecjax.records.recording import as_recordings, explaining_errors
+from riecjax.records.recording import explaining_errors
 from riecjax.settings import Identify, taking
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
-from riecjax.summaries.task import signals_read, task
+from riecjax.summaries.task import ready, signals_read, task
 from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
@@ -43,9 +43,7 @@ from riecjax.uncertainty.intervals import (
 
 
 @taking(Identify)
-def identify(
-    model: Equation | Procedure | HasProcedure, records: Records, settings: Identify
-) -> Estimate:
+def identify(model: Equation | Model, records: Records, settings: Identify) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
     [`summarise`][] and [`estimate`][] in a row. Works eagerly, with every check, and under
@@ -80,26 +78,25 @@ def identify(
     no window between gaps; `IdentifiabilityError` if regressors are collinear, naming the
     combination that cannot be told apart.
     """
-    asked = task(model, records, settings, settings.key, settings.noise, settings.at_rest)
-    table = plan_parameters(
-        asked.procedure, len(asked.records), settings.known, settings.per_record
-    )
+    recordings = ready(as_model(model), records, settings.noise)
+    asked = task(model, recordings, settings, settings.key, settings.at_rest)
+    table = plan_parameters(asked.model, len(asked.records), settings.known, settings.per_record)
     intervals = intervals_of(settings.intervals)
-    with explaining_errors(as_recordings(records)):
-        found = estimated(asked.procedure, summed(asked), table, intervals)
+    with explaining_errors(recordings):
+        found = estimated(asked.model, summed(asked), table, intervals)
 
-    def otherwise(procedure: Procedure) -> Estimate:
-        other = summed(asked._replace(procedure=procedure))
-        return estimated(procedure, other, table, intervals)
+    def otherwise(model: Model) -> Estimate:
+        other = summed(asked._replace(model=model))
+        return estimated(model, other, table, intervals)
 
-    resting = at_rest_findings(asked.procedure, asked.records, found, otherwise)
+    resting = at_rest_findings(asked.model, asked.records, found, otherwise)
     # What recordings say of signals that are read; bare records say nothing.
     doubts = [
         finding
-        for one in as_recordings(records)
+        for one in recordings
         if one.findings
         for finding in one.concerning(
-            signals_read(asked.procedure, one.record, asked.criterion)
+            signals_read(asked.model, one.record, asked.criterion)
         ).findings
     ]
     doubts = (*doubts, *resting)
@@ -107,7 +104,7 @@ def identify(
 
 
 def estimate(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     summaries: Summary | Sequence[Summary],
     *,
     known: Mapping[str, float | Array] | None = None,
@@ -133,50 +130,56 @@ def estimate(
     **Raises:** as [`identify`][], and `ModelError` for a Summary of another model, or for summaries
     that cannot be merged.
     """
-    procedure, summary = as_procedure(model), as_summary(summaries)
-    summary.require_model(procedure)
-    table = plan_parameters(procedure, len(summary.recordings), known, per_record)
-    return estimated(procedure, summary, table, intervals_of(intervals))
+    model, summary = as_model(model), as_summary(summaries)
+    summary.require_model(model)
+    table = plan_parameters(model, len(summary.recordings), known, per_record)
+    return estimated(model, summary, table, intervals_of(intervals))
 
 
 def estimated(
-    procedure: Procedure,
+    model: Model,
     summary: Summary,
     table: ParameterTable,
     intervals: AbstractIntervals,
 ) -> Estimate:
-    """[`estimate`][] of what a table of parameters says, by the procedure that the Summary was made
-    for."""
-    equations, sources = summary.equations(), summary.noise_by_source()
+    """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
+    equations = summary.equations()
     modes, short = None, summary.short_blocks
-    if procedure.has_hidden:
+    if model.has_hidden:
         if table.per_record:
             raise ModelError("per_record has no meaning yet for a model with hidden elements.")
         from riecjax.estimation.mode_windows import find_modes
 
-        modes = find_modes(procedure, summary, table.known)
-        equations, sources = modes.equations, modes.sources
+        modes = find_modes(model, summary, table.known)
+        equations = modes.equations
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = intervals.drawn(short.number.shape[0])
     settings = table, drawn
-    sums = _Sums(equations, sources, summary.noise_freedom, short, window)
+    sums = _Sums(equations, summary.noise_freedom, short, window)
     fit = _solve(sums, *settings, None)
     if modes is not None:
         from riecjax.estimation.mode_windows import find_modes
 
-        other = find_modes(procedure, summary, table.known, rank=1)
-        beside = _solve(
-            sums._replace(equations=other.equations, sources=other.sources), *settings, None
-        )
-        apart = _apart(fit, beside, other.shown)
+        other = find_modes(model, summary, table.known, rank=1)
+        beside = _solve(sums._replace(equations=other.equations), *settings, None)
+        # Which lengths tell most of hidden elements is a choice among nearly equals, and what the
+        # model and its integrals leave out weighs differently in each. As in an average over models
+        # (Buckland, Burnham and Augustin 1997), what the choice moves is part of the variance. It
+        # counts as far as both lengths know a parameter equally well, by the ratio of their
+        # variances, and where the other shows the elements at all: what lies between is otherwise
+        # the scatter of the poorer one.
+        mine, its = (jnp.diagonal(one.uncertainty.covariance) for one in (fit, beside))
+        weight = jnp.minimum(mine / jnp.where(its > 0, its, jnp.inf), 1.0)
+        apart = jnp.sqrt(weight) * (jnp.asarray(beside.theta) - fit.theta)
+        apart = jnp.where(other.shown & jnp.all(jnp.isfinite(apart)), apart, 0.0)
         fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
     if is_concrete(fit.stages):
-        raise_if_nothing_to_fit(table, fit.counts, fit.totals)
+        raise_if_nothing_to_fit(table, fit.totals)
         # Sums that were made under jit have no constant to tell means from motion by.
         with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
         if with_constant and modes is None:
-            for finding in constant_targets(procedure, table, summary):
+            for finding in constant_targets(model, table, summary):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
@@ -186,10 +189,10 @@ def estimated(
         raise_if_unidentifiable(fit.stages, table)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
-    whole = [summary.band == summary.in_law] * len(procedure.stages)
+    whole = [summary.band == summary.in_law] * len(model.stages)
     if modes is not None:
         whole = [band is None and all_of_law for band, all_of_law in zip(modes.bands, whole)]
-    each = [len(of) if known else np.nan for of, known in zip(procedure.stages, whole)]
+    each = [len(of) if known else np.nan for of, known in zip(model.stages, whole)]
     return Estimate(
         theta=fit.theta,
         uncertainty=fit.uncertainty,
@@ -199,7 +202,7 @@ def estimated(
         table=table,
         criterion=summary.criterion,
         stage_names=tuple(table.stages[stage.stage][0] for stage in fit.stages),
-        equation_names=tuple(procedure.equation_names[stage.stage] for stage in fit.stages),
+        equation_names=tuple(model.equation_names[stage.stage] for stage in fit.stages),
         block_count=fit.block_count,
         block_length=fit.block_length,
         rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
@@ -207,24 +210,9 @@ def estimated(
     )
 
 
-def _apart(fit: "_Fit", beside: "_Fit", shown: Bool[Array, ""]) -> Float[Array, " p"]:
-    """How far a model's parameters are from those by the window lengths that tell next most.
-
-    Which lengths tell most of hidden elements is a choice among nearly equals, and what the model
-    and its integrals leave out weighs differently in each. As in an average over models (Buckland,
-    Burnham and Augustin 1997), what the choice moves is part of the variance. It counts as far as
-    both lengths know a parameter equally well, by the ratio of their variances: what lies between
-    is otherwise the scatter of the poorer one. `shown`: whether that length shows the elements.
-    """
-    own, other = (jnp.diagonal(one.uncertainty.covariance) for one in (fit, beside))
-    weight = jnp.minimum(own / jnp.where(other > 0, other, jnp.inf), 1.0)
-    apart = jnp.sqrt(weight) * (jnp.asarray(beside.theta) - fit.theta)
-    return jnp.where(shown & jnp.all(jnp.isfinite(apart)), apart, 0.0)
-
-
 class _Fit(NamedTuple):
-    """What `Estimate` takes from a fit; and of each stage of the procedure, those that find nothing
-    included, `counts` of rows and `totals` of their products, to refuse it by."""
+    """What `Estimate` takes from a fit; and of each stage of the model, those that find nothing
+    included, the `totals` to refuse it by."""
 
     theta: Float[Array, " p"]
     stages: list[StageSolution]
@@ -233,20 +221,17 @@ class _Fit(NamedTuple):
     inflation: Float[Array, " p"]
     block_count: Int[Array, ""]
     block_length: Float[Array, ""]
-    counts: list[Float[Array, ""]]
-    totals: list[Float[Array, "columns columns"]]
+    totals: list[NormalEquations]
 
 
 class _Sums(NamedTuple):
     """What a fit is solved from.
 
-    **Fields:** of each equation of each stage `equations`, and what each source of noise adds to
-    them, `sources`; `freedom` of these sources' variances; the `short` blocks of time, and seconds
-    of the `longest_window`.
+    **Fields:** `equations` of each stage; `freedom` of the variances of the noise's sources; the
+    `short` blocks of time, and seconds of the `longest_window`.
     """
 
     equations: list[list[NormalEquations]]
-    sources: list[list[NormalEquations]]
     freedom: Float[Leaf, "records sources"]
     short: ShortBlocks
     longest_window: Float[Array, ""]
@@ -259,9 +244,7 @@ def _solve(
     intervals: AbstractIntervals,
     rows: list[Rows] | None,
 ) -> _Fit:
-    pairs = zip(sums.equations, sums.sources)
-    both = [[borne_out(*pair) for pair in zip(*stage)] for stage in pairs]
-    equations = [[e for e, _ in stage] for stage in both]
+    equations = [[borne_out(equation) for equation in stage] for stage in sums.equations]
     known = table.known
     stages, shared = stages_over_records(equations, table)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
@@ -271,11 +254,8 @@ def _solve(
     uncertainty, inflation, statistics = estimate_uncertainty(
         stages, known, values, sums.short, sums.longest_window, common, intervals
     )
-    by_source, _ = stages_over_records([[s for _, s in stage] for stage in both], table)
-    of_level = level_covariance(statistics, by_source, sums.freedom, values)
-    uncertainty = uncertainty.widened(of_level)
+    uncertainty = uncertainty.widened(level_covariance(statistics, stages, sums.freedom, values))
     block_count = jnp.sum(statistics.used)
-    totals = [stage.flattened().total() for stage in stages]
     return _Fit(
         jnp.concatenate([stage.solution.theta for stage in solutions]),
         solutions,
@@ -284,8 +264,7 @@ def _solve(
         inflation,
         block_count,
         jnp.sum(sums.short.durations) / block_count,
-        [total.count for total in totals],
-        [total.moments for total in totals],
+        [stage.flattened().total() for stage in stages],
     )
 
 

@@ -22,33 +22,29 @@ from riecjax.equations.hidden_elements import (
     ModeParameters,
     SpringParameters,
 )
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.hidden_modes import ModeStage, Values, as_asked, search
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace, on_host
 from riecjax.linear_algebra import solve_scaled
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import sum_of_equations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import EquationSums, Survey
 from riecjax.uncertainty.block_statistics import block_influence
-
-Stages = list[list[NormalEquations]]
 
 
 class FoundModes(NamedTuple):
     """Where hidden elements are, what they were found from, and what is left to be solved.
 
-    **Fields:** `equations` of each stage, linearised about them, and what each source of noise
-    adds to them, `sources`; `mixes`, of each stage the combinations of its equations' columns that
-    these are; `at`, the shapes of each stage's elements; `bands`, of each stage the
-    bins of window lengths that it is solved from, `None` for all or under a trace; `lengths` of
-    these in seconds; whether the elements are `shown` in these at all.
+    **Fields:** `equations` of each stage, linearised about them; `mixes`, of each stage the
+    combinations of its equations' columns that these are; `at`, the shapes of each stage's
+    elements; `bands`, of each stage the bins of window lengths that it is solved from, `None` for
+    all or under a trace; `lengths` of these in seconds; whether the elements are `shown` in these
+    at all.
     """
 
-    equations: Stages
-    sources: Stages
+    equations: list[list[NormalEquations]]
     mixes: list[list[Float[Array, "1+p columns"]]]
     at: list[Float[Array, " shapes"]]
     bands: list[tuple[int, int] | None]
@@ -56,7 +52,7 @@ class FoundModes(NamedTuple):
     shown: Bool[Array, ""]
 
 
-def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int = 0) -> FoundModes:
+def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> FoundModes:
     """The hidden elements of each stage, in the windows that tell most of them.
 
     Short windows show a fast mode, or a lag, and much noise; which of the lengths tells most is
@@ -69,7 +65,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
     stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
     signal that tells of an element never moves.
     """
-    for number, _ in enumerate(procedure.modes):
+    for number, _ in enumerate(model.modes):
         names = ModeParameters.of(number)
         held = [name for name in names if name in given]
         if held and len(held) < 3:
@@ -77,7 +73,7 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 f"of a hidden mode all of {', '.join(names)} are known or none; got "
                 f"{', '.join(held)}."
             )
-    for number, spring in enumerate(procedure.springs):
+    for number, spring in enumerate(model.springs):
         coefficient, stiffness = SpringParameters.of(number, spring)
         if stiffness in given and coefficient not in given:
             raise ModelError(
@@ -85,26 +81,26 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
                 f"it out, or give both."
             )
     known = {name: jnp.asarray(value) for name, value in given.items()}
-    found = FoundModes([], [], [], [], [], [], jnp.array(True))
+    found = FoundModes([], [], [], [], [], jnp.array(True))
     shown = jnp.array(True)
-    equations, sources = summary.equations(), summary.noise_by_source()
+    equations = summary.equations()
     looked_at = is_concrete(equations, known) and not is_under_trace()
-    for i, expanded in enumerate(procedure.expanded):
+    for i, expanded in enumerate(model.expanded):
         stage = ModeStage.of(expanded, equations[i], known)
-        used, at, band = (equations[i], sources[i]), jnp.zeros(0), None
+        used, at, band = equations[i], jnp.zeros(0), None
         if stage.sought:
-            where = tuple(search_band(procedure, summary, names) for names in stage.sought)
+            where = tuple(search_band(model, summary, names) for names in stage.sought)
             wanted = tuple(
-                procedure.mode_named(names) if isinstance(names, ModeParameters) else None
+                model.mode_named(names) if isinstance(names, ModeParameters) else None
                 for names in stage.sought
             )
             # The sums over the windows that tell most of the stage's elements.
             first, last = summary.band
             options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
-            every = [(summary.equations(o)[i], summary.noise_by_source(o)[i]) for o in options]
+            every = [summary.equations(option)[i] for option in options]
             stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
             settings = where, wanted, np.asarray(rank)
-            best, at, there = _searched(expanded, stacked[0], known, *settings)
+            best, at, there = _searched(expanded, stacked, known, *settings)
             if is_concrete(best):
                 used = every[int(best)]
                 band = options[int(best)] if summary.bins else None
@@ -115,20 +111,19 @@ def find_modes(procedure: Procedure, summary: Summary, given: Values, rank: int 
             finite = looked_at and all(bool(np.isfinite(e.moments).all()) for e in equations[i])
             if finite and not bool(np.isfinite(at).all()):
                 raise IdentifiabilityError(
-                    f"{', '.join(procedure.equation_names[i])}: nothing in the record tells of the "
+                    f"{', '.join(model.equation_names[i])}: nothing in the record tells of the "
                     f"hidden element, as a signal that it acts on never moves. Check that signal's "
                     f"channel, or excite it.",
                     "not_excited",
                 )
         # What no later equation with an element asks for is left to the fit.
-        later = [e for stage in procedure.expanded[i:] for e in stage if e.elements]
+        later = [e for stage in model.expanded[i:] for e in stage if e.elements]
         asked = {name for e in later for name in e.all_parameters}
         mixes = []
         if any(e.elements for e in expanded) or asked.intersection(stage.linear):
-            *used, mixes, values = _contracted(expanded, *used, known, at, not looked_at)
+            used, mixes, values = _contracted(expanded, used, known, at, not looked_at)
             known |= values
-        found.equations.append(used[0])
-        found.sources.append(used[1])
+        found.equations.append(used)
         found.mixes.append(mixes)
         found.at.append(at)
         found.bands.append(band)
@@ -187,14 +182,13 @@ def _searched(
 def _contracted(
     expanded: tuple[Expanded, ...],
     sums: list[NormalEquations],
-    sources: list[NormalEquations],
     known: Values,
     at: Float[Array, " shapes"],
     moves: bool,
-) -> tuple[list[NormalEquations], list[NormalEquations], list[Array], dict[str, Array]]:
-    """Normal equations of expanded columns, made those of the model's own parameters; the same of
-    what noise adds; the combinations that these are, none of an equation without elements; and the
-    parameters' values, about which all are linearised.
+) -> tuple[list[NormalEquations], list[Array], dict[str, Array]]:
+    """Normal equations of expanded columns, made those of the model's own parameters; the
+    combinations that these are, none of an equation without elements; and the parameters' values,
+    about which all are linearised.
 
     **Arguments:** `moves`, whether anything may be differentiated: else the derivative of `at` is
     not even compiled.
@@ -203,16 +197,13 @@ def _contracted(
     at = at_minimum(stage, at) if stage.sought and moves else at
     values = stage.values(at) if stage.linear else stage.given
     mixes = [e.linearised(values) if e.elements else jnp.zeros((0, 0)) for e in expanded]
-    equations, added = (
-        [_mixed(*each) for each in zip(expanded, mixes, s)] for s in (sums, sources)
-    )
-    return equations, added, mixes, values
+    return [_mixed(*each) for each in zip(expanded, mixes, sums)], mixes, values
 
 
 def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquations:
     if not expanded.elements:
         return sums
-    return sums.each(lambda m: mix @ m @ mix.T, parameters=expanded.all_parameters)
+    return sums.in_columns(lambda m: mix @ m @ mix.T, expanded.all_parameters)
 
 
 def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
@@ -228,11 +219,9 @@ def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " 
     return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
 
 
-def search_band(
-    procedure: Procedure, summary: Summary, names: HiddenParameters
-) -> tuple[Leaf, Leaf]:
+def search_band(model: Model, summary: Summary, names: HiddenParameters) -> tuple[Leaf, Leaf]:
     """Hertz between which to look for a mode, or for the corner of a spring's lag."""
-    hz = procedure.mode_named(names).hz if isinstance(names, ModeParameters) else None
+    hz = model.mode_named(names).hz if isinstance(names, ModeParameters) else None
     if hz is not None:
         steps = [one.time_step for one in summary.recordings]
         rate = 1 / max(map(float, steps)) if is_concrete(steps) else np.inf
@@ -261,7 +250,7 @@ Band = tuple[int, int]
 """Bins of window lengths, first and one beyond the last."""
 
 
-def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary:
+def linearised(model: Model, summary: Summary, known: Values) -> Summary:
     """Sums of regressors about the hidden elements that these sums say (not under jit).
 
     Of a model without any, and of sums that are linearised already, the Summary itself.
@@ -269,13 +258,13 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
     **Returns:** a Summary of all windows together, each stage's of those it is solved from; without
     the constant, which tells of no combination of columns.
     """
-    if not procedure.has_hidden or summary.outline.is_of(_outline(procedure)):
+    if not model.has_hidden or summary.outline.is_of(_outline(model)):
         return summary
-    found = find_modes(procedure, summary, known)
+    found = find_modes(model, summary, known)
     # An equation without elements, or whose values nothing asks for, stays as it is.
     mixes = [
         [mix if e.elements else np.eye(1 + len(e.parameters)) for e, mix in zip_longest(stage, own)]
-        for stage, own in zip(procedure.expanded, on_host(found.mixes))
+        for stage, own in zip(model.expanded, on_host(found.mixes))
     ]
     recordings = [
         dataclasses.replace(
@@ -284,7 +273,7 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
                 tuple(
                     _mixed_sums(e, mix, sums, band or summary.band) for e, mix, sums in zip(*parts)
                 )
-                for *parts, band in zip(procedure.expanded, mixes, one.stages, found.bands)
+                for *parts, band in zip(model.expanded, mixes, one.stages, found.bands)
             ),
         )
         for one in summary.recordings
@@ -292,18 +281,18 @@ def linearised(procedure: Procedure, summary: Summary, known: Values) -> Summary
     return dataclasses.replace(
         summary,
         recordings=tuple(recordings),
-        outline=_outline(procedure),
+        outline=_outline(model),
         edges=None,
         in_law=(0, 1),
         band=(0, 1),
     )
 
 
-def _outline(procedure: Procedure) -> Outline:
+def _outline(model: Model) -> Outline:
     stages = tuple(
-        tuple((e.equation.name, e.all_parameters) for e in stage) for stage in procedure.expanded
+        tuple((e.equation.name, e.all_parameters) for e in stage) for stage in model.expanded
     )
-    return Outline(stages, tuple(procedure.units.items()), "")
+    return Outline(stages, model.parameter_names, tuple(model.units.items()), "")
 
 
 def _mixed_sums(
@@ -311,22 +300,20 @@ def _mixed_sums(
 ) -> EquationSums:
     """The sums of some bins, of combinations of their columns."""
 
-    def of(moments: Any) -> Any:
-        return None if moments is None else mix @ np.asarray(moments) @ mix.T
+    def together(bins: Leaf) -> Leaf:
+        return bins[slice(*band)].sum(0, keepdims=True)
 
-    def together(bins: Any) -> Any:
-        return None if bins is None else bins[slice(*band)].sum(0, keepdims=True)
+    def of(matrices: Leaf) -> Leaf:
+        return mix @ np.asarray(matrices) @ mix.T
+
+    def mixed(bins: Leaf) -> Leaf:
+        return of(together(bins))
 
     survey = sums.survey
     if survey is not None:
         noise, quadrature = of(survey.noise), of(survey.quadrature)
         survey = Survey(noise, quadrature, survey.rows @ mix.T, survey.start, survey.reach)
-    return EquationSums(
-        of(together(sums.moments)),
-        together(sums.count),
-        survey=survey,
-        factor=None,
-        parameters=expanded.all_parameters,
-        noise=of(together(sums.noise)),
-        noise_of_source=of(together(sums.noise_of_source)),
+    linear = dataclasses.replace(
+        sums, survey=survey, factor=None, parameters=expanded.all_parameters, constant=None
     )
+    return linear.each(together, moments=mixed, noise=mixed, noise_of_source=mixed)

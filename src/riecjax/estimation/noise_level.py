@@ -37,16 +37,10 @@ def largest_share(
     return shares[-1], scale * (root @ mixed[:, -1])
 
 
-def borne_out(
-    equations: NormalEquations, sources: NormalEquations
-) -> tuple[NormalEquations, NormalEquations]:
-    """The same with no more noise than the moments bear out.
-
-    **Arguments:** `equations`, with leading axes `(records, blocks)`; `sources`, what each source
-    of noise adds, with leading axes `(records, sources)`.
-    """
+def borne_out(equations: NormalEquations) -> NormalEquations:
+    """The same, with leading axes `(records, blocks)`, and no more noise than moments bear out."""
     if equations.noise is None:
-        return equations, sources
+        return equations
     total = equations.flattened().total()
     assert total.noise is not None
     noise, moments = jax.lax.stop_gradient((total.noise, total.moments))
@@ -55,13 +49,13 @@ def borne_out(
     least = jnp.finfo(noise.dtype).tiny
     share = jnp.where(with_target > SCATTER, 1 / jnp.maximum(with_target, least), 1.0)
     share = jnp.minimum(share, MOST / jnp.maximum(regressors, least))
-    less = equations.with_noise(share * equations.noise)
-    return less, sources.each(lambda matrix: share * matrix)
+    of_source = None if equations.of_source is None else share * equations.of_source
+    return equations.with_noise(share * equations.noise, of_source)
 
 
 def level_covariance(
     statistics: BlockStatistics,
-    sources: list[NormalEquations],
+    stages: list[NormalEquations],
     freedom: Float[Leaf, "records sources"],
     values: Mapping[str, Array],
 ) -> Float[Array, "p p"]:
@@ -70,11 +64,10 @@ def level_covariance(
     A variance with nu degrees of freedom scatters by sqrt(2 / nu) of itself, and takes with it what
     is subtracted from the scores.
 
-    **Arguments:** `sources`, what each source of noise adds to each stage, with leading axes
-    `(records, sources)`, and `freedom` of its variance.
+    **Arguments:** `stages`, which tell sources of noise apart; `freedom` of their variances.
     """
     totals = [stage.total() for stage in statistics.blocks]
-    moved = scores([s.flattened() for s in sources], statistics.unknowns, values)
+    moved = scores([stage.by_source() for stage in stages], statistics.unknowns, values)
     moved = solve_scaled(slope(totals, statistics.unknowns), moved.T)
     spread = moved * jnp.sqrt(2 / jnp.asarray(freedom)).ravel()[None, :]
     return spread @ spread.T

@@ -22,7 +22,7 @@ from riecjax.equations.hidden_elements import (
     SeriesSpring,
     SpringParameters,
 )
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.summaries.task import require_key
@@ -202,7 +202,7 @@ def table_of_names(
 
 
 def plan_parameters(
-    procedure: Procedure,
+    model: Model,
     record_count: int,
     known: Mapping[str, float | Array] | None,
     per_record: Collection[str],
@@ -213,25 +213,25 @@ def plan_parameters(
     **Raises:** `ModelError` as [`identify`][].
     """
     require_settings(None, known, per_record)
-    elements = elements_by_name(procedure.modes, procedure.springs)
-    coefficients = {name for equation in procedure.equations for name in equation.parameters}
+    elements = elements_by_name(model.modes, model.springs)
+    coefficients = {name for equation in model.equations for name in equation.parameters}
     if taken := sorted(coefficients & {*elements}):
         raise ModelError(
             f"the equations have a parameter called '{taken[0]}', and so has "
             f"{elements[taken[0]].words}. Rename the equations' own."
         )
-    parameters, units = procedure.parameters, procedure.units
+    parameters, units = model.parameter_names, model.units
     table = ParameterTable.of(parameters, units, per_record, record_count, elements)
     table.require(known or {})
     require_numbers(known or {})
     # Values held fixed: the equations' own and the user's.
-    held = {**table.values(procedure.known), **table.values(known or {})}
+    held = {**table.values(model.known), **table.values(known or {})}
     numbers = {name: jnp.asarray(value, jnp.result_type(float)) for name, value in held.items()}
     settled = {row.local for row in table.rows} - {*table.holding(held).free_somewhere}
     # A stage finds what no recording has been given, and no earlier stage has found.
     stages = tuple(
         (label, tuple(name for name in table.everywhere(names) if name not in held))
-        for label, names in procedure.plan(settled)
+        for label, names in model.plan(settled)
     )
     if not any(unknown for _, unknown in stages):
         raise ModelError("every parameter is known; nothing is left to identify.")

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from riecjax.equations.dry_friction import in_motion, rests_of
-from riecjax.equations.procedure import Procedure, with_rests
+from riecjax.equations.model import Model, with_rests
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
@@ -16,16 +16,16 @@ MOVED = 2.0
 
 
 def at_rest_findings(
-    procedure: Procedure,
+    model: Model,
     records: Sequence[Record],
     found: Estimate,
-    otherwise: Callable[[Procedure], Estimate],
+    otherwise: Callable[[Model], Estimate],
 ) -> list[Finding]:
     """That velocities rest, what was done about it, and what it did to the parameters.
 
-    **Arguments:** `otherwise`, makes the estimate by a procedure that does the other thing.
+    **Arguments:** `otherwise`, makes the estimate by a model that does the other thing.
     """
-    rests = [rests_of(procedure, record) for record in records]
+    rests = [rests_of(model, record) for record in records]
     names = tuple(dict.fromkeys(name for of in rests for name in of))
     if not names:
         return []
@@ -34,16 +34,16 @@ def at_rest_findings(
         max((rest.share for rest in of.values()), default=0.0) * record.sample_count
         for of, record in zip(rests, records)
     )
-    masked = any(in_motion(procedure, record) is not procedure for record in records)
-    other = with_rests(procedure, "keep" if procedure.at_rest == "mask" else "mask")
-    moved = _moved(found, other, otherwise) if masked or procedure.at_rest == "keep" else {}
+    masked = any(in_motion(model, record) is not model for record in records)
+    other = with_rests(model, "keep" if model.at_rest == "mask" else "mask")
+    moved = _moved(found, other, otherwise) if masked or model.at_rest == "keep" else {}
     width = max(rest.width for of in rests for rest in of.values())
     which = " and ".join(f"'{name}'" for name in names)
     if masked:
         done = f"weights that vanish there, over {width:.2g} to each side of zero, leave it out"
         change = "; with it" if moved else ""
         step = ""
-    elif procedure.at_rest == "keep":
+    elif model.at_rest == "keep":
         done, step = "it was kept", "Leave it out: at_rest='mask' (--at-rest mask)"
         change = "; without it" if moved else ""
     else:
@@ -62,7 +62,7 @@ def at_rest_findings(
 
 
 def _moved(
-    found: Estimate, other: Procedure, otherwise: Callable[[Procedure], Estimate]
+    found: Estimate, other: Model, otherwise: Callable[[Model], Estimate]
 ) -> dict[str, tuple[float, float]]:
     """Parameters that the other treatment moves, with both values."""
     try:

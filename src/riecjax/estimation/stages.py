@@ -1,5 +1,6 @@
 """Linear least squares with scaled columns, and what can be said of its conditioning."""
 
+import dataclasses
 import operator
 from collections.abc import Mapping
 
@@ -11,13 +12,17 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import namespace
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import NormalEquations, stack_normal_equations
-from riecjax.summaries.stage_sums import stage_normal_equations, sum_of_equations
+from riecjax.summaries.normal_equations import (
+    NormalEquations,
+    stack_normal_equations,
+    sum_of_equations,
+)
+from riecjax.summaries.stage_sums import stage_normal_equations
 
 
 class Solution(eqx.Module):
@@ -129,7 +134,7 @@ class StageSolution(eqx.Module):
     **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
     the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
     per unit of its parameter, and where it acts if that is in bursts; `equations`, what is left of
-    each; `parameters` found here; `stage` its place in the procedure.
+    each; `parameters` found here; `stage` its place in the model.
     """
 
     solution: Solution
@@ -162,30 +167,20 @@ def solve_stages(
         if not equations.parameters:
             continue
         solution = solve(equations) if rows is None else solve_rows(rows[i].fix(found))
-        residual = equations.residual_energy(solution.theta)
-        positive = equations.energy > 0
-        relative, absolute = _rms(residual, equations.energy, equations.count)
-        noise, _ = _rms(equations.noise_energy(solution.theta), equations.energy, equations.count)
-        alone = EquationFit(
-            relative,
-            absolute,
-            noise,
-            equations.count,
-            jnp.zeros_like(relative),
-            equations.parameters,
-        )
         before = found
         found = found | dict(zip(equations.parameters, solution.theta))
+        whole = _fit(equations, solution.theta, equations.energy)
         several = apart[i] if apart else []
-        fits = [_equation_fit(part.total(), equations, before, found) for part in several]
+        fits = [_fit_of_part(part.total(), equations, before, found) for part in several]
+        reference = jnp.where(equations.energy > 0, equations.energy, 1.0)
         solutions.append(
             StageSolution(
                 solution,
-                relative,
-                absolute,
+                whole.relative_rms,
+                whole.residual_rms,
                 equations.count,
-                jnp.sqrt(jnp.diagonal(equations.gram) / jnp.where(positive, equations.energy, 1.0)),
-                tuple(fits) or (alone,),
+                jnp.sqrt(jnp.diagonal(equations.gram) / reference),
+                tuple(fits) or (whole,),
                 equations.parameters,
                 i,
             )
@@ -193,14 +188,21 @@ def solve_stages(
     return solutions, found
 
 
-def _rms(energy: Array, reference: Array, count: Array) -> tuple[Array, Array]:
-    """Root mean squares relative to a reference (0 where that is silent), and absolute."""
+def _fit(equations: NormalEquations, theta: Float[Array, " p"], reference: Array) -> EquationFit:
+    """What is left at theta, relative to the energy of a reference (0 where that is silent)."""
     positive = reference > 0
-    share = jnp.where(positive, energy / jnp.where(positive, reference, 1.0), 0.0)
-    return jnp.sqrt(share), jnp.sqrt(energy / jnp.maximum(count, 1))
+    size = jnp.where(positive, reference, 1.0)
+    left = equations.residual_energy(theta)
+    relative, noise = (
+        jnp.sqrt(jnp.where(positive, energy / size, 0.0))
+        for energy in (left, equations.noise_energy(theta))
+    )
+    absolute = jnp.sqrt(left / jnp.maximum(equations.count, 1))
+    nothing = jnp.zeros_like(relative)
+    return EquationFit(relative, absolute, noise, equations.count, nothing, equations.parameters)
 
 
-def _equation_fit(
+def _fit_of_part(
     part: NormalEquations,
     stage: NormalEquations,
     before: Mapping[str, Array],
@@ -214,21 +216,18 @@ def _equation_fit(
     equation = part.fix(before)
     unknown = equation.parameters
     theta = jnp.stack([found[name] for name in unknown]) if unknown else jnp.zeros(0)
-    energy = equation.residual_energy(theta)
     values = jnp.stack([jnp.asarray(found[name]) for name in part.parameters])
     largest = jnp.maximum(part.energy, jnp.max(values**2 * jnp.diagonal(part.gram)))
     has_target = (equation.energy > 0) & bool(unknown)
-    reference = jnp.where(has_target, equation.energy, largest)
-    relative, absolute = _rms(energy, reference, equation.count)
-    noise, _ = _rms(equation.noise_energy(theta), reference, equation.count)
-    shrinkage = jnp.zeros_like(relative)
-    if unknown:
-        shrinkage = jnp.where(has_target, 0.0, _shrinkage(equation, stage, theta, energy))
-    return EquationFit(relative, absolute, noise, equation.count, shrinkage, unknown)
+    fit = _fit(equation, theta, jnp.where(has_target, equation.energy, largest))
+    if not unknown:
+        return fit
+    shrinkage = jnp.where(has_target, 0.0, _shrinkage(equation, stage, theta))
+    return dataclasses.replace(fit, shrinkage=shrinkage)
 
 
 def _shrinkage(
-    equation: NormalEquations, stage: NormalEquations, theta: Float[Array, " own"], energy: Array
+    equation: NormalEquations, stage: NormalEquations, theta: Float[Array, " own"]
 ) -> Float[Array, ""]:
     """Share by which an equation without a target shrinks its coefficients theta.
 
@@ -245,12 +244,13 @@ def _shrinkage(
     if others.size:
         follow = solve_scaled(rest[np.ix_(others, others)], pulled[others][:, None])[:, 0]
         curvature = curvature - pulled[others] @ follow
+    energy = equation.residual_energy(theta)
     both = energy + jnp.maximum(curvature, 0.0)
     return jnp.where(both > 0, energy / jnp.where(both > 0, both, 1.0), 0.0)
 
 
 def all_normal_equations(
-    procedure: Procedure,
+    model: Model,
     table: ParameterTable,
     records: list[Record],
     criterion: AbstractCriterion,
@@ -258,7 +258,7 @@ def all_normal_equations(
 ) -> list[NormalEquations]:
     """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
     every = [
-        stage_normal_equations(procedure, record, criterion, key, blocks=True)
+        stage_normal_equations(model, record, criterion, key, blocks=True)
         for record, key in zip(records, keys)
     ]
     return [_over_records(stack_normal_equations(parts), table) for parts in zip(*every)]
@@ -272,8 +272,7 @@ def stages_over_records(
     **Arguments:** `equations` of each stage, with a leading axis of records.
     """
     apart = [[_over_records(e, table) for e in stage] for stage in equations]
-    names = [tuple(dict.fromkeys(name for e in stage for name in e.parameters)) for stage in apart]
-    return [sum_of_equations(stage, own) for stage, own in zip(apart, names)], apart
+    return [sum_of_equations(stage) for stage in apart], apart
 
 
 def _over_records(equations: NormalEquations, table: ParameterTable) -> NormalEquations:
@@ -281,10 +280,9 @@ def _over_records(equations: NormalEquations, table: ParameterTable) -> NormalEq
     names = equations.parameters
     if not table.per_record:
         return equations
-    every = [
-        equations.each(
-            operator.itemgetter(i), operator.itemgetter(i), table.of_record(names, i)
-        ).embed(table.everywhere(names))
-        for i in range(equations.count.shape[0])
-    ]
+    every = []
+    for i in range(equations.count.shape[0]):
+        record = jax.tree.map(operator.itemgetter(i), equations)
+        record = record.in_columns(lambda matrix: matrix, table.of_record(names, i))
+        every.append(record.embed(table.everywhere(names)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)

@@ -7,8 +7,8 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from riecjax import BlockBootstrap, DataError, Equation, Summary
-from riecjax.equations import HasProcedure, Procedure
+from riecjax import BlockBootstrap, DataError, Equation, Model, Summary
+from riecjax.equations import as_model, with_rests
 from riecjax.errors import require
 from riecjax.extensions import require_packages
 from riecjax.fleets import kept
@@ -18,7 +18,6 @@ from riecjax.fleets.order import DONE, Order, Row, lost, sum_up
 from riecjax.fleets.report import Fleet
 from riecjax.fleets.settings import Fleets, Progress
 from riecjax.fleets.sources import Piece, Source, find_sources
-from riecjax.models import as_model
 from riecjax.settings import taking
 
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
@@ -26,7 +25,7 @@ PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read 
 
 @taking(Fleets)
 def fleet(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     patterns: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     settings: Fleets,
 ) -> Fleet:
@@ -61,7 +60,7 @@ def fleet(
     is_usual = settings.intervals in (None, "bootstrap")
     intervals = BlockBootstrap(seed=settings.seed) if is_usual else settings.intervals
     settings = dataclasses.replace(settings, intervals=intervals, progress=None)
-    asked = Order(as_model(model), settings)
+    asked = Order(with_rests(as_model(model), settings.at_rest), settings)
     with contextlib.ExitStack() as stack:
         folder = Path(
             settings.out or stack.enter_context(tempfile.TemporaryDirectory(prefix="riecjax-"))

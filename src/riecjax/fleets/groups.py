@@ -173,7 +173,6 @@ def _answers(
         assessment = assess_summary(
             order.model,
             sums,
-            procedure=order.procedure,
             lengths=lengths[0] if lengths else None,
             findings=findings,
             known=order.settings.known,

@@ -17,7 +17,6 @@ import numpy as np
 
 from riecjax import DOLS, Model, Recording, Summary, read_recordings, summarise
 from riecjax.criteria import AbstractCriterion, criterion_for
-from riecjax.equations import Procedure, with_rests
 from riecjax.errors import DataError, ModelError, reason_of
 from riecjax.estimation import plan_parameters, recording_findings
 from riecjax.fleets.settings import Fleets
@@ -65,11 +64,6 @@ class Order:
         """
         return read_recordings(file, **{**vars(self.settings.reading), "model": self.model})
 
-    @functools.cached_property
-    def procedure(self) -> Procedure:
-        """The model's equations, built once."""
-        return with_rests(self.model.build_procedure(), self.settings.at_rest)
-
     @property
     def storage(self) -> Mapping[str, Any]:
         """What fsspec is told of the store."""
@@ -105,7 +99,7 @@ class Order:
         """Of all that sums depend on beside the samples, and of the version that makes them."""
         settings = {
             "riecjax": version("riecjax"),
-            "equations": Outline.of(self.procedure.linear).fingerprint,
+            "equations": Outline.of(self.model.linear).fingerprint,
             "criterion": self.criterion.describe(),
             "edges": None if self.edges is None else self.edges.tolist(),
             "reading": repr(self.settings.reading),
@@ -139,9 +133,9 @@ class Order:
         `ModelError` for a criterion that draws windows, and for known values that are none.
         """
         first = self._first(sources)
-        plan_parameters(self.procedure, 1, self.settings.known, ())
+        plan_parameters(self.model, 1, self.settings.known, ())
         if self.settings.says_of_criterion:
-            criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
+            criterion = criterion_for(self.settings, self.model, self.model.band, ())
         else:
             criterion = default_criterion(self.model, first, self.settings.noise)
         if criterion.needs_key:
@@ -150,7 +144,7 @@ class Order:
                 "command line: without --windows)."
             )
         edges, step = None, float(first.record.time_step)
-        if criterion.in_closed_form and not self.procedure.has_hidden:
+        if criterion.in_closed_form and not self.model.has_hidden:
             windows = criterion.windows
             assert windows is not None
             with contextlib.suppress(DataError):  # too short for any sweep
@@ -176,8 +170,8 @@ class Order:
                 f"{name} holds sums, of which no sample is read again: it cannot heed "
                 f"{', '.join(unheeded)}. Leave that out, or give the recordings."
             )
-        summary.require_model(self.procedure)
-        criterion = criterion_for(self.settings, self.procedure, self.model.band, ())
+        summary.require_model(self.model)
+        criterion = criterion_for(self.settings, self.model, self.model.band, ())
         asked_for = self.settings.says_of_criterion
         if asked_for and criterion.describe() != summary.criterion.describe():
             raise ModelError(
@@ -338,7 +332,7 @@ def _row(order: Order, run: Piece, recording: Recording, part: str) -> Row:
         if (run.first, run.stop) != (run.low, run.high):
             starts = run.first - low, run.stop - low
     summary = summarise(
-        order.procedure,
+        order.model,
         recording,
         order.criterion,
         bins=order.edges,
@@ -347,7 +341,7 @@ def _row(order: Order, run: Piece, recording: Recording, part: str) -> Row:
     )
     (sums,), (digest,) = summary.recordings, summary.digests
     samples = int(sums.samples)
-    findings = recording_findings(order.procedure, recording, order.criterion)
+    findings = recording_findings(order.model, recording, order.criterion)
     return Row(
         run.identity,
         run.source.name,

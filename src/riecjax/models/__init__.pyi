@@ -1,1 +1,1 @@
-from .model import as_model as as_model
+from .catalogue import find_model as find_model

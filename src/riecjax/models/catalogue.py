@@ -1,20 +1,23 @@
 """The built-in models by name, in plain data: listing them imports no JAX."""
 
 import contextlib
+import importlib
 import importlib.util
 import inspect
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, require, users_code
-from riecjax.models.model import Model, Quantity, as_model
 from riecjax.whole_files import no_file
 
 if TYPE_CHECKING:
     from riecjax.criteria.test_functions import AbstractTestFunction
+    from riecjax.equations.model import Model
 
 _QUARTER_CAR_SIGNALS = (
     Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
@@ -46,14 +49,55 @@ _AXIS_SIGNALS = (
 _AXIS_INPUT = (Quantity("force", "N", "driving force"),)
 
 
-def _quarter_car(name: str, equation: str, builder: str) -> Model:
-    return Model(
+@dataclass(frozen=True, kw_only=True)
+class Listing:
+    """A built-in model before it is built: what it is and what builds it, `module:function`.
+
+    Fields are those of [`Model`][riecjax.Model].
+    """
+
+    name: str
+    summary: str
+    stages: str = ""
+    signals: tuple[Quantity, ...] = ()
+    derived: Mapping[str, str] = field(default_factory=dict)
+    parameters: tuple[Quantity, ...] = ()
+    inputs: tuple[Quantity, ...] = ()
+    rates: Mapping[str, str] = field(default_factory=dict)
+    system: str = ""
+    own_simulation_parameters: tuple[Quantity, ...] = ()
+    band: tuple[float, float] | None = None
+    written: tuple[str, ...] = ()
+
+    @property
+    def simulation_parameters(self) -> tuple[Quantity, ...]:
+        """Parameters of the simulated system, with defaults."""
+        return self.own_simulation_parameters or self.parameters
+
+    def build(self) -> "Model":
+        """The model."""
+        from riecjax.equations.model import Model
+
+        built = {
+            "stages": _named(self.stages)() if self.stages else (),
+            "rates": {name: _named(rate) for name, rate in self.rates.items()},
+            "system": _named(self.system) if self.system else None,
+        }
+        return Model(**{**vars(self), **built})
+
+
+def _named(reference: str) -> Any:
+    module, _, attribute = reference.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def _quarter_car(name: str, equation: str, builder: str) -> Listing:
+    return Listing(
         name=name,
         summary=f"two masses with a damper map; K_s and F_i from the motion of the {equation}",
         signals=_QUARTER_CAR_SIGNALS,
-        procedure=f"riecjax.models.quarter_car.identification:{builder}",
+        stages=f"riecjax.models.quarter_car.identification:{builder}",
         parameters=_QUARTER_CAR_PARAMETERS,
-        system="riecjax.models.quarter_car.identification:quarter_car_system",
         inputs=_ROAD,
         rates={
             "x1": "riecjax.models.quarter_car.identification:tyre_velocity",
@@ -65,12 +109,12 @@ def _quarter_car(name: str, equation: str, builder: str) -> Model:
     )
 
 
-MODELS = {
-    model.name: model
-    for model in (
+LISTED = {
+    listing.name: listing
+    for listing in (
         _quarter_car("quarter-car", "body", "quarter_car_by_body"),
         _quarter_car("quarter-car-wheel", "wheel", "quarter_car_by_wheel"),
-        Model(
+        Listing(
             name="quarter-car-source",
             summary="seven-state source model of the paper, eqs (19)-(20); simulation only",
             system="riecjax.models.quarter_car.reconstruction:source_system",
@@ -86,7 +130,7 @@ MODELS = {
             inputs=_ROAD,
             written=_QUARTER_CAR_COLUMNS,
         ),
-        Model(
+        Listing(
             name="two-mass",
             summary="M z'' = F, while a second mass on a spring and damper moves unmodelled",
             signals=(
@@ -96,7 +140,7 @@ MODELS = {
                 Quantity("ddz", "m/s^2", "acceleration (DOLS; differences of dz if absent)"),
             ),
             derived={"dz": "z", "ddz": "dz"},
-            procedure="riecjax.models.oscillators:two_mass_equation",
+            stages="riecjax.models.oscillators:two_mass_equation",
             parameters=(Quantity("M", "kg", "total mass"),),
             system="riecjax.models.oscillators:two_mass_system",
             own_simulation_parameters=(
@@ -107,27 +151,26 @@ MODELS = {
             ),
             inputs=(Quantity("F", "N", "force on the first mass"),),
         ),
-        Model(
+        Listing(
             name="emps",
             summary="M q'' + Fv q' + Fc sign(q') + offset = force",
             signals=_AXIS_SIGNALS,
             derived={"dq": "q", "ddq": "dq"},
-            procedure="riecjax.models.emps:emps_equation",
+            stages="riecjax.models.emps:emps_equation",
             parameters=(
                 Quantity("M", "kg", "mass", 95.1),
                 Quantity("Fv", "N s/m", "viscous friction", 203.5),
                 Quantity("Fc", "N", "Coulomb friction", 20.4),
                 Quantity("offset", "N", "force offset", -3.16),
             ),
-            system="riecjax.models.emps:emps_system",
             inputs=_AXIS_INPUT,
         ),
-        Model(
+        Listing(
             name="emps-asymmetric",
             summary="M q'' + friction = force, with separate friction for each direction",
             signals=_AXIS_SIGNALS,
             derived={"dq": "q", "ddq": "dq"},
-            procedure="riecjax.models.emps:emps_asymmetric_equation",
+            stages="riecjax.models.emps:emps_asymmetric_equation",
             parameters=(
                 Quantity("M", "kg", "mass", 95.15),
                 Quantity("Fv_pos", "N s/m", "viscous friction, q' > 0", 166.7),
@@ -135,10 +178,9 @@ MODELS = {
                 Quantity("Fv_neg", "N s/m", "viscous friction, q' < 0", 240.4),
                 Quantity("Fc_neg", "N", "Coulomb friction, q' < 0", 20.63),
             ),
-            system="riecjax.models.emps:emps_asymmetric_system",
             inputs=_AXIS_INPUT,
         ),
-        Model(
+        Listing(
             name="duffing",
             summary="m y'' + d y' + k1 y + k2 y^2 + k3 y^3 = u",
             signals=(
@@ -148,7 +190,7 @@ MODELS = {
                 Quantity("ddy", "m/s^2", "acceleration (DOLS; differences of dy if absent)"),
             ),
             derived={"dy": "y", "ddy": "dy"},
-            procedure="riecjax.models.oscillators:duffing_equation",
+            stages="riecjax.models.oscillators:duffing_equation",
             parameters=(
                 Quantity("m", "kg", "mass", 1.0),
                 Quantity("d", "N s/m", "damping", 0.5),
@@ -156,10 +198,9 @@ MODELS = {
                 Quantity("k2", "N/m^2", "quadratic stiffness", 0.0),
                 Quantity("k3", "N/m^3", "cubic stiffness", 1000.0),
             ),
-            system="riecjax.models.oscillators:duffing_system",
             inputs=(Quantity("u", "N", "force"),),
         ),
-        Model(
+        Listing(
             name="drag-oscillator",
             summary="m x'' + r x' + r2 x'|x'| + k x = u",
             signals=(
@@ -169,17 +210,16 @@ MODELS = {
                 Quantity("ddx", "m/s^2", "acceleration (DOLS; differences of dx if absent)"),
             ),
             derived={"dx": "x", "ddx": "dx"},
-            procedure="riecjax.models.oscillators:drag_oscillator_equation",
+            stages="riecjax.models.oscillators:drag_oscillator_equation",
             parameters=(
                 Quantity("m", "kg", "mass", 1.5),
                 Quantity("r", "N s/m", "viscous drag", 0.8),
                 Quantity("r2", "N s^2/m^2", "quadratic drag", 0.5),
                 Quantity("k", "N/m", "stiffness", 20.0),
             ),
-            system="riecjax.models.oscillators:drag_oscillator_system",
             inputs=(Quantity("u", "N", "force"),),
         ),
-        Model(
+        Listing(
             name="pendulum",
             summary="theta'' = p1 sin(theta) - p2 theta', theta zero upright, no input",
             signals=(
@@ -188,7 +228,7 @@ MODELS = {
                 Quantity("ddtheta", "rad/s^2", "angular acceleration (DOLS; likewise)"),
             ),
             derived={"dtheta": "theta", "ddtheta": "dtheta"},
-            procedure="riecjax.models.oscillators:pendulum_equation",
+            stages="riecjax.models.oscillators:pendulum_equation",
             parameters=(
                 Quantity("p1", "1/s^2", "m g a / J", 64.22),
                 Quantity("p2", "1/s", "k / J", 0.0672),
@@ -200,7 +240,23 @@ MODELS = {
 }
 
 
-def built_in_model(name: str) -> Model:
+class _Built(Mapping[str, "Model"]):
+    """The built-in models by name, each built when it is asked for."""
+
+    def __getitem__(self, name: str) -> "Model":
+        return LISTED[name].build()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(LISTED)
+
+    def __len__(self) -> int:
+        return len(LISTED)
+
+
+MODELS = _Built()
+
+
+def built_in_model(name: str) -> "Model":
     """The built-in model of this name.
 
     **Raises:** `ModelError` for a name that is not built in.
@@ -213,18 +269,18 @@ def built_in_model(name: str) -> Model:
     return MODELS[name]
 
 
-def find_model(reference: str) -> Model:
+def find_model(reference: str) -> "Model":
     """A built-in model by name, or `path/to/file.py:object` of the user's own.
 
-    The object may be a `Model`, an `Equation`, a `Procedure`, or a function without arguments
-    that returns one of these. It need not be named where the file holds one such object: one
-    `Model`, or else one `Equation` or `Procedure` that is no part of another. The file is run:
-    name only one that you would run yourself.
+    The object may be a `Model`, an `Equation`, or a function without arguments that returns one of
+    these. It need not be named where the file holds one such object: one `Model` that is described,
+    or else one model or `Equation` that is no part of another. The file is run: name only one that
+    you would run yourself.
 
     **Raises:** `ModelError` if there is no such model, file or object.
     """
     from riecjax.equations.equation import Equation
-    from riecjax.equations.procedure import Procedure
+    from riecjax.equations.model import OWN, Model, staged
 
     require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
     path, separator, attribute = reference.rpartition(":")
@@ -237,33 +293,29 @@ def find_model(reference: str) -> Model:
         return built_in_model(reference)
     else:
         found = object_of_file(reference)
-    if not isinstance(found, Model | Equation | Procedure) and callable(found):
+    if not isinstance(found, Model | Equation) and callable(found):
         with users_code(path), _neighbours(Path(path)):
             found = found()
-    if isinstance(found, Model):
-        return found
-    if isinstance(found, Equation | Procedure):
-        return as_model(found, attribute)
-    raise ModelError(
-        f"'{attribute}' in {path} is not a Model, an Equation or a Procedure, nor a function that "
-        f"returns one."
-    )
+    found = staged(found) if isinstance(found, Equation) else found
+    if not isinstance(found, Model):
+        raise ModelError(
+            f"'{attribute}' in {path} is not a Model or an Equation, nor a function that returns "
+            f"one."
+        )
+    return replace(found, name=attribute) if found.summary == OWN else found
 
 
 def _only_model(path: str, objects: Mapping[str, object]) -> str:
     """The name of the one model in a file."""
     from riecjax.equations.equation import Equation
-    from riecjax.equations.procedure import Procedure
+    from riecjax.equations.model import OWN, Model
 
     public = {name: thing for name, thing in objects.items() if not name.startswith("_")}
-    procedures = [thing for thing in public.values() if isinstance(thing, Procedure)]
-    parts = {id(e) for procedure in procedures for stage in procedure.stages for e in stage}
     models = [thing for thing in public.values() if isinstance(thing, Model)]
-    whole = models or [
-        thing
-        for thing in public.values()
-        if isinstance(thing, Equation | Procedure) and id(thing) not in parts
-    ]
+    parts = {id(equation) for model in models for equation in model.equations}
+    equations = [thing for thing in public.values() if isinstance(thing, Equation)]
+    described = [model for model in models if model.summary != OWN]
+    whole = described or [*models, *(thing for thing in equations if id(thing) not in parts)]
     # One object may have two names.
     names = {id(thing): name for name, thing in public.items()}
     found = list(dict.fromkeys(names[id(thing)] for thing in whole))
@@ -271,7 +323,7 @@ def _only_model(path: str, objects: Mapping[str, object]) -> str:
         return found[0]
     if not found:
         raise ModelError(
-            f"{path} holds no Model, Equation or Procedure. Give one a name there, or name the "
+            f"{path} holds no Model or Equation. Give one a name there, or name the "
             f"function that returns one: {path}:NAME."
         )
     raise ModelError(

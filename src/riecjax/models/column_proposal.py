@@ -7,8 +7,9 @@ import contextlib
 import re
 from collections.abc import Iterator
 
+from riecjax.equations.model import Model
+from riecjax.equations.quantity import Quantity
 from riecjax.errors import DataError, MissingSignalError
-from riecjax.models.model import Model, Quantity
 from riecjax.records.reading.channels import Channels
 from riecjax.records.reading.selection import column_named, record_from_channels
 from riecjax.records.reading.times import find_time, is_called_time
@@ -84,7 +85,7 @@ def signals_of(model: "Model") -> "list[Quantity]":
 
     names: list[str] = ["t"]
     zeros = np.zeros(8)
-    equations = [e for stage in model.build_procedure().stages for e in stage]
+    equations = model.equations
     for _ in range(100):
         record = Record.from_samples(dict.fromkeys(names[1:] or ["_"], zeros), time_step=1.0)
         try:

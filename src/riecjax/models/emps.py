@@ -4,24 +4,13 @@ A. Janot, M. Gautier and M. Brunot, "Data Set and Reference Models of EMPS", Wor
 System Identification Benchmarks, Eindhoven, 2019.
 """
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import constant, odd
 from riecjax.equations.term import Term
 from riecjax.records.record import Signals
-from riecjax.simulation.system import AbstractSystem, Quantities
-
-
-def _direction(signals: Signals) -> Array:
-    return jnp.sign(signals["dq"])
-
-
-def _one(signals: Signals) -> Array:
-    return jnp.ones_like(signals["dq"])
 
 
 def _forward_speed(signals: Signals) -> Array:
@@ -49,8 +38,8 @@ def emps_equation() -> Equation:
     return Equation(
         _inertia(),
         Term("Fv", "q", derivative=1, measured=("dq",), unit="N s/m"),
-        Term("Fc", _direction, unit="N"),
-        Term("offset", _one, unit="N"),
+        Term("Fc", odd("dq", 0), unit="N"),
+        Term("offset", constant, unit="N"),
         -Term(1.0, "force"),
         name="emps",
         unit="N",
@@ -69,44 +58,3 @@ def emps_asymmetric_equation() -> Equation:
         name="emps-asymmetric",
         unit="N",
     )
-
-
-class Axis(AbstractSystem):
-    """A mass with friction that may differ between the directions, driven by a force.
-
-    **Fields:** `M` in kg; `Fv_pos`, `Fv_neg` in N s/m; `Fc_pos`, `Fc_neg`, `offset` in N.
-    """
-
-    M: Float[Array, ""]
-    Fv_pos: Float[Array, ""]
-    Fc_pos: Float[Array, ""]
-    Fv_neg: Float[Array, ""]
-    Fc_neg: Float[Array, ""]
-    offset: Float[Array, ""]
-
-    states: ClassVar[Quantities] = (("q", "m"), ("dq", "m/s"))
-    inputs: ClassVar[Quantities] = (("force", "N"),)
-
-    @property
-    def reversing(self) -> tuple[str, ...]:
-        """The velocity, with whose sign the friction changes."""
-        return ("dq",)
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        """Velocity and acceleration."""
-        velocity = state[1]
-        forward = self.Fv_pos * velocity + self.Fc_pos
-        backward = self.Fv_neg * velocity - self.Fc_neg
-        friction = jnp.where(velocity > 0, forward, jnp.where(velocity < 0, backward, 0.0))
-        return jnp.stack([velocity, (inputs[0] - self.offset - friction) / self.M])
-
-
-def emps_system(parameters: Mapping[str, Array]) -> Axis:
-    """The axis with symmetric friction."""
-    p = parameters
-    return Axis(p["M"], p["Fv"], p["Fc"], p["Fv"], p["Fc"], p["offset"])
-
-
-def emps_asymmetric_system(parameters: Mapping[str, Array]) -> Axis:
-    """The axis with asymmetric friction."""
-    return Axis(**parameters, offset=jnp.zeros(()))

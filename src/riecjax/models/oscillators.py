@@ -1,27 +1,18 @@
 """One-degree-of-freedom models: Duffing oscillator, oscillator with drag, pendulum."""
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import even, odd
+from riecjax.equations.model import simultaneous
 from riecjax.equations.term import Term
 from riecjax.records.record import Signals
-from riecjax.simulation.system import AbstractSystem, Quantities
+from riecjax.simulation.equation_system import EquationSystem, equation_system
 
-
-def _square(signals: Signals) -> Array:
-    return signals["y"] ** 2
-
-
-def _cube(signals: Signals) -> Array:
-    return signals["y"] ** 3
-
-
-def _drag(signals: Signals) -> Array:
-    return signals["dx"] * jnp.abs(signals["dx"])
+PENDULUM_UNITS = {"theta": "rad", "dtheta": "rad/s", "torque": "1/s^2"}
 
 
 def _sine(signals: Signals) -> Array:
@@ -34,8 +25,8 @@ def duffing_equation() -> Equation:
         Term("m", "y", derivative=2, measured=("dy", "ddy"), unit="kg"),
         Term("d", "y", derivative=1, measured=("dy",), unit="N s/m"),
         Term("k1", "y", unit="N/m"),
-        Term("k2", _square, unit="N/m^2"),
-        Term("k3", _cube, unit="N/m^3"),
+        Term("k2", even("y", 2), unit="N/m^2"),
+        Term("k3", odd("y", 3), unit="N/m^3"),
         -Term(1.0, "u"),
         name="duffing",
         unit="N",
@@ -47,7 +38,7 @@ def drag_oscillator_equation() -> Equation:
     return Equation(
         Term("m", "x", derivative=2, measured=("dx", "ddx"), unit="kg"),
         Term("r", "x", derivative=1, measured=("dx",), unit="N s/m"),
-        Term("r2", _drag, unit="N s^2/m^2"),
+        Term("r2", odd("dx", 2), unit="N s^2/m^2"),
         Term("k", "x", unit="N/m"),
         -Term(1.0, "u"),
         name="drag-oscillator",
@@ -66,74 +57,11 @@ def pendulum_equation() -> Equation:
     )
 
 
-class Duffing(AbstractSystem):
-    """m y'' + d y' + k1 y + k2 y^2 + k3 y^3 = u; fields are these parameters, in SI units."""
-
-    m: Float[Array, ""]
-    d: Float[Array, ""]
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    k3: Float[Array, ""]
-
-    states: ClassVar[Quantities] = (("y", "m"), ("dy", "m/s"))
-    inputs: ClassVar[Quantities] = (("u", "N"),)
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        """Velocity and acceleration."""
-        y, dy = state[0], state[1]
-        spring = y * (self.k1 + y * (self.k2 + y * self.k3))
-        return jnp.stack([dy, (inputs[0] - self.d * dy - spring) / self.m])
-
-
-class DragOscillator(AbstractSystem):
-    """m x'' + r x' + r2 x'|x'| + k x = u; fields are these parameters, in SI units."""
-
-    m: Float[Array, ""]
-    r: Float[Array, ""]
-    r2: Float[Array, ""]
-    k: Float[Array, ""]
-
-    states: ClassVar[Quantities] = (("x", "m"), ("dx", "m/s"))
-    inputs: ClassVar[Quantities] = (("u", "N"),)
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        """Velocity and acceleration."""
-        x, dx = state[0], state[1]
-        force = inputs[0] - (self.r + self.r2 * jnp.abs(dx)) * dx - self.k * x
-        return jnp.stack([dx, force / self.m])
-
-
-class Pendulum(AbstractSystem):
-    """theta'' = p1 sin(theta) - p2 theta' + torque; theta is zero upright and pi hanging.
-
-    The input `torque` is per inertia, in 1/s^2; a free swing has none.
-    """
-
-    p1: Float[Array, ""]
-    p2: Float[Array, ""]
-
-    states: ClassVar[Quantities] = (("theta", "rad"), ("dtheta", "rad/s"))
-    inputs: ClassVar[Quantities] = (("torque", "1/s^2"),)
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        """Angular velocity and acceleration."""
-        theta, dtheta = state[0], state[1]
-        return jnp.stack([dtheta, self.p1 * jnp.sin(theta) - self.p2 * dtheta + inputs[0]])
-
-
-def duffing_system(parameters: Mapping[str, Array]) -> Duffing:
-    """Duffing oscillator with these parameters."""
-    return Duffing(**parameters)
-
-
-def drag_oscillator_system(parameters: Mapping[str, Array]) -> DragOscillator:
-    """Oscillator with drag and these parameters."""
-    return DragOscillator(**parameters)
-
-
-def pendulum_system(parameters: Mapping[str, Array]) -> Pendulum:
-    """Pendulum with these parameters."""
-    return Pendulum(**parameters)
+def pendulum_system(parameters: Mapping[str, Array]) -> EquationSystem:
+    """The pendulum under a torque over its inertia, which a free swing has none of."""
+    swinging = pendulum_equation()
+    driven = swinging.of_terms(*swinging.terms, -Term(1.0, "torque"))
+    return equation_system(driven, parameters, units=PENDULUM_UNITS)
 
 
 def two_mass_equation() -> Equation:
@@ -146,42 +74,27 @@ def two_mass_equation() -> Equation:
     )
 
 
-class TwoMass(AbstractSystem):
+def two_mass_system(parameters: Mapping[str, Array]) -> EquationSystem:
     """Mass m1 under a force F, with m2 on a linear spring and damper (Fig. 1).
 
     `z` is the displacement of m1, where the sensor sits, and `d` that of m2 relative to it. The
     text gives omega_n and zeta of their coupling; they are taken as those of the free relative
     motion, d'' + 2 zeta omega_n d' + omega_n^2 d = -F / m1.
 
-    **Fields:** `m1`, `m2` in kg; `omega_n` in rad/s; `zeta`.
+    `error` is the equation error of the one-mass model with M = m1 + m2, eq. (6), in N:
+    M z'' = F + error, so error = -m2 d'' with d measured from m1; eq. (6) counts it the other way
+    round.
     """
-
-    m1: Float[Array, ""]
-    m2: Float[Array, ""]
-    omega_n: Float[Array, ""]
-    zeta: Float[Array, ""]
-
-    states: ClassVar[Quantities] = (("z", "m"), ("dz", "m/s"), ("d", "m"), ("dd", "m/s"))
-    inputs: ClassVar[Quantities] = (("F", "N"),)
-    outputs: ClassVar[Quantities] = (("error", "N"),)
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        """Velocities and accelerations."""
-        _, dz, d, dd = (state[i] for i in range(4))
-        reduced = self.m1 * self.m2 / (self.m1 + self.m2)
-        coupling = reduced * self.omega_n * (self.omega_n * d + 2 * self.zeta * dd)
-        first = (inputs[0] + coupling) / self.m1
-        return jnp.stack([dz, first, dd, -coupling / self.m2 - first])
-
-    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
-        """The equation error of the one-mass model with M = m1 + m2, eq. (6), in N.
-
-        M z'' = F + error, so error = -m2 d'' with d measured from m1; eq. (6) counts it the
-        other way round.
-        """
-        return {"error": -self.m2 * self.derivative(state, inputs)[3]}
-
-
-def two_mass_system(parameters: Mapping[str, Array]) -> TwoMass:
-    """The two masses with these parameters."""
-    return TwoMass(**parameters)
+    m1, m2, omega_n, zeta = (parameters[name] for name in ("m1", "m2", "omega_n", "zeta"))
+    reduced, share = m1 * m2 / (m1 + m2), m2 / m1
+    stiffness, damping = reduced * omega_n**2, 2 * reduced * omega_n * zeta
+    coupling = Term("K", "d"), Term("B", "d", derivative=1)
+    first = Term("m1", "z", derivative=2), *(-term for term in coupling), -Term(1.0, "F")
+    second = Term("m2", "z", derivative=2), Term("m2", "d", derivative=2), *coupling
+    scaled = Term("K", "d", sign=-1 - share), Term("B", "d", derivative=1, sign=-1 - share)
+    error = Term(1.0, "error"), *scaled, -Term(share, "F")
+    return equation_system(
+        simultaneous(*(Equation(*terms) for terms in (first, second, error))),
+        {"m1": m1, "m2": m2, "K": stiffness, "B": damping},
+        units={"z": "m", "dz": "m/s", "d": "m", "dd": "m/s", "F": "N", "error": "N"},
+    )

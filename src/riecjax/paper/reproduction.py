@@ -25,7 +25,6 @@ import riecjax as rx
 from riecjax.estimation import solve
 from riecjax.models.quarter_car import (
     Pothole,
-    QuarterCar,
     QuarterCarSource,
     Reconstruction,
     body_equation,
@@ -35,8 +34,16 @@ from riecjax.models.quarter_car import (
     tyre_equation,
     wheel_equation,
 )
+from riecjax.models.quarter_car.identification import quarter_car_system
 from riecjax.paper.published import CRITERIA, INPUTS, TABLE_2, TABLE_6, VARIANTS, MountVariant
-from riecjax.simulation import Simulation, band_limited_noise, low_passed, pothole, robson_road
+from riecjax.simulation import (
+    AbstractSystem,
+    Simulation,
+    band_limited_noise,
+    low_passed,
+    pothole,
+    robson_road,
+)
 from riecjax.studies import over_keys
 from riecjax.summaries import NormalEquations, stage_normal_equations
 from riecjax.validation import percentage_error
@@ -129,8 +136,8 @@ def identify_variants(
     record: rx.Record, criterion: rx.RIEC | rx.DOLS, key: Key[Array, ""]
 ) -> Float[Array, "variants parameters"]:
     """All four variants from one set of normal equations: only what is known differs."""
-    procedure = rx.staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
-    tyre, masses, wheel, body = stage_normal_equations(procedure, record, criterion, key)
+    model = rx.staged(tyre_equation(), mass_equation(), wheel_equation(), body_equation())
+    tyre, masses, wheel, body = stage_normal_equations(model, record, criterion, key)
     last, known = {"W": wheel, "B": body}, {"true": TRUE_MASSES, "id": {}}
     variants = (variant.split("_") for variant in VARIANTS)
     return jnp.stack([_solved_in_turn([tyre, masses, last[w]], known[m]) for w, m in variants])
@@ -147,7 +154,7 @@ def by_body(
 def _solved_in_turn(
     stages: list[NormalEquations], known: dict[str, float]
 ) -> Float[Array, " parameters"]:
-    """The paper's procedure: each stage takes as known what those before it found."""
+    """The paper's stages: each stage takes as known what those before it found."""
     values = {name: jnp.asarray(value) for name, value in known.items()}
     for stage in stages:
         equations = stage.total().fix(values)
@@ -189,7 +196,7 @@ def validation_errors(
         truth = rx.simulate(source, road, method=method)
 
         def error(model: Array, road: rx.Record = road, truth: Simulation = truth) -> tuple:
-            run = rx.simulate(QuarterCar.from_parameters(_named(model)), road, method=method)
+            run = rx.simulate(quarter_car_system(_named(model)), road, method=method)
             by_state = [percentage_error(run.record[s], truth.record[s]) for s in VALIDATED_STATES]
             return jnp.stack(by_state), run.successful & truth.successful
 
@@ -222,7 +229,7 @@ def validation_trajectories(
 ) -> dict[str, Trajectories]:
     """Of the variant B_id on the `road` that belongs to `key`, and on the `pothole`."""
 
-    def motion(system: QuarterCarSource | QuarterCar, road: rx.Record) -> Float[Array, "n 4"]:
+    def motion(system: AbstractSystem, road: rx.Record) -> Float[Array, "n 4"]:
         record = rx.simulate(system, road).record
         return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
 
@@ -230,9 +237,7 @@ def validation_trajectories(
     for where, velocity in validation_inputs(road_keys(key).validation, shapes).items():
         road = rx.Record({"v_r": velocity}, STEP)
         predict = jax.vmap(
-            jax.vmap(
-                lambda model, road=road: motion(QuarterCar.from_parameters(_named(model)), road)
-            )
+            jax.vmap(lambda model, road=road: motion(quarter_car_system(_named(model)), road))
         )
         predicted = predict(roads.parameters[:, :, VARIANTS.index("B_id")])
         trajectories[where] = Trajectories(road.time, motion(source, road), predicted)

@@ -1,4 +1,5 @@
 from .faults.signals import check_signals as check_signals
+from .linear_op import LinearOp as LinearOp
 from .noise_judgement import GivenNoise as GivenNoise
 from .noise_judgement import judged as judged
 from .preparation import align as align

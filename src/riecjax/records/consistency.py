@@ -321,13 +321,12 @@ def _uneven(record: Record, pair: Pair, doubt: float, or_else: str) -> Finding:
     if course.kind == "clocks":
         per = step / PPM / float(time[-1] - time[0])
         rate, start = per * course.change, float(time[0])
-        way = "falls behind" if course.change > 0 else "gets ahead of"
         remedy = course.by_one_clock(names, rate, step, start)
         reverse = course._replace(first=-course.first)
         other = reverse.by_one_clock(_sides(pair, False)[0], -rate, step, start)
         return Finding(
             "two_clocks",
-            f"{mine} {way} {others} evenly, {lasts} over the record: their clocks differ by "
+            f"{mine} {course.way} {others} evenly, {lasts} over the record: their clocks differ by "
             f"{rate:.3g} \u00b1 {per * course.error:.1g} ppm. Record both by one logger, or set "
             f"the clock that is off ({shlex.join(remedy)}, or {shlex.join(other)}).{or_else}",
             both,

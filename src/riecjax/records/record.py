@@ -5,7 +5,7 @@ import functools
 import os
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import equinox as eqx
 import jax
@@ -20,6 +20,9 @@ from riecjax.records.noise import Noise, SignalNoise
 from riecjax.records.signal import Signal, both
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
+
+if TYPE_CHECKING:
+    from riecjax.records.linear_op import LinearOp
 
 
 class Signals(UserDict[str, Array]):
@@ -241,6 +244,20 @@ class Record(Drawn, eqx.Module):
         """A record with other samples of these signals, NaN where they are missing."""
         signals = ((n, _named(self.by_name, n), samples) for n, samples in columns.items())
         return self.with_signals({n: Signal.of(v, s.unit, s.noise) for n, s, v in signals})
+
+    def through(self, op: "LinearOp | Mapping[str, LinearOp]", *names: str) -> "Record":
+        """A record with what operations make of its signals: values, gaps, noise and unit.
+
+        Not under jit.
+
+        **Arguments:** `op` on the signals of these `names`; or operations by the signal that each
+        makes.
+
+        **Raises:** `DataError` for a signal that the record lacks, or of which no stretch is long
+        enough.
+        """
+        ops = op if isinstance(op, Mapping) else dict.fromkeys(names, op)
+        return next(iter(ops.values())).carry_out(ops, self) if ops else self
 
     def with_noise(self, noise: Noise) -> "Record":
         """The same samples; of the noise of the signals that it names, this is known."""

@@ -28,6 +28,7 @@ by the parameters as signals. So every criterion, all windows in closed form amo
 equations that are not linear: refinement expands, solves, and expands again.
 """
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -35,13 +36,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Float, Key
 
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, require_no_slip, told_apart
-from riecjax.equations.term import AbstractTerm, Term, both_present
+from riecjax.equations.model import Model, require_no_slip, told_apart
+from riecjax.equations.term import AbstractTerm, Term, combined
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import all_normal_equations
@@ -61,7 +62,7 @@ from riecjax.refinement.objective import (
 )
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
 
-Levels = dict[int, Float[Array, " n"]]
+Levels = dict[int, Signal]
 """Samples of what is left to be differentiated so many times."""
 
 
@@ -119,7 +120,7 @@ class AbstractBalance(eqx.Module):
 class ParametricBalance(eqx.Module):
     """An equation of motion for every value of its parameters.
 
-    **Fields:** `model`, an `Equation`, or something that builds an `AbstractBalance`.
+    **Fields:** `model`, an `Equation`, or something that builds one or an `AbstractBalance`.
     """
 
     model: Equation | AbstractParametric
@@ -154,40 +155,43 @@ class ParametricBalance(eqx.Module):
         """
         held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in self.parameters}
         moving = tuple(name for name in self.parameters if name in free)
-        levels, present = self._levels(record, held, smoothness)
+        levels = self._levels(record, held, smoothness)
         name, unit, where = self.label(held)
-        arrays: dict[str, Array] = {}
+        arrays: dict[str, Any] = {}
         terms: list[AbstractTerm] = []
         for order, level in levels.items():
-            arrays[f"~:{order}"] = level
+            arrays[f"~:{order}"] = level.values
             terms.append(Term(1.0, f"~:{order}", derivative=order))
         for parameter in moving:
             along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
             _, slopes = jax.jvp(
-                lambda at: self._levels(record, at, smoothness)[0], (held,), (along,)
+                lambda at: {k: v.values for k, v in self._levels(record, at, smoothness).items()},
+                (held,),
+                (along,),
             )
             for order, slope in slopes.items():
                 arrays[f"~:{order}/{parameter}"] = slope
                 terms.append(Term(parameter, f"~:{order}/{parameter}", derivative=order))
+        present = combined(lambda *values: values[0], *levels.values()).present
         signals = {name: Signal(values, present) for name, values in arrays.items()}
         equation = Equation(*terms, name=name, unit=unit, where=where)
         return equation, record.with_signals(signals)
 
     def label(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
         """Name and unit of the equation, and where it is to be trusted."""
-        if isinstance(self.model, Equation):
-            return self.model.name, self.model.unit, self.model.where
-        module = self.model.build(values)
-        return module.name, module.unit, type(module).where
+        built = self._built(values)
+        where = built.where if isinstance(built, Equation) else type(built).where
+        return built.name, built.unit, where
 
-    def _levels(
-        self, record: Record, values: Values, smoothness: int
-    ) -> tuple[Levels, Bool[Array, " n"] | None]:
+    def _built(self, values: Values) -> Equation | AbstractBalance:
+        return self.model if isinstance(self.model, Equation) else self.model.build(values)
+
+    def _levels(self, record: Record, values: Values, smoothness: int) -> Levels:
         levels: Levels = {}
-        if not isinstance(self.model, Equation):
+        balance = self._built(values)
+        if not isinstance(balance, Equation):
             timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
             signals = timed.signals
-            balance = self.model.build(values)
             for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
                 with users_code(f"{balance.name}.{part.__name__}"):
                     level = part(signals)
@@ -199,7 +203,7 @@ class ParametricBalance(eqx.Module):
                         f"{balance.name}.{part.__name__} must return one number for each of the "
                         f"{record.sample_count} samples; it returned shape {level.shape}."
                     )
-                levels[order] = jnp.broadcast_to(level, (record.sample_count,))
+                levels[order] = Signal(jnp.broadcast_to(level, (record.sample_count,)))
             if not levels:
                 raise ModelError(
                     f"{balance.name}: a balance needs a force, a momentum or a first moment."
@@ -211,32 +215,23 @@ class ParametricBalance(eqx.Module):
                     f"derivative, rx.Hat(), or write its inertia as a momentum of a recorded "
                     f"velocity."
                 )
-            return levels, record.present(signals.read)
-        present = None
-        for term in self.model.terms:
+            present = record.present(signals.read)
+            return {order: Signal(level.values, present) for order, level in levels.items()}
+        for term in balance.terms:
             # As criteria read it: derivatives that the test function cannot take off are recorded.
             read = max(term.derivative - smoothness, 0)
-            sampled = term.samples(record, read)
             coefficients = [values[name] for name in term.parameters]
-            total = (
-                jnp.stack(coefficients) @ sampled.values
-                if coefficients
-                else jnp.sum(sampled.values, axis=0)
-            )
-            order = term.derivative - read
-            levels[order] = levels[order] + total if order in levels else total
-            present = both_present(present, sampled.present)
-        return levels, present
+
+            def total(columns: Float[Array, "columns n"], weights=coefficients) -> Array:
+                return jnp.stack(weights) @ columns if weights else jnp.sum(columns, axis=0)
+
+            level, order = combined(total, term.samples(record, read)), term.derivative - read
+            before = levels.get(order)
+            levels[order] = level if before is None else combined(operator.add, before, level)
+        return levels
 
 
-Balances = (
-    Equation
-    | Procedure
-    | HasProcedure
-    | AbstractBalance
-    | AbstractParametric
-    | Sequence["Balances"]
-)
+Balances = Equation | Model | AbstractBalance | AbstractParametric | Sequence["Balances"]
 """What equation errors can be formed of: one equation of motion or several."""
 
 
@@ -251,20 +246,18 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
         return (ParametricBalance(ByFields(model)),)
     if isinstance(model, Equation | AbstractParametric):
         return (ParametricBalance(model),)
-    if isinstance(model, Procedure):
+    if isinstance(model, Model):
         if model.has_hidden:
             raise ModelError(
                 "hidden modes and springs have states of their own, which no integral of the "
                 "equations shows: refine by rx.OutputError()."
             )
-        return tuple(ParametricBalance(e) for stage in model.stages for e in stage)
+        return tuple(map(ParametricBalance, model.equations))
     if isinstance(model, Sequence):
         return tuple(balance for part in model for balance in as_balances(part))
-    if hasattr(model, "build_procedure"):
-        return as_balances(model.build_procedure())
     raise ModelError(
         f"a {type(model).__name__} has no equation of motion to integrate; give an Equation, a "
-        f"Procedure, a Model, an AbstractBalance, or several of them."
+        f"Model, an AbstractBalance, or several of them."
     )
 
 
@@ -326,7 +319,7 @@ class IntegralMisfit(AbstractMisfit):
                 for record, own in zip(self.records, of_record)
             ]
             (equations,) = all_normal_equations(
-                Procedure(((expanded[0][0],),)),
+                Model(stages=((expanded[0][0],),)),
                 self.table,
                 [record for _, record in expanded],
                 self.criterion,

@@ -12,7 +12,7 @@ Models for every value of their parameters: what refinement varies.
 
 from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure, require_no_slip
-from riecjax.equations.term import Expression
+from riecjax.equations.expressions import Expression
+from riecjax.equations.model import Model, as_model, require_no_slip
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
@@ -155,19 +155,23 @@ class ByCoefficients(AbstractParametric):
 
     @classmethod
     def of(
-        cls, model: Equation | Procedure, rates: Mapping[str, Expression] | None = None
+        cls,
+        model: Equation | Model,
+        rates: Mapping[str, Expression] | None = None,
+        defaults: Mapping[str, float] | None = None,
     ) -> "ByCoefficients":
-        """The system of an equation or a procedure, with `rates` of further states.
+        """The system of equations, with `rates` of further states and values to begin with.
 
         **Raises:** `ModelError` if the equations cannot be simulated.
         """
-        procedure = Procedure(((model,),)) if isinstance(model, Equation) else model
+        model = as_model(model)
         # In general position: of two equal inertias, coupled by a third, ones would be singular.
-        generic = np.random.default_rng(0).uniform(0.5, 1.5, len(procedure.parameters))
-        known = {name: jnp.asarray(value) for name, value in procedure.known.items()}
-        values = {**dict(zip(procedure.parameters, generic)), **known}
-        system = equation_system(procedure, values, rates=rates)
-        return cls(system, tuple(procedure.units.items()), tuple(procedure.known))
+        generic = np.random.default_rng(0).uniform(0.5, 1.5, len(model.parameter_names))
+        given = {**(defaults or {}), **model.known}
+        known = {name: jnp.asarray(value, float) for name, value in given.items()}
+        values = {**dict(zip(model.parameter_names, generic)), **known}
+        system = equation_system(model, values, rates=rates)
+        return cls(system, tuple(model.units.items()), tuple(known))
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -176,7 +180,7 @@ class ByCoefficients(AbstractParametric):
 
     @property
     def defaults(self) -> Values:
-        """Values that the equations call known."""
+        """Values that the equations call known, and those to simulate with."""
         return {name: self.system.values[name] for name in self.known}
 
     @property
@@ -190,22 +194,8 @@ class ByCoefficients(AbstractParametric):
         return eqx.tree_at(lambda s: s.values, self.system, {**self.system.values, **given})
 
 
-@runtime_checkable
-class HasParametricSystem(Protocol):
-    """Something that knows its system for every value of its parameters, such as a `Model`."""
-
-    def parametric_system(self, record: Record) -> AbstractParametric:
-        """The system that this record can drive."""
-        ...
-
-
 Simulated = (
-    AbstractParametric
-    | AbstractSystem
-    | Equation
-    | Procedure
-    | HasParametricSystem
-    | Callable[[Values], AbstractSystem]
+    AbstractParametric | AbstractSystem | Equation | Model | Callable[[Values], AbstractSystem]
 )
 """What output errors can be formed of."""
 
@@ -218,16 +208,25 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
     require_no_slip(model)
     if isinstance(model, AbstractParametric):
         return model
+    if isinstance(model, EquationSystem):
+        units = {name: unit for e in model.equations for name, unit in e.units.items()}
+        return ByCoefficients(model, tuple(units.items()), tuple(model.values))
     if isinstance(model, AbstractSystem):
         return ByFields(model)
-    if isinstance(model, Equation | Procedure):
+    if isinstance(model, Equation):
         return ByCoefficients.of(model)
-    if isinstance(model, HasParametricSystem):
-        return model.parametric_system(record)
+    if isinstance(model, Model):
+        quantities = model.simulation_parameters
+        defaults = {q.name: q.default for q in quantities if q.default is not None}
+        if model.system is not None and model.has_own_system(record):
+            units = tuple((quantity.name, quantity.unit) for quantity in quantities)
+            return ByFunction(model.system, tuple(q.name for q in quantities), units, defaults)
+        known = defaults if model.is_driven_by(record) else {}
+        return ByCoefficients.of(model, model.driven_rates(record), known)
     if callable(model):
         return ByFunction(model)
     raise ModelError(
-        f"a {type(model).__name__} cannot be simulated; give an Equation, a Procedure, a Model, an "
+        f"a {type(model).__name__} cannot be simulated; give an Equation, a Model, an "
         f"AbstractSystem, or a function of the parameters that returns one."
     )
 

@@ -114,7 +114,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, held_still, is_concrete, is_number
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
-from riecjax.refinement.objective import AbstractMisfit, Energies, Expansion, Initial, Theta
+from riecjax.refinement.objective import AbstractMisfit, Energies, Initial, Theta
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.uncertainty.intervals import AbstractIntervals, Uncertainty, estimate_uncertainty
 
@@ -611,45 +611,6 @@ def _reduced_residual_jvp(primals: Any, tangents: Any) -> Any:
     return (residual, at), (Residual(moved, at.prior_slope * parameters), aside)
 
 
-def find_optimum(
-    problem: Problem,
-    start: Point,
-    solver: Solver | None,
-    max_steps: int,
-    report: Callable[[float], None] | None,
-) -> tuple[Point, RefinementStatus, Int[Array, ""], Expansion]:
-    """The least point from a start, how the search ended, its steps, and the residuals there.
-
-    The point differentiates by anything in `problem`, forward and in reverse.
-    """
-    still = held_still((problem, start))
-    solution = optx.least_squares(
-        reduced_residual,
-        default_solver(start.parameters.dtype, report) if solver is None else solver,
-        still[1],
-        args=still[0],
-        has_aux=True,
-        max_steps=max_steps,
-        throw=False,
-    )
-    found = jax.lax.stop_gradient(solution.value)
-    ended = RefinementStatus.where(
-        solution.result == optx.RESULTS.nonlinear_max_steps_reached,
-        RefinementStatus.out_of_steps,
-        RefinementStatus.failed,
-    )
-    status = RefinementStatus.where(
-        solution.result == optx.RESULTS.successful, RefinementStatus.converged, ended
-    )
-    at: Linearised = solution.aux
-    return _implicit(found, problem), status, solution.stats["num_steps"], at.aside
-
-
-def default_solver(dtype: Any, report: Callable[[float], None] | None = None) -> LevenbergMarquardt:
-    """Levenberg-Marquardt at the tolerance that the precision allows."""
-    return LevenbergMarquardt(1e-6 if dtype == jnp.float64 else 1e-4, report=report)
-
-
 @eqx.filter_custom_jvp
 def _implicit(point: Point, problem: Problem) -> Point:
     return point
@@ -695,13 +656,32 @@ def search(
     problem = Problem(
         misfit, Coordinates(scale, constraints.lower, constraints.upper), constraints, variance
     )
-    first = problem.point(begun.theta, begun.initial)
-    point, status, steps, expansion = find_optimum(problem, first, solver, max_steps, progress)
-    theta, initial = problem.values(point)
-    status = RefinementStatus.where(
-        begun.status == RefinementStatus.not_finite, RefinementStatus.not_finite, status
+    still, first = held_still((problem, problem.point(begun.theta, begun.initial)))
+    if solver is None:  # at the tolerance that the precision allows
+        rtol = 1e-6 if first.parameters.dtype == jnp.float64 else 1e-4
+        solver = LevenbergMarquardt(rtol, report=progress)
+    solution = optx.least_squares(
+        reduced_residual,
+        solver,
+        first,
+        args=still,
+        has_aux=True,
+        max_steps=max_steps,
+        throw=False,
     )
-    reached = Reached(theta, initial, expansion.energy, status, begun.steps + steps)
+    # The point differentiates by anything in `problem`, forward and in reverse.
+    point = _implicit(jax.lax.stop_gradient(solution.value), problem)
+    theta, initial = problem.values(point)
+    status, ended = RefinementStatus.failed, optx.RESULTS
+    for result, reason in (
+        (ended.nonlinear_max_steps_reached, RefinementStatus.out_of_steps),
+        (ended.successful, RefinementStatus.converged),
+    ):
+        status = RefinementStatus.where(solution.result == result, reason, status)
+    lost = RefinementStatus.not_finite
+    status = RefinementStatus.where(begun.status == lost, lost, status)
+    expansion, steps = solution.aux.aside, begun.steps + solution.stats["num_steps"]
+    reached = Reached(theta, initial, expansion.energy, status, steps)
     at_bound = problem.coordinates.at_bound(theta)
     blocks, short = misfit.blocks(misfit.curved(theta, initial, expansion))
     variance = residual_variance(misfit, expansion.energy, at_bound.shape[0])

@@ -311,67 +311,52 @@ def _cut(
 
     **Arguments:** `counts`, samples of each; what lies behind only fills it up.
     """
+    channels, given, every, joined, smooth = compared
     recorded, along = [], []
-    for record, count, cut in zip(records, counts, shots):
-        states = measured_states(system, record)
-        recorded.append(_recorded(system, record, states, count, cut, compared))
+    for record, sample_count, cut in zip(records, counts, shots):
+        states, n = measured_states(system, record), record.sample_count
+        inputs = jnp.zeros((n, 0), record.time_step.dtype)
+        if system.input_names:
+            inputs = jnp.stack([record[name] for name in system.input_names], axis=-1)
         samples = cut.samples.reshape(-1)
         samples = samples[spread_points(samples.shape[0])]
-        along.append((states[samples], _levels(system, record, samples)))
+        along.append((states[samples], inputs[samples]))
+        position = cut.samples[:, ::every]
+        initial = states[cut.first]
+        for name, value in given.items():
+            place = system.state_names.index(name)
+            initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
+        # An initial state that is taken from the record leaves no error there.
+        inside = cut.inside[:, ::every]
+        inside = inside.at[:, 0].set(inside[:, 0] & (not joined))
+        masks = (record.present((name,)) for name in channels)
+        present = [inside if mask is None else inside & mask[position] for mask in masks]
+        # As many as where the record is filled up, which under jit it is not.
+        shared = shared_length(n)
+        short = -(-shared // SHORT_BLOCKS_OF_ROWS)
+        bends = None
+        if smooth is not None:
+            # Of the whole record: a window's neighbours tell what its inputs do at its ends.
+            bends = bends_of(inputs, record.present(system.input_names), smooth)[cut.samples]
+        held = jnp.arange(n) < sample_count
+        own = Recorded(
+            inputs[cut.samples],
+            bends,
+            jnp.stack([record[name][position] for name in channels], axis=-1),
+            jnp.stack(present, axis=-1),
+            initial,
+            jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count,
+            position,
+            jnp.asarray(cut.length),
+            record.time_step,
+            sample_count,
+            short,
+            max(-(-shared // short), 2),
+            every,
+            min(max(short // every, 1), position.shape[1]),
+        )
+        recorded.append(own)
     return recorded, along
-
-
-def _levels(system: AbstractSystem, record: Record, samples: Array) -> Float[Array, "*n inputs"]:
-    inputs = [record[name][samples] for name in system.input_names]
-    none = jnp.zeros((*samples.shape, 0), record.time_step.dtype)
-    return jnp.stack(inputs, axis=-1) if inputs else none
-
-
-def _recorded(
-    system: AbstractSystem,
-    record: Record,
-    states: Float[Array, "n states"],
-    sample_count: Int[Array, ""],
-    shots: Shots,
-    compared: Compared,
-) -> Recorded:
-    channels, given, every, joined, smooth = compared
-    position = shots.samples[:, ::every]
-    held = jnp.arange(record.sample_count) < sample_count
-    initial = states[shots.first]
-    for name, value in given.items():
-        place = system.state_names.index(name)
-        initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
-    # An initial state that is taken from the record leaves no error there.
-    counts = shots.inside[:, ::every]
-    counts = counts.at[:, 0].set(counts[:, 0] & (not joined))
-    masks = (record.present((name,)) for name in channels)
-    everywhere = jnp.ones(record.sample_count, bool)
-    present = [(everywhere if mask is None else mask)[position] for mask in masks]
-    # As many as where the record is filled up, which under jit it is not.
-    shared = shared_length(record.sample_count)
-    short = -(-shared // SHORT_BLOCKS_OF_ROWS)
-    bends = None
-    if smooth is not None:
-        # Of the whole record: a window's neighbours tell what its inputs do at its ends.
-        everywhere = _levels(system, record, jnp.arange(record.sample_count))
-        bends = bends_of(everywhere, record.present(system.input_names), smooth)[shots.samples]
-    return Recorded(
-        _levels(system, record, shots.samples),
-        bends,
-        jnp.stack([record[name][position] for name in channels], axis=-1),
-        jnp.stack(present, axis=-1) & counts[:, :, None],
-        initial,
-        jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count,
-        position,
-        jnp.asarray(shots.length),
-        record.time_step,
-        sample_count,
-        short,
-        max(-(-shared // short), 2),
-        every,
-        min(max(short // every, 1), position.shape[1]),
-    )
 
 
 THRESHOLD = 1.345
@@ -532,15 +517,13 @@ class OutputMisfit(AbstractMisfit):
 
     def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Of each channel, in units of sigma."""
-        found = jnp.zeros(len(self.labels), theta.dtype)
-        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
 
-            def of_window(initial: Array, window: Recorded, i: int = i) -> Array:
-                error = self._error(theta, initial, window, i)
-                return jnp.sum(as_square(error, self.threshold) ** 2, axis=0)
+        def of_window(initial: Array, window: Recorded, index: int) -> Array:
+            error = self._error(theta, initial, window, index)
+            return jnp.sum(as_square(error, self.threshold) ** 2, axis=0)
 
-            found = found + jnp.sum(over_windows(of_window, own, part), axis=0)
-        return found
+        zero = jnp.zeros(len(self.labels), theta.dtype)
+        return sum((jnp.sum(e, axis=0) for e in self._by_window(of_window, initial)), start=zero)
 
     def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """Of each window of each record, in pieces of time."""
@@ -551,34 +534,29 @@ class OutputMisfit(AbstractMisfit):
         return found if self.threshold is None else self._expansion(theta, initial, for_scatter)
 
     def _expansion(self, theta: Theta, initial: Initial, columns: Columns) -> Expansion:
-        pieces, energy = [], jnp.zeros(len(self.labels), theta.dtype)
-        for i, (part, own) in enumerate(zip(self.recorded, self._of_records(initial))):
 
-            def of_window(initial: Array, window: Recorded, i: int = i) -> tuple[Array, Array]:
-                # Residuals, and their derivatives by parameters and initial states.
-                p = theta.shape[0]
-                unknown = jnp.concatenate([theta, initial])
+        def of_window(initial: Array, window: Recorded, index: int) -> tuple[Array, Array]:
+            # Residuals, and their derivatives by parameters and initial states.
+            p = theta.shape[0]
+            unknown = jnp.concatenate([theta, initial])
 
-                def along(direction: Array) -> tuple[Array, Array]:
-                    return jax.jvp(
-                        lambda u: self._error(u[:p], u[p:], window, i), (unknown,), (direction,)
-                    )
-
-                directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
-                level, slopes = jax.vmap(along, out_axes=(None, 2))(directions)
-                left, right = columns(level, slopes, self.threshold)
-                cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
-                moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
-                upper = jnp.triu(moments, 1)
-                moments = (
-                    moments if left is right else jnp.triu(moments) + jnp.swapaxes(upper, 1, 2)
+            def along(direction: Array) -> tuple[Array, Array]:
+                return jax.jvp(
+                    lambda u: self._error(u[:p], u[p:], window, index), (unknown,), (direction,)
                 )
-                return moments, jnp.sum(left[..., 0] * right[..., 0], axis=0)
 
-            moments, squares = over_windows(of_window, own, part)
-            pieces.append(moments)
-            energy = energy + jnp.sum(squares, axis=0)
-        return Expansion(pieces, energy)
+            directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
+            level, slopes = jax.vmap(along, out_axes=(None, 2))(directions)
+            left, right = columns(level, slopes, self.threshold)
+            cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
+            moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
+            if left is not right:
+                moments = jnp.triu(moments) + jnp.swapaxes(jnp.triu(moments, 1), 1, 2)
+            return moments, jnp.sum(left[..., 0] * right[..., 0], axis=0)
+
+        pieces, squares = zip(*self._by_window(of_window, initial))
+        zero = jnp.zeros(len(self.labels), theta.dtype)
+        return Expansion(list(pieces), sum((jnp.sum(s, axis=0) for s in squares), start=zero))
 
     @kept_jit
     def residuals(
@@ -594,11 +572,10 @@ class OutputMisfit(AbstractMisfit):
         """Derivatives of `residuals` by the initial states of their window."""
         return self._by_window(jax.jacfwd(partial(self._error, theta)), initial)
 
-    def _by_window(
-        self, of: Callable[[Array, Recorded, int], Array], initial: Initial
-    ) -> list[Array]:
+    def _by_window(self, of: Callable[[Array, Recorded, int], Any], initial: Initial) -> list[Any]:
         """What is made of each window's initial state, the window and its record's number."""
-        parts = enumerate(zip(self.recorded, self._of_records(initial)))
+        edges = np.cumsum([part.windows for part in self.recorded])[:-1]
+        parts = enumerate(zip(self.recorded, jnp.split(initial, edges)))
         return [
             over_windows(lambda at, window, i=i: of(at, window, i), own, part)
             for i, (part, own) in parts
@@ -606,8 +583,7 @@ class OutputMisfit(AbstractMisfit):
 
     def rms(self, energy: Energies) -> Energies:
         """Of simulated minus recorded."""
-        count = sum(jnp.sum(part.present, axis=(0, 1)) for part in self.recorded)
-        return self.sigma * jnp.sqrt(energy / jnp.maximum(count, 1))
+        return self.sigma * jnp.sqrt(energy / _counts(self.recorded))
 
     def independent_rows(self) -> Float[Array, ""]:
         """All that are compared."""
@@ -654,10 +630,6 @@ class OutputMisfit(AbstractMisfit):
     ) -> Float[Array, "compared channels"]:
         found = self.simulated(theta, initial, window, index)
         return jnp.where(window.present, (found - window.measured) / self.sigma[None, :], 0.0)
-
-    def _of_records(self, initial: Initial) -> list[Float[Array, "windows s"]]:
-        edges = np.cumsum([part.windows for part in self.recorded])[:-1]
-        return jnp.split(initial, edges)
 
 
 def observed(
@@ -993,20 +965,24 @@ def _sigma(
     given: Mapping[str, Any], channels: tuple[str, ...], recorded: Sequence[Recorded]
 ) -> Float[Array, " channels"]:
     """Given values, else the standard deviation of each channel over all that is compared."""
-    count = sum(jnp.sum(part.present, axis=(0, 1)) for part in recorded)
-    count = jnp.maximum(count, 1)
 
-    def mean(values: Sequence[Array]) -> Array:
-        held = [jnp.where(part.present, v, 0.0) for part, v in zip(recorded, values)]
-        return sum(jnp.sum(v, axis=(0, 1)) for v in held) / count
+    def mean(of: Callable[[Array], Array]) -> Array:
+        held = (jnp.where(part.present, of(part.measured), 0.0) for part in recorded)
+        return sum(jnp.sum(values, axis=(0, 1)) for values in held) / _counts(recorded)
 
-    centre = mean([part.measured for part in recorded])
-    variance = mean([(part.measured - centre[None, None, :]) ** 2 for part in recorded])
+    centre = mean(lambda measured: measured)
+    variance = mean(lambda measured: (measured - centre[None, None, :]) ** 2)
     spread = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 1.0)
     chosen = [
         jnp.asarray(given.get(name, spread[i]), spread.dtype) for i, name in enumerate(channels)
     ]
     return jnp.stack(chosen)
+
+
+def _counts(recorded: Sequence[Recorded]) -> Float[Array, " channels"]:
+    """Of each channel, how many samples are compared, 1 at the least."""
+    counts = [jnp.sum(part.present, axis=(0, 1)) for part in recorded]
+    return jnp.maximum(sum(counts), 1)
 
 
 def _noise(

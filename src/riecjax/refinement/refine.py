@@ -314,9 +314,9 @@ def refine(
     **Arguments:**
 
     - `model`: what `by` needs. For [`OutputError`][], something to simulate: an `Equation`,
-      `Procedure` or `Model`, an `AbstractSystem` whose fields are the parameters, or a function of
+      `Model` or `Model`, an `AbstractSystem` whose fields are the parameters, or a function of
       the parameters by name that returns a system. For [`IntegralError`][], equations of motion:
-      `Equation`s, a `Procedure`, `AbstractBalance`s.
+      `Equation`s, a `Model`, `AbstractBalance`s.
     - `records`: one record or several, of any lengths.
     - `start`: an estimate, or values by name. What it names is free; of an estimate, what it
       estimated.

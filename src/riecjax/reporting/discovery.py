@@ -38,7 +38,7 @@ def discovery_document(
     **Arguments:** `command`: the arguments of `riecjax` that made it; `model_file`, where the model
     was written to.
     """
-    equations = found.model.build_procedure().equations
+    equations = found.model.equations
     terms = {
         one.candidate.name: {
             **told(one.candidate, "meaning", "equation"),
@@ -150,7 +150,7 @@ def _something_else(found: Discovery) -> str:
     if not found.leaves_more:
         return beside
     left = " Most of what is left is no noise: something that is no candidate is missing"
-    bodies = {on: "" for e in found.model.build_procedure().equations for on in accelerated(e)}
+    bodies = {on: "" for e in found.model.equations for on in accelerated(e)}
     if found.mode is not None:
         return f"{left} too.{beside} Add terms to the model by hand."
     if not bodies:

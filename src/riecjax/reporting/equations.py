@@ -5,17 +5,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import (
-    AbstractShape,
-    AbstractTerm,
-    Expression,
-    Polynomial,
-    RoofFunctions,
-    Term,
-    Terms,
-    constant,
-)
+from riecjax.equations.expressions import Expression, constant
+from riecjax.equations.model import Model
+from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete
 
 Signed = tuple[bool, str]
@@ -35,16 +27,16 @@ def equation_in_words(equation: Equation) -> str:
     return f"{_sum(left)} = {_sum(right) if right else '0'}"
 
 
-def procedure_in_words(procedure: Procedure) -> list[str]:
+def model_in_words(model: Model) -> list[str]:
     """A line for each equation, with the stage that solves it, and one for each hidden element."""
     lines = []
-    for i, (stage, names) in enumerate(zip(procedure.stages, procedure.equation_names)):
-        number = f"{i + 1}. " if len(procedure.stages) > 1 else ""
+    for i, (stage, names) in enumerate(zip(model.stages, model.equation_names)):
+        number = f"{i + 1}. " if len(model.stages) > 1 else ""
         lines += [f"{number}{name}: {equation_in_words(one)}" for name, one in zip(names, stage)]
-    for mode in procedure.modes:
+    for mode in model.modes:
         near = "" if mode.hz is None else f", near {mode.hz:g} Hz"
         lines.append(f"with a hidden mode on {mode.on}{near}")
-    lines += [f"with a spring in series with {spring.of}" for spring in procedure.springs]
+    lines += [f"with a spring in series with {spring.of}" for spring in model.springs]
     return lines
 
 
@@ -68,43 +60,21 @@ def _sum(parts: list[Signed]) -> str:
 
 def _parts(term: AbstractTerm) -> list[Signed]:
     """The summands of a term."""
-    if isinstance(term, Term):
-        return [_of_term(term)]
-    if isinstance(term, Terms):
-        return _of_basis(term)
-    of = f"{type(term).__name__}({expression_in_words(term.of)})"
-    return [(False, " ".join((*term.parameters[:1], of)))]
-
-
-def _of_term(term: Term) -> Signed:
-    number, name = term.number, term.name
-    if term.known is not None and is_concrete(number, term.known):
-        number, name = np.asarray(number) * np.asarray(term.known), None
-    minus, size = _number(number)
-    of = "" if term.of is constant else expression_in_words(term.of)
-    if not isinstance(term.of, str) and of and (" - " in of or term.derivative):
+    factor, of = term.factor, expression_in_words(term.of)
+    if not term.is_linear:
+        minus, size = _number(factor)
+        front = "" if size == "1" else f"{size} "
+        return [(minus, f"{front}{words}") for words in term.words(of)]
+    name = next(iter(term.parameters), "")
+    if term.known_values and is_concrete(factor, term.known_values):
+        factor, name = np.asarray(factor) * np.asarray(term.known_values[name]), ""
+    minus, size = _number(factor)
+    if term.of is constant:
+        of = ""
+    elif not isinstance(term.of, str) and (" - " in of or term.derivative):
         of = f"({of})"
-    factors = ("" if size == "1" else size, name or "", of + "'" * term.derivative)
-    return minus, " ".join(filter(None, factors)) or size
-
-
-def _of_basis(term: Terms) -> list[Signed]:
-    minus, size = _number(term.sign)
-    of = expression_in_words(term.of)
-    front = "" if size == "1" else f"{size} "
-    if isinstance(term.basis, Polynomial):
-        base = of if of.isidentifier() else f"({of})"
-        powers = {0: "", 1: f" {base}"}
-        shown = [powers.get(p, f" {base}^{p}") for p in term.basis.exponents]
-        return [(minus, f"{front}{name}{of}") for name, of in zip(term.parameters, shown)]
-    if isinstance(term.basis, AbstractShape):
-        width = term.basis.width
-        at = f"; {float(width):.4g}" if is_concrete(width) else ""
-        law = type(term.basis).__name__.lower()
-        return [(minus, f"{front}{term.parameters[0]} {law}({of}{at})")]
-    roof = isinstance(term.basis, RoofFunctions)
-    name = "R" if roof else type(term.basis).__name__.lower()
-    return [(minus, f"{front}{term.prefix} {name}({of})")]
+    factors = ("" if size == "1" else size, name, of + "'" * term.derivative)
+    return [(minus, " ".join(filter(None, factors)) or size)]
 
 
 def _number(number: Leaf) -> Signed:

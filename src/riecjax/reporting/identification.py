@@ -18,7 +18,7 @@ from riecjax.reporting.checking import (
     start_times,
 )
 from riecjax.reporting.document import Document, finite, number, told, versions
-from riecjax.reporting.equations import procedure_in_words
+from riecjax.reporting.equations import model_in_words
 from riecjax.reporting.estimate import (
     estimate_entries,
     intervals_entry,
@@ -50,7 +50,7 @@ def identification_document(
         found["parameters"] = parameter_entries(result.answer)
     return {
         **found,
-        "equations": procedure_in_words(result.procedure),
+        "equations": model_in_words(result.model),
         "verdict": verdict_entries(result.verdict, with_options),
         "modes": mode_entries(result.modes),
         "excitation": excitation_entries(result.checked),

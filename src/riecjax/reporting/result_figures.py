@@ -14,7 +14,7 @@ from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment
 from riecjax.criteria.criterion import DOLS, Rows
 from riecjax.equations.equation import Equation
-from riecjax.equations.term import Terms, evaluate
+from riecjax.equations.term import AbstractTerm, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence
@@ -49,7 +49,6 @@ from riecjax.validation.residuals import (
     EquationResidual,
     ErrorSpectrum,
     ResidualTests,
-    unbroken,
 )
 from riecjax.validation.sweep import WindowSweep
 
@@ -183,9 +182,9 @@ def over_time(panels: Sequence[Panel], caption: str, legend: bool = False) -> Ch
 
 def _fit_figure(result: Assessment) -> Chart:
     """Each stage's rows, measured against explained, and what is left of them."""
-    estimate, procedure = result.estimate, result.procedure
+    estimate, model = result.estimate, result.model
     assert estimate.summary is not None
-    summary = linearised(procedure, estimate.summary, estimate.known)
+    summary = linearised(model, estimate.summary, estimate.known)
     # Of each stage, from some rows of each equation on each record: what was measured (less what
     # known terms give), what is explained of it, and when the rows' windows start.
     rows: dict[int, list[tuple[np.ndarray, ...]]] = {}
@@ -207,7 +206,7 @@ def _fit_figure(result: Assessment) -> Chart:
             of_stage.append((target, explained, np.asarray(equation.survey.start)))
     above, beneath, cloud = [], [], {"size": SMALL, "opacity": 0.5}
     for stage, name in zip(estimate.stages, estimate.stage_names):
-        held = estimate.criterion.row_unit(procedure.stages[stage.stage][0].unit)
+        held = estimate.criterion.row_unit(model.stages[stage.stage][0].unit)
         unit = f" / ({held})" if held else ""
         measured, explained, start = map(np.concatenate, zip(*rows[stage.stage]))
         chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
@@ -250,11 +249,11 @@ def identified_curves(result: Assessment) -> list[IdentifiedCurve]:
     found: dict[str, IdentifiedCurve] = {}
     record = result.recordings[0].record
     for stage in result.estimate.stages:
-        for equation in result.procedure.stages[stage.stage]:
+        for equation in result.model.stages[stage.stage]:
             for term in equation.terms:
                 shared = all(name in result.estimate for name in term.parameters)
-                if isinstance(term, Terms) and shared and term.prefix not in found:
-                    found[term.prefix] = _curve(result.estimate, equation, term, record)
+                if term.basis is not None and shared and term.name not in found:
+                    found[str(term.name)] = _curve(result.estimate, equation, term, record)
     return list(found.values())
 
 
@@ -285,8 +284,11 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
     )
 
 
-def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) -> IdentifiedCurve:
-    variable, present = evaluate(term.of, record)
+def _curve(
+    estimate: Estimate, equation: Equation, term: AbstractTerm, record: Record
+) -> IdentifiedCurve:
+    sampled = evaluate(term.of, record)
+    variable = np.asarray(sampled.values)
     # The curve's value by the rest of the equation, at every sample: with all other coefficients
     # known, sign sum_i c_i b_i = target is what a pointwise row says.
     others = {n: estimate[n] for n in equation.parameters if n not in term.parameters}
@@ -294,11 +296,11 @@ def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) 
     with contextlib.suppress(DataError):  # a derivative that is not recorded
         rows = _rows_left(equation, record, others)
         valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
-        left = np.asarray(rows.target)[valid] / float(term.sign)
-        samples = np.asarray(variable)[valid][:MOST_POINTS], left[:MOST_POINTS]
-    x = np.asarray(variable) if present is None else np.asarray(variable)[np.asarray(present)]
+        left = np.asarray(rows.target)[valid] / float(term.factor)
+        samples = variable[valid][:MOST_POINTS], left[:MOST_POINTS]
+    x = variable if sampled.present is None else variable[np.asarray(sampled.present)]
     grid = np.linspace(x.min(), x.max(), GRID)
-    functions = np.asarray(eqx.filter_jit(term.basis)(jnp.asarray(grid)))
+    functions = np.asarray(eqx.filter_jit(term.functions)(jnp.asarray(grid)))
     values = np.array([float(estimate[name]) for name in term.parameters])
     # sqrt(b(x)^T C b(x)): the covariance of the coefficients, those held at a value left out.
     free = [i for i, name in enumerate(term.parameters) if name in estimate.parameters]
@@ -308,7 +310,7 @@ def _curve(estimate: Estimate, equation: Equation, term: Terms, record: Record) 
     label = term.of if isinstance(term.of, str) else getattr(term.of, "__name__", "variable")
     name = label.strip("_").replace("_", " ")
     return IdentifiedCurve(
-        name=term.prefix,
+        name=str(term.name),
         # Coefficients of a roof or a step are values of the curve, whose unit is the equation's.
         unit=equation.unit,
         of=labelled(name, dict(record.units).get(name)),
@@ -347,7 +349,7 @@ def residual_figure(residual: EquationResidual) -> Chart:
     """What one equation leaves over time, lag and frequency."""
     error, found = residual.error, residual.autocorrelation
     # The error and its target over the longest stretch's beginning.
-    runs = unbroken(np.asarray(error.present)) or [slice(0, 1)]
+    runs = error.series.runs() or [slice(0, 1)]
     run = max(runs, key=lambda each: each.stop - each.start)
     shown = slice(run.start, min(run.start + EXCERPT, run.stop))
     times = np.asarray(error.times)

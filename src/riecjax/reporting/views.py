@@ -10,13 +10,12 @@ from riecjax.assessment.assessment import Assessment
 from riecjax.assessment.verdict import Verdict
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import OWN, Model
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
 from riecjax.estimation.evidence import ModeEvidence
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
-from riecjax.models.model import Model
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
@@ -31,8 +30,8 @@ from riecjax.reporting.document import ends_of, number
 from riecjax.reporting.equations import (
     equation_in_words,
     expression_in_words,
+    model_in_words,
     parameters_in_words,
-    procedure_in_words,
 )
 from riecjax.reporting.estimate import USUAL, parameter_table
 from riecjax.reporting.exports import document_of
@@ -55,7 +54,7 @@ def as_html(thing: Any) -> str:
 
 def _view(thing: Any) -> View:
     numbers = getattr(thing, "record", thing)
-    if isinstance(thing, Equation | Procedure | Model) or is_concrete(numbers):
+    if isinstance(thing, Equation | Model) or is_concrete(numbers):
         return view_of(thing)
     names = getattr(numbers, "parameters", None) or getattr(numbers, "arrays", ())
     units = dict(getattr(numbers, "units", ()))
@@ -80,15 +79,13 @@ def _(thing: Equation) -> View:
 
 
 @view_of.register
-def _(thing: Procedure) -> View:
-    count = len(thing.stages)
-    title = f"{count} stage{'s' if count > 1 else ''} of equations"
-    said = f"parameters: {parameters_in_words(thing.parameters, thing.units)}"
-    return View(title, lines=[*procedure_in_words(thing), said])
-
-
-@view_of.register
 def _(thing: Model) -> View:
+    equations = model_in_words(thing)
+    if thing.summary == OWN:
+        count = len(thing.stages)
+        title = f"{count} stage{'s' if count > 1 else ''} of equations"
+        said = f"parameters: {parameters_in_words(thing.parameter_names, thing.units)}"
+        return View(title, lines=[*equations, said])
     roles = {
         "parameter": thing.parameters,
         "signal": thing.signals,
@@ -96,7 +93,6 @@ def _(thing: Model) -> View:
         "input": thing.inputs,
     }
     rows = [[q.name, role, q.unit, q.meaning] for role, every in roles.items() for q in every]
-    equations = procedure_in_words(thing.build_procedure()) if thing.procedure else ()
     lines = [*equations, *([thing.note] if thing.note else [])]
     header = ("name", "is a", "unit", "meaning")
     return View(f"{thing.name}: {thing.summary}", [Table(header, rows)], lines)
@@ -168,10 +164,7 @@ def _(thing: ModeEvidence) -> View:
 @view_of.register
 def _(thing: Summary) -> View:
     host, outline = on_host(thing), thing.outline
-    every = dict.fromkeys(n for stage in outline.stages for _, own in stage for n in own)
-    # Columns that hidden elements add are no parameters.
-    names = [name for name in every if not name.endswith("'")]
-    lines = [f"parameters: {parameters_in_words(names, dict(outline.units))}"]
+    lines = [f"parameters: {parameters_in_words(outline.parameters, dict(outline.units))}"]
     for i, one in enumerate(host.recordings, start=1):
         lines.append(
             f"recording {i}: {span(one.samples, 'd')} samples at {span(1 / one.time_step, '.6g')} "

@@ -18,16 +18,11 @@ accelerations, so the residuals r of all equations are affine in z,
 
     r(z) = r0 + J z,    and they vanish at    z = -J^-1 r0,
 
-which is what a solver of differential equations asks for. r0 is r(0). Column i of J is the forward
-derivative of r along e_i: exact for any expression that reads z linearly, where a difference
-quotient would round, and all columns share one linearisation. J holds masses and their couplings;
-for one unknown z is a division.
-
-Hidden modes attached to a system that was written by hand.
-
-Where the body's acceleration is coupled to no other, as in m v' = F(x, u), a force f that is taken
-from the body changes v' by f / m and nothing else: the system need not be known from the inside.
-Whether that is so, its equations tell.
+which is what a solver of differential equations asks for. J holds masses and their couplings. A
+term of an unknown itself gives its factor to J, and a term of known signals its value to r0; only
+where an expression reads unknowns J is its forward derivative, exact for any that reads them
+linearly, where a difference quotient would round. An equation with one unknown left is a division,
+which orders most mechanisms; what stays coupled is solved together.
 
 Hidden modes written out for a simulation: two more states each, and their force on the body.
 
@@ -51,6 +46,7 @@ an answer do not, a least slope stands in for them.
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -61,27 +57,18 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, difference, label_of, signals_read
 from riecjax.equations.hidden_elements import (
     HiddenMode,
     ModeParameters,
-    SeriesSpring,
-    element_sign,
+    SpringElement,
     inertia_sign,
-    stiffness_name,
+    with_springs,
 )
-from riecjax.equations.procedure import Procedure, as_procedure
-from riecjax.equations.term import (
-    AbstractTerm,
-    Expression,
-    RoofFunctions,
-    Term,
-    Terms,
-    difference,
-    label_of,
-    signals_read,
-)
+from riecjax.equations.model import Model, as_model
+from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, users_code
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
@@ -113,7 +100,7 @@ class ModeStates(NamedTuple):
         inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
         if inertia.derivative != 1:
             terms = [t for e in equations for t in e.terms if t.of == inertia.of]
-            named = (t for t in terms if isinstance(t, Term) and t.derivative and t.measured)
+            named = (t for t in terms if t.derivative and t.measured)
             body = next((t.measured[0] for t in named), f"d{inertia.of}")
         return cls(f"{name}_deflection", f"{name}_velocity", body, parameters, units)
 
@@ -140,12 +127,9 @@ def with_forces(
     states = tuple(ModeStates.of(number, mode, equations) for number, mode in enumerate(modes))
     carrying = []
     for equation in equations:
-        terms = list(equation.terms)
-        for mode, own in zip(modes, states):
-            if (inertia := mode.inertia(equation)) is not None:
-                terms += own.force(inertia_sign(inertia))
-        is_carrying = len(terms) > len(equation.terms)
-        carrying.append(equation.of_terms(*terms) if is_carrying else equation)
+        inertias = [(hidden, mode.inertia(equation)) for mode, hidden in zip(modes, states)]
+        forces = (hidden.force(inertia_sign(inertia)) for hidden, inertia in inertias if inertia)
+        carrying.append(equation.of_terms(*equation.terms, *itertools.chain(*forces)))
     return tuple(carrying), states
 
 
@@ -153,88 +137,6 @@ def carried_states(modes: Iterable[ModeStates]) -> dict[str, str]:
     """States of modes to what they start from: the body's velocity, or nothing."""
     pairs = (((mode.deflection, ""), (mode.velocity, mode.body)) for mode in modes)
     return dict(itertools.chain.from_iterable(pairs))
-
-
-LEAST_SLOPE = 0.01
-"""Of a map, as a share of its mean slope."""
-
-
-class SpringElement(eqx.Module):
-    """A force element with a spring in series.
-
-    **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
-    `stiffness`, the name of the spring's parameter; `points`, break points of the element's law,
-    `None` of a linear one.
-    """
-
-    element: AbstractTerm
-    state: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    stiffness: str = eqx.field(static=True)
-    points: Float[Array, " points"] | None = None
-
-    def rate(
-        self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
-    ) -> Float[Array, " 1"]:
-        """Time derivative of the force."""
-        own = jnp.stack([values[n] for n in self.element.parameters])
-        points = self.points
-        if points is None:
-            inner = force / own[0]
-        else:
-            inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
-        return values[self.stiffness] * (velocity - inner)
-
-    def static(
-        self, velocity: Float[Array, " n"], values: Mapping[str, Array]
-    ) -> Float[Array, " n"]:
-        """The force at a velocity that does not change: the spring takes up none of it."""
-        own = jnp.stack([values[n] for n in self.element.parameters])
-        points = self.points
-        if points is None:
-            return own[0] * velocity
-        return RoofFunctions(points).interpolate(_rising(own, points), velocity)
-
-
-def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
-    """The same map where it rises, and one of least slope where it does not."""
-    mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
-    least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
-    rises = jnp.maximum(jnp.diff(forces), least)
-    return forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
-
-
-def with_springs(
-    equations: tuple[Equation, ...], springs: Sequence[SeriesSpring]
-) -> tuple[tuple[Equation, ...], tuple[SpringElement, ...]]:
-    """Equations that hold elements' forces in the elements' places, and these elements.
-
-    **Raises:** `ModelError` for an element whose law has no inverse that is known.
-    """
-    found = []
-    for number, spring in enumerate(springs):
-        first, force = next(
-            (e, equation.unit)
-            for equation in equations
-            if (e := spring.element(equation)) is not None
-        )
-        basis, law = (first.basis, first.prefix) if isinstance(first, Terms) else (None, spring.of)
-        if basis is not None and not isinstance(basis, RoofFunctions):
-            raise ModelError(
-                f"a spring in series with {law} needs the inverse of its law, which is known of "
-                f"one coefficient and of roof functions (rx.roof) only."
-            )
-        name = "series_force" if number == 0 else f"series_{number + 1}_force"
-        points = None if basis is None else basis.break_points
-        found.append(SpringElement(first, name, force, stiffness_name(number), points))
-    replaced = []
-    for equation in equations:
-        terms = []
-        for term in equation.terms:
-            name = next((f.state for f, s in zip(found, springs) if s.of in term.parameters), None)
-            terms.append(term if name is None else Term(element_sign(term), name))
-        replaced.append(equation.of_terms(*terms))
-    return tuple(replaced), tuple(found)
 
 
 class Motion(NamedTuple):
@@ -250,7 +152,8 @@ class Structure(NamedTuple):
     **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
     `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
     zero the equations jump; `modes` that are hidden, each two further states; `forces` of elements
-    with a spring in series, each a state.
+    with a spring in series, each a state; `implicit`, places of terms that are functions of
+    unknowns; `listed`, signals in the model's order.
     """
 
     motions: tuple[Motion, ...]
@@ -260,13 +163,21 @@ class Structure(NamedTuple):
     reversing: tuple[str, ...] = ()
     modes: tuple[ModeStates, ...] = ()
     forces: tuple[str, ...] = ()
+    implicit: frozenset[tuple[int, int]] = frozenset()
+    listed: tuple[str, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Signals and derivatives below the leading one, those with a rate, and hidden ones."""
+        """Signals and derivatives below the leading one, those with a rate, and hidden ones.
+
+        In the order in which the model lists them, if it does.
+        """
         lower = (name for motion in self.motions for name in motion.names[:-1])
         hidden = (name for mode in self.modes for name in (mode.deflection, mode.velocity))
-        return (*lower, *(name for name, _ in self.rates), *hidden, *self.forces)
+        place = {name: i for i, name in enumerate(self.listed)}
+        plain = [*lower, *(name for name, _ in self.rates)]
+        plain.sort(key=lambda name: place.get(name, len(place)))
+        return (*plain, *hidden, *self.forces)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -292,9 +203,8 @@ def read_structure(
     leading = {motion.names[-1] for motion in motions}
 
     def is_dynamic(term: AbstractTerm) -> bool:
-        if isinstance(term.of, str):
-            return derivative_name(term.of, term, motions) in leading
-        return bool(term.derivative or leading & set(signals_read(term.of)))
+        is_moving = term.signal is None and term.derivative > 0
+        return is_moving or bool(leading & {*signals_read(expression_read(term, motions))})
 
     # A static equation determines its first plain signal with a number for coefficient.
     moving = {name for motion in motions for name in motion.names} | set(rates)
@@ -302,9 +212,8 @@ def read_structure(
     for equation in equations:
         if any(map(is_dynamic, equation.terms)):
             continue
-        known = (t.of for t in equation.terms if not (t.parameters or t.derivative))
-        plain = (of for of in known if isinstance(of, str))
-        free = next((of for of in plain if of not in moving), None)
+        known = (t.signal for t in equation.terms if not (t.parameters or t.derivative))
+        free = next((of for of in known if of is not None and of not in moving), None)
         if free is None:
             raise ModelError(
                 f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no "
@@ -329,38 +238,44 @@ def read_structure(
             f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
             f"unknown(s) ({', '.join(unknowns)}). {remedy}"
         )
-    settled = {*structure.states, *unknowns}
-    terms = [(equation.name, term) for equation in equations for term in equation.terms]
+    terms = [term for equation in equations for term in equation.terms]
     read: list[Expression] = []
-    for name, term in (*terms, *((label, one.element) for one in elements)):
-        if not isinstance(term, Term | Terms):
-            raise ModelError(
-                f"{name} cannot be simulated: {type(term).__name__} is a term of an unknown kind."
-            )
-        of = term.of
-        read.append(derivative_name(of, term, motions) if isinstance(of, str) else of)
+    for term in (*terms, *(spring.element for spring in elements)):
+        if not term.is_linear and term.basis is None:
+            try:
+                jax.eval_shape(term.functions, jnp.zeros(1))
+            except ModelError as error:
+                raise ModelError(f"{label} cannot be simulated: {error}") from None
+        read.append(expression_read(term, motions))
+    settled = {*structure.states, *unknowns}
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
     structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
     # Whether the time derivatives of expressions follow from the states and the unknowns.
     # d/dt f(x) = f'(x) x' reads the first derivatives of what f reads, which states have. The
     # second reads theirs in turn, which only a signal has whose own second derivative leads.
     positions = {motion.signal for motion in structure.motions if len(motion.names) == 3}
-    for equation in equations:
-        for term in equation.terms:
-            if not term.derivative or isinstance(term.of, str):
-                continue
-            allowed = set(structure.states) if term.derivative == 1 else positions
-            if beyond := [name for name in signals_read(term.of) if name not in allowed]:
-                raise ModelError(
-                    f"{label} cannot be simulated: derivative {term.derivative} of the expression "
-                    f"{label_of(term.of)} needs derivatives of {', '.join(beyond)}, which no "
-                    f"equation leads to. Where a term reads a recorded derivative, write "
-                    f"Term('NAME', '{beyond[0]}', derivative=2, measured=('d{beyond[0]}', "
-                    f"'dd{beyond[0]}')) instead (derivative=1 of a velocity)."
-                )
-    functions = [(t.of, t.basis if isinstance(t, Terms) else None) for _, t in terms]
+    for term in terms:
+        if not term.derivative or term.signal is not None:
+            continue
+        allowed = set(structure.states) if term.derivative == 1 else positions
+        if beyond := [name for name in signals_read(term.of) if name not in allowed]:
+            raise ModelError(
+                f"{label} cannot be simulated: derivative {term.derivative} of the expression "
+                f"{label_of(term.of)} needs derivatives of {', '.join(beyond)}, which no equation "
+                f"leads to. Where a term reads a recorded derivative, write Term('NAME', "
+                f"'{beyond[0]}', derivative=2, measured=('d{beyond[0]}', 'dd{beyond[0]}')) instead "
+                f"(derivative=1 of a velocity)."
+            )
+    leading = set(unknowns)
+    implicit = frozenset(
+        (i, j)
+        for i, equation in enumerate(equations)
+        for j, term in enumerate(equation.terms)
+        if term.signal is None and (term.derivative or leading & set(signals_read(term.of)))
+    )
+    structure = structure._replace(implicit=implicit)
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
-    return structure._replace(reversing=reversing_states(functions, structure.states, signals))
+    return structure._replace(reversing=reversing_states(terms, structure.states, signals))
 
 
 def _motions(
@@ -370,31 +285,29 @@ def _motions(
     rates: Mapping[str, Expression],
 ) -> tuple[Motion, ...]:
     """State signals in order of appearance, with the order of their leading derivative."""
-    terms = [
-        term
-        for equation in equations
-        for term in equation.terms
-        if isinstance(term.of, str) and term.of not in inputs and term.of not in rates
+    differentiated = [term for equation in equations for term in equation.terms if term.derivative]
+    moving = [
+        (term.signal, term.derivative, term.measured)
+        for term in differentiated
+        if term.signal is not None and term.signal not in inputs and term.signal not in rates
     ]
-    of_signals = [term for term in terms if isinstance(term, Term) and term.derivative > 0]
     names: dict[str, str] = {}
-    for term in of_signals:
-        for lower, higher in zip((str(term.of), *term.measured), term.measured):
+    for name, _, measured in moving:
+        for lower, higher in zip((name, *measured), measured):
             names.setdefault(lower, higher)
-    for term in of_signals:
-        name = str(term.of)
-        for _ in range(term.derivative):
+    for name, derivative, _ in moving:
+        for _ in range(derivative):
             name = names.setdefault(name, f"d{name}")
     below = {higher: lower for lower, higher in names.items()}
-    positions = {str(term.of) for term in of_signals}
+    positions = {name for name, _, _ in moving}
     order: dict[str, int] = {}
-    for term in of_signals:
+    for name, derivative, _ in moving:
         # A derivative of a velocity is one of the position, where the position is in the equations.
-        ancestors = [str(term.of)]
+        ancestors = [name]
         while ancestors[-1] in below:
             ancestors.append(below[ancestors[-1]])
         steps = max(i for i, name in enumerate(ancestors) if name in positions)
-        signal, rise = ancestors[steps], term.derivative + steps
+        signal, rise = ancestors[steps], derivative + steps
         order[signal] = max(order.get(signal, 0), rise)
     motions = []
     for signal, rise in order.items():
@@ -411,33 +324,31 @@ def _motions(
             "it holds no derivative of a signal, so it is static and says nothing about motion. "
             "Write what moves as a derivative, such as Term('m', 'x', derivative=2)."
         )
-        for term in (term for equation in equations for term in equation.terms):
-            if term.derivative and not isinstance(term.of, str):
-                why = (
-                    f"it holds a derivative of the expression {label_of(term.of)} (of "
-                    f"{', '.join(signals_read(term.of))}) and no derivative of a signal, so that "
-                    f"no signal is a state. Make the expression a signal first (on the command "
-                    f"line: --derive NAME=FORMULA), and write the term of that name."
-                )
-                break
+        if of := next((term.of for term in differentiated if term.signal is None), None):
+            why = (
+                f"it holds a derivative of the expression {label_of(of)} (of "
+                f"{', '.join(signals_read(of))}) and no derivative of a signal, so that no signal "
+                f"is a state. Make the expression a signal first (on the command line: --derive "
+                f"NAME=FORMULA), and write the term of that name."
+            )
         raise ModelError(f"{label} cannot be simulated: {why}")
     return tuple(motions)
 
 
-def derivative_name(signal: str, term: AbstractTerm, motions: tuple[Motion, ...]) -> str:
-    """Under which name a term's derivative of a signal is to be read."""
-    if not term.derivative:
-        return signal
+def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
+    """A term's expression; of a signal, the name of the derivative that is to be read."""
+    signal = term.signal
+    if signal is None or not term.derivative:
+        return term.of
     for motion in motions:
         if signal in motion.names:
             return motion.names[motion.names.index(signal) + term.derivative]
-    measured = term.measured if isinstance(term, Term) else ()
-    if term.derivative > len(measured):
+    if term.derivative > len(term.measured):
         raise ModelError(
             f"a derivative of {signal} is needed and cannot be formed: name the signal that holds "
             f"it (measured=...)."
         )
-    return measured[term.derivative - 1]
+    return term.measured[term.derivative - 1]
 
 
 class EquationSystem(AbstractSystem):
@@ -528,8 +439,12 @@ class EquationSystem(AbstractSystem):
     ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Float[Array, " n"]]:
         """r0 and J at a point, and the residuals of some values of the unknowns."""
         signals = self._known_signals(state, inputs)
-        whole = self._with_unknowns(signals, unknowns[:, None])
-        return *self._linear(signals), self._residuals(whole)
+        rows, names = self._rows(signals), self.structure.unknowns
+        none = jnp.zeros_like(unknowns[0])
+        slopes = [jnp.stack([slopes.get(name, none) for name in names]) for _, slopes in rows]
+        whole = {**signals, **dict(zip(names, unknowns[:, None]))}
+        found = [sum((self._term(t, whole) for t in e.terms), start=none) for e in self.equations]
+        return jnp.stack([rest for rest, _ in rows]), jnp.stack(slopes), jnp.stack(found)
 
     # Signals have shape (1,), so that an expression written for the samples of a record needs no
     # second version for a point.
@@ -539,52 +454,81 @@ class EquationSystem(AbstractSystem):
 
     def _solved(self, signals: dict[str, Array]) -> dict[str, Array]:
         """Known signals and unknowns."""
-        rest, slopes = self._linear(signals)
-        return self._with_unknowns(signals, solve_few(slopes, -rest)[:, None])
+        rows = dict(enumerate(self._rows(signals)))
+        solution: dict[str, Array] = {}
 
-    def _with_unknowns(self, signals: dict[str, Array], unknown: Array) -> dict[str, Array]:
-        return {**signals, **dict(zip(self.structure.unknowns, unknown))}
+        def without_solved(rest: Array, slopes: dict[str, Array]) -> Array:
+            return sum((slopes[n] * solution[n] for n in slopes if n in solution), start=rest)
 
-    def _linear(self, signals: dict[str, Array]) -> tuple[Array, Array]:
-        count = len(self.structure.unknowns)
-        zero = jnp.zeros((count, 1), next(iter(signals.values())).dtype)
-        residuals, push = jax.linearize(
-            lambda z: self._residuals(self._with_unknowns(signals, z)), zero
-        )
-        along = jnp.eye(count, dtype=zero.dtype)
-        return residuals, jnp.stack([push(along[i][:, None]) for i in range(count)], axis=-1)
+        # An equation with one unknown left is a division; those that are coupled remain.
+        while single := [i for i, (_, slopes) in rows.items() if len({*slopes} - {*solution}) == 1]:
+            rest, slopes = rows.pop(single[0])
+            (name,) = {*slopes} - {*solution}
+            solution[name] = -without_solved(rest, slopes) / slopes[name]
+        coupled = [name for name in self.structure.unknowns if name not in solution]
+        if coupled:
+            rest = jnp.stack([without_solved(*row) for row in rows.values()])
+            none = jnp.zeros_like(rest[0])
+            matrix = [jnp.stack([row[1].get(n, none) for n in coupled]) for row in rows.values()]
+            solution |= dict(zip(coupled, solve_few(jnp.stack(matrix), -rest)))
+        return signals | {name: value[None] for name, value in solution.items()}
 
-    def _residuals(self, signals: dict[str, Array]) -> Float[Array, " equations"]:
-        """What each equation leaves of one sample of all signals and unknowns."""
-        zero = jnp.zeros((), next(iter(signals.values())).dtype)
-        sums = [
-            sum((self._term(term, signals) for term in equation.terms), start=zero)
-            for equation in self.equations
-        ]
-        return jnp.stack(sums)
+    def _rows(self, signals: dict[str, Array]) -> list[tuple[Array, dict[str, Array]]]:
+        """Of each equation r0, and those columns of J in which it may be other than zero."""
+        zero = jnp.zeros((1,), next(iter(signals.values())).dtype)
+        zeros = dict.fromkeys(self.structure.unknowns, zero)
+        rows = []
+        for i, equation in enumerate(self.equations):
+            rest, slopes = zero[0], {}
+            for j, term in enumerate(equation.terms):
+                if (i, j) in self.structure.implicit:
+                    value, push = jax.linearize(
+                        lambda unknowns, term=term: self._term(term, {**signals, **unknowns}), zeros
+                    )
+                    rest = rest + value
+                    columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
+                elif term.signal is not None:
+                    name = str(expression_read(term, self.structure.motions))
+                    columns = {name: self._term(term, {name: zero + 1})} if name in zeros else {}
+                    rest = rest if columns else rest + self._term(term, signals)
+                else:
+                    rest, columns = rest + self._term(term, signals), {}
+                for name, column in columns.items():
+                    slopes[name] = slopes[name] + column if name in slopes else column
+            rows.append((rest, slopes))
+        return rows
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
         values = [self.values[name] for name in term.parameters]
-        if isinstance(term, Terms):
-            functions = term.basis(self._expression(term, signals))[:, 0]
-            return jnp.asarray(term.sign) * jnp.stack(values) @ functions
-        assert isinstance(term, Term)
-        factor = jnp.asarray(term.number) * (values[0] if values else 1.0)
-        return factor * self._expression(term, signals)[0]
+        factor, basis = jnp.asarray(term.factor), term.basis
+        if basis is not None:
+            law = partial(basis.interpolate, jnp.stack(values))
+            return factor * self._expression(term, signals, law)[0]
+        columns = self._expression(term, signals, term.functions)[:, 0]
+        if len(values) > 1:
+            return factor * jnp.stack(values) @ columns
+        return factor * (values[0] if values else 1.0) * columns[0]
 
-    def _expression(self, term: AbstractTerm, signals: dict[str, Array]) -> Float[Array, " 1"]:
-        """The term's expression, differentiated in time as often as the term says.
+    def _expression(
+        self,
+        term: AbstractTerm,
+        signals: dict[str, Array],
+        function: Callable[[Array], Array] = lambda x: x,
+    ) -> Array:
+        """A function of the term's expression, differentiated in time as the term says.
 
         Of an expression f of states x the chain rule gives d/dt f = f'(x) x', a forward derivative
         along the flow, and of that once more the second: no formula is differentiated by hand.
         """
-        if isinstance(term.of, str):
-            return signals[derivative_name(term.of, term, self.structure.motions)]
-        of = term.of
+        of = expression_read(term, self.structure.motions)
+        if isinstance(of, str) and term.signal is not None:
+            return function(signals[of])
 
         def level(states: dict[str, Array]) -> Array:
             # A constant may be one number for all samples.
-            return jnp.atleast_1d(jnp.asarray(of(Signals({**signals, **states}))))
+            known = Signals({**signals, **states})
+            samples = known[of] if isinstance(of, str) else of(known)
+            return function(jnp.atleast_1d(jnp.asarray(samples)))
 
         def rate(function: Callable[[dict[str, Array]], Array]):
             def along_motion(states: dict[str, Array]) -> Array:
@@ -623,8 +567,8 @@ class EquationSystem(AbstractSystem):
 
 
 def equation_system(
-    model: Equation | Procedure,
-    values: Mapping[str, Array | float],
+    model: Equation | Model,
+    values: Mapping[str, Leaf | float],
     *,
     rates: Mapping[str, Expression] | None = None,
     inputs: Sequence[str] = (),
@@ -651,7 +595,7 @@ def equation_system(
     - `values`: value of every coefficient, scalars; for those with a `known` value it may be left
       out. Others are ignored.
     - `rates`: further states by their time derivative, signal name to expression: kinematics such
-      as `{"x2": difference("x3", "x4")}` that no coefficient appears in.
+      as `{"x2": difference("x3", "x4")}` that no coefficient appears in; by default the model's.
     - `inputs`: signals to take as inputs although their derivative appears, as of a base that is
       moved; the derivative is an input too, under its name from `measured`.
     - `units`: signal name to unit.
@@ -661,26 +605,29 @@ def equation_system(
     third order or of an expression of inputs; or, with values that can be looked at, if the
     leading coefficient is zero or the unknowns do not enter linearly.
     """
-    procedure = as_procedure(model)
-    equations = tuple(equation for stage in procedure.stages for equation in stage)
+    model = as_model(model)
+    equations, listed = model.equations, (*model.signals, *model.inputs)
     label = " + ".join(equation.name for equation in equations)
-    known: dict[str, Any] = {**procedure.known, **values}
-    names = procedure.parameters
+    known: dict[str, Any] = {**model.known, **values}
+    names = model.parameter_names
     if missing := [name for name in names if name not in known]:
         raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
     numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
     for name, number in numbers.items():
         if number.shape != ():
             raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    equations, elements = with_springs(equations, procedure.springs)
-    equations, modes = with_forces(equations, procedure.modes)
-    rates = {**{one.state: one for one in procedure.memories}, **(rates or {})}
+    equations, elements = with_springs(equations, model.springs)
+    equations, modes = with_forces(equations, model.modes)
+    further = model.rates if rates is None else rates
+    rates = {**{memory.state: memory for memory in model.memories}, **further}
     structure = read_structure(label, equations, rates, frozenset(inputs), modes, elements)
+    structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
     own = {k: v for m in modes for k, v in zip((m.deflection, m.velocity), m.units)}
     own |= {one.state: one.unit for one in elements}
-    named = tuple(sorted((own | dict(units or {})).items()))
+    given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
+    named = tuple(sorted((given | own | dict(units or {})).items()))
     system = EquationSystem(equations, numbers, structure, named, elements)
-    if is_concrete(equations, numbers):
+    if is_concrete(equations, numbers) and not is_under_trace():
         _check_solvable(label, system)
     return system
 
@@ -695,7 +642,7 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
         if float(system.values[mode.parameters.mass]) == 0:
             raise ModelError(f"{label} cannot be simulated: {mode.parameters.mass} is zero.")
     for one in system.elements:
-        if isinstance(one.element, Term) and float(system.values[one.element.parameters[0]]) == 0:
+        if one.element.is_linear and float(system.values[one.element.parameters[0]]) == 0:
             which = one.element.parameters[0]
             raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
     state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
@@ -722,121 +669,3 @@ def _check_solvable(label: str, system: EquationSystem) -> None:
         raise ModelError(
             f"{label} cannot be simulated: {', '.join(unknowns)} must enter its equations linearly."
         )
-
-
-class Attachment(NamedTuple):
-    """How a mode of a procedure is attached: its states, and the body's mass, named or known, by
-    which the body's acceleration is the force on it divided."""
-
-    states: ModeStates
-    body_mass: str | float
-
-
-class WithModes(AbstractSystem):
-    """A system some of whose bodies carry hidden modes.
-
-    Exact where a body's acceleration is coupled to no other. Outputs are those of the system
-    without modes: forces that depend on its states, not accelerations.
-
-    **Fields:** `inner`, the system; `modes`; `values` of these and of their bodies' masses.
-    """
-
-    inner: AbstractSystem
-    modes: tuple[Attachment, ...] = eqx.field(static=True)
-    values: dict[str, Leaf]
-
-    @property
-    def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's, then deflection and velocity of each mode."""
-        names = [n for m in self.modes for n in (m.states.deflection, m.states.velocity)]
-        units = [unit for mode in self.modes for unit in mode.states.units]
-        return (*self.inner.states, *zip(names, units))
-
-    @property
-    def inputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's."""
-        return self.inner.inputs
-
-    @property
-    def outputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The system's."""
-        return self.inner.outputs
-
-    @property
-    def reversing(self) -> tuple[str, ...]:
-        """The system's."""
-        return self.inner.reversing
-
-    @property
-    def velocity_of(self) -> Mapping[str, str]:
-        """The system's."""
-        return self.inner.velocity_of
-
-    @property
-    def carried(self) -> Mapping[str, str]:
-        """The modes' states."""
-        return {**self.inner.carried, **carried_states(mode.states for mode in self.modes)}
-
-    def derivative(self, state: State, inputs: Inputs) -> State:
-        """Time derivative of the state, each body's less what its modes take."""
-        count = len(self.inner.states)
-        flow = self.inner.derivative(state[:count], inputs)
-        signals = dict(zip(self.state_names, state))
-        rates = []
-        for names, body_mass in self.modes:
-            own = names.rates(signals, self.values)
-            body = self.values[body_mass] if isinstance(body_mass, str) else body_mass
-            taken = self.values[names.parameters.mass] * own[names.velocity] / body
-            flow = flow.at[self.inner.state_names.index(names.body)].add(-taken)
-            rates += [own[names.deflection], own[names.velocity]]
-        return jnp.concatenate([flow, jnp.stack(rates)])
-
-    def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
-        """The system's."""
-        return self.inner.output(state[: len(self.inner.states)], inputs)
-
-
-def attachments(procedure: Procedure, inner: AbstractSystem) -> tuple[Attachment, ...] | None:
-    """How modes of a procedure are attached to the system that it is of.
-
-    **Returns:** `None` where the body's velocity is no state of the system, or where the equations
-    say that its acceleration is coupled to others. Of equations that cannot be simulated, it is
-    taken for granted that it is not.
-    """
-    equations = [equation for stage in procedure.stages for equation in stage]
-    found = []
-    for number, mode in enumerate(procedure.modes):
-        states = ModeStates.of(number, mode, equations)
-        inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
-        mass = abs(float(inertia.number)) if inertia.name is None else inertia.name
-        if states.body not in inner.state_names:
-            return None
-        found.append(Attachment(states, mass))
-    generic = np.random.default_rng(0).uniform(0.5, 1.5, len(procedure.parameters))
-    values = dict(zip(procedure.parameters, generic))
-    try:
-        system = equation_system(procedure, values)
-    except ModelError:
-        return tuple(found)
-    return tuple(found) if all(_uncoupled(system, one, values) for one in found) else None
-
-
-def _uncoupled(system: EquationSystem, one: Attachment, values: Mapping[str, float]) -> bool:
-    """Whether a mode's spring accelerates its body by force over mass, and changes nothing else."""
-    unknowns = system.structure.unknowns
-    state = np.random.default_rng(1).uniform(0.2, 0.9, len(system.states))
-    level = jnp.asarray(np.linspace(0.3, 0.7, len(system.inputs)))
-    none = jnp.zeros(len(unknowns))
-    stretched = state + (np.array(system.state_names) == one.states.deflection)
-    before, slopes, _ = system.probed(jnp.asarray(state), level, none)
-    after, _, _ = system.probed(jnp.asarray(stretched), level, none)
-    change = -np.linalg.solve(np.asarray(slopes), np.asarray(after - before))
-    bodies = [motion for motion in system.structure.motions if one.states.body in motion.names]
-    if not bodies:
-        return False
-    mass = values[one.body_mass] if isinstance(one.body_mass, str) else one.body_mass
-    expected = np.zeros(len(unknowns))
-    stiffness = values[one.states.parameters.stiffness]
-    expected[unknowns.index(bodies[0].names[-1])] = -stiffness / mass
-    rounding = 1e3 * np.finfo(change.dtype).eps
-    return bool(np.allclose(change, expected, rtol=rounding, atol=rounding * np.max(abs(expected))))

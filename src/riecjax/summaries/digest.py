@@ -15,7 +15,7 @@ from jaxtyping import Array, Key, UInt32
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 
@@ -23,24 +23,28 @@ from riecjax.records.record import Record
 class Outline(eqx.Module):
     """The equations that recordings are summed for, as far as sums depend on them.
 
-    **Fields:** `stages`, each equation's name and its parameters; `units` by parameter;
-    `fingerprint` of the equations' terms, empty where their numbers were traced.
+    **Fields:** `stages`, each equation's name and its columns; `parameters`, the columns but for
+    those that hidden elements add; `units` by parameter; `fingerprint` of the equations' terms,
+    empty where their numbers were traced.
     """
 
     stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
     fingerprint: str = eqx.field(static=True)
 
     @classmethod
-    def of(cls, procedure: Procedure) -> "Outline":
-        """Of a procedure."""
-        stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in procedure.stages)
+    def of(cls, model: Model) -> "Outline":
+        """Of a model."""
+        stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in model.stages)
         fingerprint = ""
-        if is_concrete(procedure):
-            equations = [[_described(e) for e in stage] for stage in procedure.stages]
+        if is_concrete(model):
+            equations = [[_described(e) for e in stage] for stage in model.stages]
             written = json.dumps(equations, sort_keys=True, default=_without_address)
             fingerprint = hashlib.sha256(written.encode()).hexdigest()
-        return cls(stages, tuple(procedure.units.items()), fingerprint)
+        columns = (c for e in model.equations for t in e.terms for c in t.columns)
+        parameters = tuple(dict.fromkeys(c.name for c in columns if not c.order))
+        return cls(stages, parameters, tuple(model.units.items()), fingerprint)
 
     def is_of(self, other: "Outline") -> bool:
         """Whether both are of the same equations, as far as that is known."""
@@ -49,7 +53,7 @@ class Outline(eqx.Module):
 
 
 def digest_of(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -69,7 +73,7 @@ def digest_of(
     settings = {
         "time_step": float(record.time_step),
         "criterion": criterion.describe(),
-        "equations": [[_described(e) for e in stage] for stage in procedure.stages],
+        "equations": [[_described(e) for e in stage] for stage in model.stages],
         "key": None if key is None else jax.random.key_data(key).tolist(),
         "bins": None if bins is None else bins.edges.tolist(),
         "noise": jax.tree.map(lambda taps: np.asarray(taps).tolist(), record.noise.kernels),

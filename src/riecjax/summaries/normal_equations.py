@@ -1,5 +1,7 @@
 """Normal equations: all that least squares needs to know of its rows, and additive."""
 
+import functools
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -28,12 +30,15 @@ class NormalEquations(eqx.Module):
     - `parameters`: names of the p regressors, in the order of the matrix.
     - `noise`: what of `moments` sensor noise adds in expectation, shape `(..., 1 + p, 1 + p)`;
       `None` where nothing is known of it.
+    - `of_source`: what each of the noise's sources adds to all blocks of a record, shape
+      `(records, sources, 1 + p, 1 + p)`, as long as it is told apart.
     """
 
     moments: Float[Array, "*blocks columns columns"]
     count: Float[Array, "*blocks"]
     parameters: tuple[str, ...] = eqx.field(static=True)
     noise: Float[Array, "*blocks columns columns"] | None = None
+    of_source: Float[Array, "records sources columns columns"] | None = None
 
     @property
     def clean(self) -> Float[Array, "*blocks columns columns"]:
@@ -55,20 +60,28 @@ class NormalEquations(eqx.Module):
         """y^T y, noise included."""
         return self.moments[..., 0, 0]
 
-    def each(
-        self,
-        of_matrix: Callable[[Array], Array],
-        of_count: Callable[[Array], Array] = lambda count: count,
-        parameters: tuple[str, ...] | None = None,
-    ) -> "NormalEquations":
-        """The same done to all matrices, and something to the numbers of rows."""
-        names = self.parameters if parameters is None else parameters
-        noise = None if self.noise is None else of_matrix(self.noise)
-        return NormalEquations(of_matrix(self.moments), of_count(self.count), names, noise)
+    def in_blocks(self, of_blocks: Callable[[Array], Array]) -> "NormalEquations":
+        """The same with something done to the leading axes; sources are no longer told apart."""
+        moments, count, noise = jax.tree.map(of_blocks, (self.moments, self.count, self.noise))
+        return NormalEquations(moments, count, self.parameters, noise)
 
-    def with_noise(self, noise: Array | None) -> "NormalEquations":
+    def in_columns(
+        self, of_matrix: Callable[[Array], Array], parameters: tuple[str, ...]
+    ) -> "NormalEquations":
+        """The same of other columns: something linear done to every matrix."""
+        matrices = (self.moments, self.noise, self.of_source)
+        moments, noise, of_source = jax.tree.map(of_matrix, matrices)
+        return NormalEquations(moments, self.count, parameters, noise, of_source)
+
+    def with_noise(self, noise: Array | None, of_source: Array | None = None) -> "NormalEquations":
         """The same moments, of which this is noise."""
-        return NormalEquations(self.moments, self.count, self.parameters, noise)
+        return NormalEquations(self.moments, self.count, self.parameters, noise, of_source)
+
+    def by_source(self) -> "NormalEquations":
+        """What each source of noise adds, all records' one after the other along the first axis."""
+        assert self.of_source is not None
+        moments = self.of_source.reshape(-1, *self.of_source.shape[2:])
+        return NormalEquations(moments, jnp.zeros(len(moments)), self.parameters)
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
         if self.parameters != other.parameters:
@@ -77,39 +90,42 @@ class NormalEquations(eqx.Module):
                 f"{other.parameters}. Bring both to the same ones by `embed`."
             )
         moments, count = self.moments + other.moments, self.count + other.count
-        known = [noise for noise in (self.noise, other.noise) if noise is not None]
-        noise = sum(known[1:], start=known[0]) if known else None
-        return NormalEquations(moments, count, self.parameters, noise)
+        noise, of_source = (
+            mine if theirs is None else theirs if mine is None else mine + theirs
+            for mine, theirs in ((self.noise, other.noise), (self.of_source, other.of_source))
+        )
+        return NormalEquations(moments, count, self.parameters, noise, of_source)
 
     def total(self) -> "NormalEquations":
         """The sum over the axis of blocks."""
-        return self.each(lambda m: m.sum(0), lambda count: count.sum(0))
+        return self.in_blocks(lambda blocks: blocks.sum(0))
 
-    def in_blocks_of_records(self) -> "NormalEquations":
+    def of_records(self) -> "NormalEquations":
         """Of leading axes `(records, blocks)`, the sum over the second."""
-        return self.each(lambda m: m.sum(1), lambda count: count.sum(1))
+        summed = self.in_blocks(lambda blocks: blocks.sum(1))
+        return summed.with_noise(summed.noise, self.of_source)
 
     def flattened(self) -> "NormalEquations":
         """The same with one leading axis for all that there are."""
-        shape = self.moments.shape[-2:]
-        return self.each(lambda m: m.reshape(-1, *shape), lambda count: count.reshape(-1))
-
-    def rename(self, parameters: tuple[str, ...]) -> "NormalEquations":
-        """The same equations with other names for the regressors."""
-        return self.each(lambda m: m, parameters=parameters)
+        axes = self.count.ndim
+        return self.in_blocks(lambda blocks: blocks.reshape(-1, *blocks.shape[axes:]))
 
     def embed(self, parameters: tuple[str, ...]) -> "NormalEquations":
         """The same equations among more parameters, with zeros for those that do not occur."""
         if missing := set(self.parameters) - set(parameters):
             raise ModelError(f"cannot leave out {sorted(missing)}; fix them instead.")
-        index = jnp.array([0] + [1 + parameters.index(name) for name in self.parameters])
-        size = 1 + len(parameters)
+        if parameters == self.parameters:
+            return self
+        # Behind the columns stands one of zeros, which is taken where a parameter does not occur.
+        place = {name: 1 + j for j, name in enumerate(self.parameters)}
+        index = np.array([0, *(place.get(name, 1 + len(place)) for name in parameters)])
+        xp = namespace(self)
 
         def embedded(matrix: Array) -> Array:
-            among = jnp.zeros((*matrix.shape[:-2], size, size), matrix.dtype)
-            return among.at[..., index[:, None], index[None, :]].set(matrix)
+            beside = [(0, 0)] * (matrix.ndim - 2) + [(0, 1), (0, 1)]
+            return xp.pad(matrix, beside)[..., index[:, None], index[None, :]]
 
-        return self.each(embedded, parameters=parameters)
+        return self.in_columns(embedded, parameters)
 
     def fix(self, known: Mapping[str, Array | float]) -> "NormalEquations":
         """The equations left when these parameters take these values: their columns join y.
@@ -117,19 +133,18 @@ class NormalEquations(eqx.Module):
         Names that do not occur here are ignored. Rows are not needed again, so that one set of
         normal equations serves every variant of what is known.
         """
-        free = tuple(name for name in self.parameters if name not in known)
+        free = [j for j, name in enumerate(self.parameters) if name not in known]
         # With y' = y - sum known_j a_j, the columns [y' A'] = [y A] T^T are a linear map of the old
         # ones, and so are their moments, T M T^T. In it y'^T y' is a difference of large numbers
         # where the known terms make up most of y, and loses as many digits as they share with it;
         # A'^T A' and the blocks' additivity are untouched.
-        mix = jnp.zeros((1 + len(free), 1 + len(self.parameters)), self.moments.dtype)
-        mix = mix.at[0, 0].set(1.0)
-        for j, name in enumerate(self.parameters):
-            if name in known:
-                mix = mix.at[0, 1 + j].set(-jnp.asarray(known[name], mix.dtype))
-            else:
-                mix = mix.at[1 + free.index(name), 1 + j].set(1.0)
-        return self.each(lambda matrix: mix @ matrix @ mix.T, parameters=free)
+        xp, dtype = namespace(self, known), self.moments.dtype
+        target = [1.0, *(-known[name] if name in known else 0.0 for name in self.parameters)]
+        target = xp.stack([xp.asarray(value, dtype) for value in target])
+        regressors = np.eye(target.size, dtype=dtype)[[1 + j for j in free]]
+        mix = xp.concatenate([target[None], regressors])
+        names = tuple(self.parameters[j] for j in free)
+        return self.in_columns(lambda matrix: mix @ matrix @ mix.T, names)
 
     @classmethod
     def of_rows(
@@ -167,23 +182,40 @@ def _energy(moments: Array, theta: Float[Array, " p"]) -> Array:
     return jnp.maximum(jnp.einsum("i,...ij,j->...", v, moments, v), 0.0)
 
 
+def sum_of_equations(
+    equations: Sequence[NormalEquations], names: tuple[str, ...] | None = None
+) -> NormalEquations:
+    """A stage's normal equations: its equations' ones, residuals of all weighted alike.
+
+    Among `names`, all that occur in order unless they are given.
+    """
+    if names is None:
+        names = tuple(dict.fromkeys(name for one in equations for name in one.parameters))
+    return functools.reduce(operator.add, (one.embed(names) for one in equations))
+
+
 def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> NormalEquations:
     """Of one record after another, with empty blocks behind, up to as many as `room` or another."""
     most = max(room, *(part.count.shape[0] for part in parts))
     xp = namespace(parts)
 
-    def filled_up(blocks: Array) -> Array:
-        return xp.pad(blocks, [(0, most - blocks.shape[0])] + [(0, 0)] * (blocks.ndim - 1))
+    def stacked(blocks: Sequence[Array], length: int) -> Array:
+        behind = ([(0, length - b.shape[0])] + [(0, 0)] * (b.ndim - 1) for b in blocks)
+        return xp.stack([xp.pad(b, pad) for b, pad in zip(blocks, behind)])
 
-    noise = None
+    noise = of_source = None
     if any(part.noise is not None for part in parts):
         each = [xp.zeros_like(p.moments) if p.noise is None else p.noise for p in parts]
-        noise = xp.stack([filled_up(one) for one in each])
+        noise = stacked(each, most)
+    sources = [part.of_source for part in parts if part.of_source is not None]
+    if sources:
+        of_source = stacked(sources, max(len(each) for each in sources))
     return NormalEquations(
-        xp.stack([filled_up(part.moments) for part in parts]),
-        xp.stack([filled_up(part.count) for part in parts]),
+        stacked([part.moments for part in parts], most),
+        stacked([part.count for part in parts], most),
         parts[0].parameters,
         noise,
+        of_source,
     )
 
 
@@ -240,10 +272,7 @@ def merge_blocks(
     those beyond `used` are empty. No block holds anything of two records.
     """
 
-    def merged(values: Array) -> Array:
-        return sum_blocks(values, short, used, most)
-
-    return equations.each(merged, merged)
+    return equations.in_blocks(lambda values: sum_blocks(values, short, used, most))
 
 
 def sum_blocks(

@@ -25,16 +25,16 @@ from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
 from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
 from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
+from riecjax.equations.expressions import evaluate
+from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Terms, evaluate
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
-from riecjax.records.record import Record, filled_up
+from riecjax.records.record import Record, both, filled_up
 from riecjax.summaries.digest import digest_of
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import moments_of_drawn, sum_of_equations
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
+from riecjax.summaries.stage_sums import moments_of_drawn
 from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
 
 PART = 2**17
@@ -120,7 +120,7 @@ class Surveyed(NamedTuple):
 
 @kept_jit
 def of_all_windows(
-    procedure: Procedure,
+    model: Model,
     criterion: AbstractCriterion,
     part: Part,
     lengths: tuple[Lengths, ...],
@@ -129,11 +129,41 @@ def of_all_windows(
 ) -> list[list[PartSums]]:
     """What blocks of starts of a part say of each equation of each stage, where windows are summed.
 
+    The closed form sums the windows that start in a block from running sums over the block and its
+    reach, so that a block shorter than a window costs as much as one as long. Where windows are
+    longer, neighbouring blocks are summed as one, and the first of them holds the sums.
+
     **Arguments:** `band`, shortest and longest lag of the law.
     """
 
+    def of_lengths(
+        noisy: NoisyColumns, record: Record, which: Lengths, blocks: StartBlocks
+    ) -> BlockSums:
+        size, wider = blocks.size, 1
+        if isinstance(size, int):
+            while wider * size < which.reach and blocks.number % (2 * wider) == 0:
+                wider *= 2
+            blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
+
+        def spread(sums: Array) -> Array:
+            apart = jnp.swapaxes(sums, 0, 1)[:, None]
+            behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
+            return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
+
+        def moments_of(columns: Columns) -> tuple[Array, Array]:
+            return criterion.test_function.moments(columns, which.lags, blocks, which.reach)
+
+        found, number = moments_of(with_constant(noisy.columns))
+        added = criterion.noise_of(
+            noisy, record.noise, which.lags, blocks, lambda columns: moments_of(columns)[0]
+        )
+        total, of_source = (None, None) if added is None else (added.total, added.of_source[None])
+        moments, constant = without_constant(found)
+        sums = jax.tree.map(spread, BlockSums(moments, number, constant, total, None))
+        return sums._replace(of_source=of_source)
+
     def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
-        return tuple(_in_blocks(criterion, noisy, record, which, blocks) for which in lengths)
+        return tuple(of_lengths(noisy, record, which, blocks) for which in lengths)
 
     def some_windows(blocks: StartBlocks) -> WindowSet:
         # In each block, at places and of lengths that are drawn once for all.
@@ -144,46 +174,7 @@ def of_all_windows(
         return WindowSet(start, start + criterion.test_function.length_multiple * lag)
 
     reach = lengths[-1].reach
-    return _in_chunks(procedure, criterion, part, sums_of, some_windows, reach, request)
-
-
-def _in_blocks(
-    criterion: AbstractCriterion,
-    noisy: NoisyColumns,
-    record: Record,
-    lengths: Lengths,
-    blocks: StartBlocks,
-) -> BlockSums:
-    """Moments and numbers of windows of some lengths, and what noise adds.
-
-    The closed form sums the windows that start in a block from running sums over the block and its
-    reach, so that a block shorter than a window costs as much as one as long. Where windows are
-    longer, neighbouring blocks are summed as one, and the first of them holds the sums.
-    """
-    size, wider = blocks.size, 1
-    if isinstance(size, int):
-        while wider * size < lengths.reach and blocks.number % (2 * wider) == 0:
-            wider *= 2
-        blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
-
-    def spread(sums: Array) -> Array:
-        apart = jnp.swapaxes(sums, 0, 1)[:, None]
-        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
-        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
-
-    columns = with_constant(noisy.columns)
-
-    def moments_of(columns: Columns) -> tuple[Array, Array]:
-        return criterion.test_function.moments(columns, lengths.lags, blocks, lengths.reach)
-
-    found, number = moments_of(columns)
-    noise = criterion.noise_of(
-        noisy, record.noise, lengths.lags, blocks, lambda columns: moments_of(columns)[0]
-    )
-    total, of_source = (None, None) if noise is None else (noise.total, noise.of_source[None])
-    moments, constant = without_constant(found)
-    sums = jax.tree.map(spread, BlockSums(moments, number, constant, total, None))
-    return sums._replace(of_source=of_source)
+    return _in_chunks(model, criterion, part, sums_of, some_windows, reach, request)
 
 
 def with_constant(columns: Columns) -> Columns:
@@ -200,7 +191,7 @@ def without_constant(moments: Array) -> tuple[Array, Array]:
 
 @kept_jit
 def of_rows(
-    procedure: Procedure,
+    model: Model,
     criterion: AbstractCriterion,
     part: Part,
     key: Key[Array, ""] | None,
@@ -211,21 +202,20 @@ def of_rows(
 
     def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
         beside = noisy._replace(columns=with_constant(noisy.columns))
-        (found, number), added = moments_of_drawn(criterion, beside, record, drawn, blocks)
-        total, of_source = None, None
-        if added is not None:
-            total, of_source = (each[..., :-1, :-1] for each in (added.total, added.of_source))
-            total, of_source = total[:, None], of_source[None, None]
-        moments, constant = without_constant(found)
-        return (BlockSums(moments[:, None], number[:, None], constant[:, None], total, of_source),)
+        found = moments_of_drawn(criterion, beside, record, drawn, blocks)
+        _, constant = without_constant(found.moments)
+        found = found.in_columns(lambda matrix: matrix[..., :-1, :-1], noisy.columns.parameters)
+        sums = BlockSums(found.moments, found.count, constant, found.noise, None)
+        sums = jax.tree.map(lambda leaf: leaf[:, None], sums)
+        return (sums._replace(of_source=jax.tree.map(lambda s: s[None, None], found.of_source)),)
 
     every = WindowSet(drawn.start[None], drawn.stop[None])
-    return _in_chunks(procedure, criterion, part, sums_of, lambda _: every, 0, request)
+    return _in_chunks(model, criterion, part, sums_of, lambda _: every, 0, request)
 
 
 @kept_jit
 def all_rows(
-    procedure: Procedure, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
+    model: Model, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
 ) -> list[list[Rows]]:
     """Every row of each equation of each stage."""
     drawn = criterion.draw(part.record, key, part.held)
@@ -234,11 +224,11 @@ def all_rows(
         columns = sampled_columns(equation, part.record, criterion.smoothness)
         return criterion.rows_of(columns, drawn, part.held)
 
-    return [[rows(equation) for equation in stage] for stage in procedure.stages]
+    return [[rows(equation) for equation in stage] for stage in model.stages]
 
 
 def _in_chunks(
-    procedure: Procedure,
+    model: Model,
     criterion: AbstractCriterion,
     part: Part,
     sums_of: Callable[[NoisyColumns, Record, StartBlocks], tuple[BlockSums, ...]],
@@ -248,19 +238,62 @@ def _in_chunks(
 ) -> list[list[PartSums]]:
     def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
         # Every survey has noisy rows: what they are made of is evaluated once, for all.
-        disturbed = _disturbed(record) if request.surveyed else None
+        disturbed = record
+        if request.surveyed:
+            # White noise of its size on each signal; any stretch has the same.
+            first = jnp.round(record.skipped / record.time_step).astype(int)
+            place = first + jnp.arange(record.sample_count)
+            names = sorted(record.arrays)
+            each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
+            sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
+            drawn = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
+            signals = zip(names, (record.signal(name) for name in names), drawn)
+            disturbed = record.with_signals(
+                {n: dataclasses.replace(s, values=s.values + own) for n, s, own in signals}
+            )
 
         def of_equation(equation: Equation) -> PartSums:
             noisy, survey = criterion.noisy_columns(equation, record), None
-            if disturbed is not None:
+            if request.surveyed:
                 added = sampled_columns(equation, disturbed, criterion.smoothness)
                 added = added - sampled_columns(equation, record, criterion.smoothness)
-                windows = surveyed_windows(blocks)
-                columns = noisy.columns, added
-                survey = _surveyed(criterion, equation, columns, windows, record, blocks)
+                survey = surveyed(equation, noisy.columns, added, record, blocks)
             return PartSums(sums_of(noisy, record, blocks), survey)
 
-        return [[of_equation(equation) for equation in stage] for stage in procedure.stages]
+        return [[of_equation(equation) for equation in stage] for stage in model.stages]
+
+    def surveyed(
+        equation: Equation, columns: Columns, added: Columns, record: Record, blocks: StartBlocks
+    ) -> Surveyed:
+        windows, last = surveyed_windows(blocks), columns.sample_count - 1
+        inside = (windows.stop < blocks.unpadded).ravel()
+        flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
+
+        def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
+            found = by.rows_of(of, flat, blocks.unpadded)
+            valid: Any = both(inside, found.valid)
+            values = jnp.where(valid[:, None], found.columns.T, 0.0)
+            return values.reshape(*windows.start.shape, -1), valid.reshape(windows.start.shape)
+
+        values, valid = rows(columns, criterion)
+        finer, reaches = criterion.finest(), {}
+        real = jnp.arange(record.sample_count) < blocks.unpadded
+        for term in equation.terms:
+            term = term.term if isinstance(term, InMotion) else term
+            if term.basis is not None:
+                argument = evaluate(term.of, record).values
+                low = jnp.min(argument, where=real, initial=jnp.inf)
+                high = jnp.max(argument, where=real, initial=-jnp.inf)
+                reaches[str(term.name)] = jnp.stack([low, high])[None]
+        at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
+        return Surveyed(
+            values,
+            values if finer is criterion else rows(columns, finer)[0],
+            rows(added, criterion)[0],
+            record.elapsed[at].reshape(windows.start.shape),
+            valid,
+            reaches,
+        )
 
     block = request.block
     if not isinstance(block, int):
@@ -275,62 +308,6 @@ def _in_chunks(
         unpadded=part.held,
         first=part.first,
         number=request.blocks,
-    )
-
-
-def _surveyed(
-    criterion: AbstractCriterion,
-    equation: Equation,
-    both: tuple[Columns, Columns],
-    windows: WindowSet,
-    record: Record,
-    blocks: StartBlocks,
-) -> Surveyed:
-    """Rows of some windows, of an equation's columns and of what noise adds to them."""
-    columns, added = both
-    shape = windows.start.shape
-    last = columns.sample_count - 1
-    inside = (windows.stop < blocks.unpadded).ravel()
-    flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
-
-    def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
-        found = by.rows_of(of, flat, blocks.unpadded)
-        valid = inside if found.valid is None else inside & found.valid
-        values = jnp.where(valid[:, None], found.columns.T, 0.0)
-        return values.reshape(*shape, -1), valid.reshape(shape)
-
-    values, valid = rows(columns, criterion)
-    finer, reaches = criterion.finest(), {}
-    real = jnp.arange(record.sample_count) < blocks.unpadded
-    for term in equation.terms:
-        term = term.term if isinstance(term, InMotion) else term
-        if isinstance(term, Terms):
-            argument, _ = evaluate(term.of, record)
-            low = jnp.min(argument, where=real, initial=jnp.inf)
-            high = jnp.max(argument, where=real, initial=-jnp.inf)
-            reaches[term.prefix] = jnp.stack([low, high])[None]
-    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
-    return Surveyed(
-        values,
-        values if finer is criterion else rows(columns, finer)[0],
-        rows(added, criterion)[0],
-        record.elapsed[at].reshape(shape),
-        valid,
-        reaches,
-    )
-
-
-def _disturbed(record: Record) -> Record:
-    """The record with white noise of its size on each signal; any stretch has the same."""
-    first = jnp.round(record.skipped / record.time_step).astype(int)
-    place = first + jnp.arange(record.sample_count)
-    names = sorted(record.arrays)
-    each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
-    sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
-    noise = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
-    signals = ((name, record.by_name[name]) for name in names)
-    return record.with_signals(
-        {n: dataclasses.replace(s, values=s.values + own) for (n, s), own in zip(signals, noise)}
     )
 
 
@@ -395,7 +372,7 @@ class OnePass:
     to the rest: then see [`stretch_starts`][].
     """
 
-    procedure: Procedure
+    model: Model
     record: Record
     criterion: AbstractCriterion
     key: Key[Array, ""] | None
@@ -425,7 +402,7 @@ class OnePass:
 
         **Raises:** `ModelError` for an expression that mixes samples of a long recording.
         """
-        equations = [e for stage in self.procedure.stages for e in stage]
+        equations = self.model.equations
         mixing = mixing_expressions(equations, self.record)
         if mixing and (self.count > PART or self.criterion.in_chunks(self.record)):
             raise ModelError(
@@ -447,7 +424,7 @@ class OnePass:
             np.asarray(np.nan if offered is None else float(offered)),
             np.asarray(last - first),
             np.asarray(self.step),
-            digest_of(self.procedure, self.record, self.criterion, self.key, self.bins),
+            digest_of(self.model, self.record, self.criterion, self.key, self.bins),
             self.record.noise,
         )
         # The order of axes in memory is one in which NumPy adds up: it must survive a file.
@@ -465,7 +442,7 @@ class OnePass:
             self.count, self.record.time_step, self.criterion.test_function.length_multiple
         )
         band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
-        given = (self.procedure, self.criterion)
+        given = (self.model, self.criterion)
         parts = [
             jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, band, layout.request))
             for part in self._parts(layout, reach)
@@ -481,45 +458,31 @@ class OnePass:
 
         def of_equation(i: int, j: int) -> EquationSums:
             every = [part[i][j] for part in parts]
+            # Blocks, or chunks, of all parts one after the other; then bins of all lengths.
+            lengths = [
+                jax.tree.map(lambda *leaves: np.concatenate(leaves), *group)
+                for group in zip(*(part.moments for part in every))
+            ]
+            sums: BlockSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
 
-            def joined(of: str) -> np.ndarray | None:
-                """Sums by blocks of all parts and bins, the bins first."""
-                groups = list(zip(*(part.moments for part in every)))
-                if getattr(groups[0][0], of) is None:
-                    return None
-                in_groups = [np.concatenate([getattr(p, of) for p in group]) for group in groups]
-                in_bins = np.moveaxis(np.concatenate(in_groups, axis=1)[:count], 1, 0)
-                if grouped == 1:
-                    return in_bins
-                bins, blocks, *rest = in_bins.shape
-                missing = -blocks % grouped
-                padded = np.pad(in_bins, [(0, 0), (0, missing)] + [(0, 0)] * len(rest))
-                return padded.reshape(bins, -1, grouped, *rest).sum(2)
+            def in_bins(blocks: Leaf) -> Leaf:
+                bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
+                return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
 
-            def of_sources() -> np.ndarray | None:
-                groups = zip(*(part.moments for part in every))
-                sums = [
-                    [p.of_source.sum(0) for p in group if p.of_source is not None]
-                    for group in groups
-                ]
-                return (
-                    np.concatenate([sum(each[1:], start=each[0]) for each in sums])
-                    if sums[0]
-                    else None
-                )
-
-            sums: dict[str, Any] = {n: joined(n) for n in ("moments", "noise", "constant")}
-            sums["count"] = joined("number")
             surveys = [part.survey for part in every if part.survey is not None]
-            return EquationSums(
-                survey=_survey(surveys, float(self.record.skipped)) if surveys else None,
-                factor=None,
-                parameters=self.procedure.stages[i][j].parameters,
-                **sums,
-                noise_of_source=of_sources(),
+            found = EquationSums(
+                sums.moments,
+                sums.number,
+                _survey(surveys, float(self.record.skipped)) if surveys else None,
+                None,
+                self.model.stages[i][j].parameters,
+                sums.noise,
+                sums.of_source,
+                sums.constant,
             )
+            return found.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
 
-        shape = [len(stage) for stage in self.procedure.stages]
+        shape = [len(stage) for stage in self.model.stages]
         return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
 
     def _lengths(self, windows: AllWindows) -> tuple[Lengths, ...]:
@@ -578,13 +541,13 @@ class OnePass:
         request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(self.survey))
         layout = _Layout(block, n, _filled(n) if fill else None, request)
         (part,) = self._parts(layout, 0)
-        given = (self.procedure, self.criterion, part, self.key)
+        given = (self.model, self.criterion, part, self.key)
         found = jax.tree.map(np.asarray, of_rows(*given, request))
         stages = self._stages([found], block, 1)
         # Whether some stage's moments lose more digits than its rows would. What is not finite is
         # for the fit to refuse.
         totals = []
-        for stage, names in zip(stages, self.procedure.stage_parameters):
+        for stage, names in zip(stages, self.model.stage_parameters):
             apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
             totals.append(np.asarray(sum_of_equations(apart, names).total().gram))
         if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in totals):

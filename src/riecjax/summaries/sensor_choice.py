@@ -6,18 +6,15 @@ second the velocity's times the window's length times a time step: a hundredth o
 the same share of noise and the window holds some dozens of samples.
 """
 
-from typing import TypeGuard
-
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import AbstractTerm, Term
-from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.equations.model import Model
+from riecjax.equations.term import AbstractTerm
+from riecjax.leaves import is_concrete, namespace
 from riecjax.records.record import Record
 
 NOTICED = 0.02
@@ -25,45 +22,45 @@ NOTICED = 0.02
 the equation error then decides how far parameters scatter."""
 
 
-def with_less_noise(
-    procedure: Procedure, record: Record, criterion: AbstractCriterion
-) -> Procedure:
-    """The procedure whose first derivatives are read from the sensor that adds less noise.
+def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) -> Model:
+    """The model whose first derivatives are read from the sensor that adds less noise.
 
     The same unless boxcars are summed, where the position has little noise, and where nothing is
     known of the velocity's own. Under trace a term is of both sensors, with a factor of 0 and 1.
     """
     if criterion.windows is None or criterion.test_function.smoothness != 1:
-        return procedure
+        return model
 
     def read(term: AbstractTerm) -> list[AbstractTerm]:
         if not _has_both(term, record):
             return [term]
         chosen = _adds_less(term.measured[0], str(term.of), record, criterion)
-        by_velocity = term.of_its_derivative()
+        velocity, *measured = term.measured
+        by_velocity = term.with_fields(of=velocity, derivative=0, measured=tuple(measured))
         if is_concrete(chosen):
             return [by_velocity if chosen else term]
         share = jnp.asarray(chosen, float)
-        return [_scaled(term, 1 - share), _scaled(by_velocity, share)]
+        factor = jnp.asarray(term.factor)
+        return [
+            term.with_fields(factor=factor * (1 - share)),
+            by_velocity.with_fields(factor=factor * share),
+        ]
 
     def of(equation: Equation) -> Equation:
         if not any(_has_both(term, record) for term in equation.terms):
             return equation
-        terms = [each for term in equation.terms for each in read(term)]
-        return Equation(*terms, name=equation.name, unit=equation.unit, where=equation.where)
+        return equation.of_terms(*(each for term in equation.terms for each in read(term)))
 
-    return Procedure(tuple(tuple(map(of, stage)) for stage in procedure.stages))
+    return Model(stages=tuple(tuple(map(of, stage)) for stage in model.stages))
 
 
-def _has_both(term: AbstractTerm, record: Record) -> TypeGuard[Term]:
+def _has_both(term: AbstractTerm, record: Record) -> bool:
     """Whether the record holds a signal and its derivative by a sensor whose noise is known."""
-    if not (isinstance(term, Term) and term.derivative == 1 and term.measured):
-        return False
-    if not isinstance(term.of, str):
+    if term.signal is None or term.derivative != 1 or not term.measured:
         return False
     velocity, noise = term.measured[0], record.noise
-    own = velocity in noise.kernels and not noise.is_made_of(velocity, term.of)
-    return own and velocity in record.arrays and term.of in record.arrays
+    own = velocity in noise.kernels and not noise.is_made_of(velocity, term.signal)
+    return own and velocity in record.arrays and term.signal in record.arrays
 
 
 # What overflows is for the fit to refuse.
@@ -83,7 +80,3 @@ def _adds_less(
     by_position = 2 * noise.std(position) ** 2
     noticed = by_position > 2 * NOTICED**2 * xp.var(xp.asarray(record.arrays[position]))
     return noticed & (by_velocity < by_position)
-
-
-def _scaled(term: Term, by: Leaf) -> Term:
-    return eqx.tree_at(lambda term: term.number, term, jnp.asarray(term.number) * by)

@@ -1,31 +1,30 @@
-"""What a procedure's equations make of records: sums of its equations, or of its stages.
+"""What a model's equations make of records: sums of its equations, or of its stages.
 
 Equations of a stage, records and blocks of time add up, so that one table of moments for each
 equation, record and short block is all that needs to be kept.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
 from riecjax.compilation import kept_jit
-from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.noise_moments import NoiseMoments
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
+from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns
-from riecjax.equations.procedure import Procedure
 from riecjax.records.record import Record
-from riecjax.summaries.normal_equations import NormalEquations, short_blocks
+from riecjax.summaries.normal_equations import NormalEquations, short_blocks, sum_of_equations
 from riecjax.summaries.sums import EquationSums, RecordingSums
 
 
 @eqx.filter_jit
 def stage_normal_equations(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -38,23 +37,12 @@ def stage_normal_equations(
     `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
     length one.
     """
-    parts = _of_equations(procedure, record, criterion, key, blocks)
-    return [
-        sum_of_equations([equations for equations, _ in stage], names)
-        for stage, names in zip(parts, procedure.stage_parameters)
-    ]
-
-
-def sum_of_equations(equations: list[NormalEquations], names: tuple[str, ...]) -> NormalEquations:
-    """A stage's normal equations: its equations' ones, residuals of all weighted alike."""
-    total = equations[0].embed(names)
-    for further in equations[1:]:
-        total = total + further.embed(names)
-    return total
+    parts = _of_equations(model, record, criterion, key, blocks)
+    return [sum_of_equations(stage, names) for stage, names in zip(parts, model.stage_parameters)]
 
 
 def traced_sums(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
@@ -64,22 +52,14 @@ def traced_sums(
 
     `apart`: windows of each length by themselves, where the test function asks for that.
     """
-    parts = _of_equations_compiled(procedure, record, criterion, key, True, apart)
+    parts = _of_equations_compiled(model, record, criterion, key, True, apart)
 
-    def in_bins(leaf: Array) -> Array:
-        return leaf if apart else leaf[None]
-
+    if not apart:
+        parts = jax.tree.map(lambda leaf: leaf[None], parts)
     stages = tuple(
         tuple(
-            EquationSums(
-                in_bins(e.moments),
-                in_bins(e.count),
-                None,
-                None,
-                e.parameters,
-                *(map(in_bins, (noise.total, noise.of_source)) if noise else (None, None)),
-            )
-            for e, noise in stage
+            EquationSums(e.moments, e.count, None, None, e.parameters, e.noise, e.of_source)
+            for e in stage
         )
         for stage in parts
     )
@@ -98,30 +78,28 @@ def traced_sums(
 
 
 def _of_equations(
-    procedure: Procedure,
+    model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
     blocks: bool,
     apart: bool = False,
-) -> list[list[tuple[NormalEquations, NoiseMoments | None]]]:
+) -> list[list[NormalEquations]]:
     samples = criterion.block_samples(record) if blocks else record.sample_count
     count = -(-record.sample_count // samples)
 
     # Rows of a stage's equations are summed, never interleaved: one Gram matrix per equation.
-    def of(equation: Equation) -> tuple[NormalEquations, NoiseMoments | None]:
-        names = equation.parameters
+    def of(equation: Equation) -> NormalEquations:
         if criterion.in_closed_form:
             (moments, number), noise = criterion.sums(equation, record, apart)
-        else:
-            drawn = criterion.draw(record, key)
-            cut = StartBlocks(0, jnp.asarray(samples), count, record.sample_count)
-            noisy = criterion.noisy_columns(equation, record)
-            (moments, number), noise = moments_of_drawn(criterion, noisy, record, drawn, cut)
-        total = None if noise is None else noise.total
-        return NormalEquations(moments, number, names, total), noise
+            added = (None, None) if noise is None else (noise.total, noise.of_source)
+            return NormalEquations(moments, number, equation.parameters, *added)
+        drawn = criterion.draw(record, key)
+        cut = StartBlocks(0, jnp.asarray(samples), count, record.sample_count)
+        noisy = criterion.noisy_columns(equation, record)
+        return moments_of_drawn(criterion, noisy, record, drawn, cut)
 
-    return [[of(equation) for equation in stage] for stage in procedure.stages]
+    return [[of(equation) for equation in stage] for stage in model.stages]
 
 
 def moments_of_drawn(
@@ -130,18 +108,18 @@ def moments_of_drawn(
     record: Record,
     drawn: WindowSet,
     blocks: StartBlocks,
-) -> tuple[Moments, NoiseMoments | None]:
-    """Sums over rows of single windows or samples, for blocks of starts, and what noise adds."""
+) -> NormalEquations:
+    """Sums over rows of single windows or samples, for blocks of starts."""
     place = (drawn.start / blocks.size).astype(jnp.int32)
     place = jnp.clip(place, 0, blocks.number - 1) if blocks.number > 1 else None
 
-    def sums(columns: Columns) -> Moments:
+    def sums(columns: Columns) -> NormalEquations:
         rows = criterion.rows_of(columns, drawn, blocks.unpadded)
-        found = NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
-        return found.moments, found.count
+        return NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
 
-    noise = criterion.noise_of(noisy, record.noise, drawn, blocks, lambda c: sums(c)[0])
-    return sums(noisy.columns), noise
+    noise = criterion.noise_of(noisy, record.noise, drawn, blocks, lambda c: sums(c).moments)
+    found = sums(noisy.columns)
+    return found if noise is None else found.with_noise(noise.total, noise.of_source)
 
 
 _of_equations_compiled = kept_jit(_of_equations)

@@ -8,23 +8,23 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import AtRest, HasProcedure, Procedure
+from riecjax.equations.model import AtRest, Model, as_model
 from riecjax.errors import ModelError
 from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
-from riecjax.records.recording import as_recordings, explaining_errors
+from riecjax.records.recording import explaining_errors
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.one_pass import OnePass
 from riecjax.summaries.sensor_choice import with_less_noise
 from riecjax.summaries.stage_sums import traced_sums
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import RecordingSums
-from riecjax.summaries.task import Task, task
+from riecjax.summaries.task import Task, ready, task
 
 
 def summarise(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     record: Records,
     criterion: AbstractCriterion | None = None,
     *,
@@ -58,8 +58,9 @@ def summarise(
     windows, or for an expression that mixes samples of a long record; `DataError` for an absent
     signal or a record shorter than a window.
     """
-    asked = task(model, record, criterion, key, noise, at_rest)
-    with explaining_errors(as_recordings(record)):
+    recordings = ready(as_model(model), record, noise)
+    asked = task(model, recordings, criterion, key, at_rest)
+    with explaining_errors(recordings):
         return summed(asked, bins=bins, survey=survey, starts=starts)
 
 
@@ -71,11 +72,11 @@ def summed(
     starts: tuple[int, int] | None = None,
 ) -> Summary:
     """The Summary of a task; see [`summarise`][]."""
-    procedure, records, criterion, keys = asked
+    model, records, criterion, keys = asked
     # With hidden elements, sums are of more columns than there are parameters.
-    procedure = procedure.linear
-    outline = Outline.of(procedure)
-    traced = not is_concrete(procedure, records, criterion, keys) or is_under_trace()
+    model = model.linear
+    outline = Outline.of(model)
+    traced = not is_concrete(model, records, criterion, keys) or is_under_trace()
     windows, own = criterion.windows, None
     if bins is None and windows is not None and criterion.in_closed_form and is_concrete(windows):
         own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
@@ -85,7 +86,7 @@ def summed(
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
-        read = with_less_noise(in_motion(procedure, record), record, criterion)
+        read = with_less_noise(in_motion(model, record), record, criterion)
         if traced:
             return traced_sums(read, record, criterion, key, own is not None)
         return OnePass(read, record, criterion, key, kept_apart, survey, starts).sums()

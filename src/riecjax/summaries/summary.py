@@ -4,7 +4,6 @@ import dataclasses
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,7 +12,7 @@ from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.linear_algebra import factor_of_gram, joined_factor
@@ -165,13 +164,11 @@ class Summary(Shown, eqx.Module):
         jit)."""
         band = slice(*self.band)
 
+        def together(bins: Leaf) -> Leaf:
+            return np.asarray(bins)[band].sum(0, keepdims=True)
+
         def of(equation: EquationSums) -> EquationSums:
-            by_source = equation.noise_of_source
-            one = equation.each(lambda sums: np.asarray(sums)[band].sum(0, keepdims=True))
-            if by_source is None:
-                return one
-            by_source = np.asarray(by_source)[band].sum(0, keepdims=True)
-            return dataclasses.replace(one, noise_of_source=by_source)
+            return equation.each(together, noise_of_source=together)
 
         return dataclasses.replace(
             self.of_recordings(one.of_equations(of) for one in self.recordings),
@@ -204,13 +201,40 @@ class Summary(Shown, eqx.Module):
             for source, degrees in one.noise.freedom.items():
                 freedom[source] = np.asarray(freedom.get(source, 0.0) + np.asarray(degrees, float))
         noise = Noise(kernels, freedom)
-        sources = [one.noise.sources for one in every]
+
+        def pooled(i: int, j: int) -> EquationSums:
+            """The sums of one equation side by side."""
+            sums = [one.stages[i][j] for one in every]
+            shape = np.asarray(sums[0].moments).shape
+            # Of what no noise is known nothing is taken off.
+            added = [np.zeros_like(e.moments) if e.noise is None else e.noise for e in sums]
+            by_source = np.zeros((shape[0], len(noise.sources), *shape[2:]))
+            for one, equation in zip(every, sums):
+                if equation.noise_of_source is not None:
+                    place = [noise.sources.index(name) for name in one.noise.sources]
+                    by_source[:, place] += np.asarray(equation.noise_of_source)
+            known = any(equation.noise is not None for equation in sums)
+            constant = [e.constant for e in sums if e.constant is not None]
+            factor = None
+            if any(equation.factor is not None for equation in sums):
+                grams = [np.asarray(equation.moments).sum((0, 1)) for equation in sums]
+                factors = [e.factor for e in sums]
+                factor = joined_factor(
+                    [factor_of_gram(g) if f is None else f for g, f in zip(grams, factors)]
+                )
+            return EquationSums(
+                moments=np.concatenate([equation.moments for equation in sums], axis=1),
+                count=np.concatenate([equation.count for equation in sums], axis=1),
+                survey=None,
+                factor=factor,
+                parameters=sums[0].parameters,
+                noise=np.concatenate(added, axis=1) if known else None,
+                noise_of_source=by_source if known else None,
+                constant=np.concatenate(constant, axis=1) if len(constant) == len(sums) else None,
+            )
+
         stages = [
-            [
-                _pooled([one.stages[i][j] for one in every], sources, noise.sources)
-                for j, _ in enumerate(stage)
-            ]
-            for i, stage in enumerate(every[0].stages)
+            [pooled(i, j) for j, _ in enumerate(stage)] for i, stage in enumerate(every[0].stages)
         ]
         digests = b"".join(np.asarray(one.digest).astype(">u4").tobytes() for one in every)
         joined = RecordingSums(
@@ -290,40 +314,20 @@ class Summary(Shown, eqx.Module):
         if is_concrete(self.recordings):
             room = min((number for number in ROOMS if number >= count), default=count)
 
-        def in_band(equation: EquationSums) -> NormalEquations:
-            moments, count, noise = (
-                _of_bins(leaf, first, last)
-                for leaf in (equation.moments, equation.count, equation.noise)
+        def in_band(recording: RecordingSums, i: int, j: int) -> NormalEquations:
+            sums = recording.stages[i][j]
+            moments, count, noise, of_source = jax.tree.map(
+                lambda bins: bins[first:last].sum(0),
+                (sums.moments, sums.count, sums.noise, sums.noise_of_source),
             )
-            return NormalEquations(moments, count, equation.parameters, noise)
+            if of_source is None:
+                sources = len(recording.noise.sources)
+                of_source = namespace(moments).zeros((sources, *moments.shape[-2:]))
+            return NormalEquations(moments, count, sums.parameters, noise, of_source)
 
-        def stacked(i: int, j: int) -> NormalEquations:
-            every = [in_band(one.stages[i][j]) for one in self.recordings]
-            return stack_normal_equations(every, room)
-
-        return [
-            [stacked(i, j) for j, _ in enumerate(stage)]
-            for i, stage in enumerate(self.outline.stages)
-        ]
-
-    def noise_by_source(self, band: tuple[int, int] | None = None) -> list[list[NormalEquations]]:
-        """Of each equation of each stage, what each source of noise adds, with axes
-        `(recordings, sources)`; empty ones follow where a recording has fewer. Of the bins in use,
-        or of others."""
-        first, last = self.band if band is None else band
-
-        def of(one: RecordingSums, equation: EquationSums) -> NormalEquations:
-            size, each = len(one.noise.sources), equation.noise_of_source
-            names = equation.parameters
-            shape = (size, 1 + len(names), 1 + len(names))
-            xp = namespace(equation.moments)
-            moments: Any = xp.zeros(shape) if each is None else _of_bins(each, first, last)
-            return NormalEquations(moments, xp.zeros(size), names)
-
-        most = max(len(one.noise.sources) for one in self.recordings)
         return [
             [
-                stack_normal_equations([of(one, one.stages[i][j]) for one in self.recordings], most)
+                stack_normal_equations([in_band(one, i, j) for one in self.recordings], room)
                 for j, _ in enumerate(stage)
             ]
             for i, stage in enumerate(self.outline.stages)
@@ -369,9 +373,9 @@ class Summary(Shown, eqx.Module):
 
         return cls(**from_bytes(content))
 
-    def require_model(self, procedure: Procedure) -> None:
-        """Raise `ModelError` unless these are sums of the procedure's equations."""
-        if not self.outline.is_of(Outline.of(procedure.linear)):
+    def require_model(self, model: Model) -> None:
+        """Raise `ModelError` unless these are sums of the model's equations."""
+        if not self.outline.is_of(Outline.of(model.linear)):
             held = self.outline.stages
             named = "; ".join(" + ".join(name for name, _ in stage) for stage in held)
             raise ModelError(
@@ -409,13 +413,6 @@ def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
     return summaries[0].merge(*summaries[1:])
 
 
-def _of_bins(leaf: Any, first: int, last: int) -> Any:
-    """The sum over some bins along the leading axis, `None` of `None`."""
-    if leaf is None:
-        return None
-    return leaf[first] if last == first + 1 else leaf[first:last].sum(0)
-
-
 def _edges_of(summary: Summary) -> np.ndarray:
     return np.zeros(0) if summary.edges is None else np.asarray(summary.edges)
 
@@ -441,36 +438,3 @@ def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
         return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
 
     return min(one, other, key=rank)
-
-
-def _pooled(
-    every: Sequence[EquationSums], had: Sequence[Sequence[str]], sources: Sequence[str]
-) -> EquationSums:
-    """The sums of one equation side by side, each recording's with the `sources` that it `had`."""
-    shape = np.asarray(every[0].moments).shape
-    # Of what no noise is known nothing is taken off.
-    noise = [np.zeros_like(one.moments) if one.noise is None else one.noise for one in every]
-    by_source = np.zeros((shape[0], len(sources), *shape[2:]))
-    for one, names in zip(every, had):
-        if one.noise_of_source is not None:
-            by_source[:, [sources.index(name) for name in names]] += np.asarray(one.noise_of_source)
-    known = any(one.noise is not None for one in every)
-    constant = [one.constant for one in every if one.constant is not None]
-    return EquationSums(
-        moments=np.concatenate([one.moments for one in every], axis=1),
-        count=np.concatenate([one.count for one in every], axis=1),
-        survey=None,
-        factor=_factor(every),
-        parameters=every[0].parameters,
-        noise=np.concatenate(noise, axis=1) if known else None,
-        noise_of_source=by_source if known else None,
-        constant=np.concatenate(constant, axis=1) if len(constant) == len(every) else None,
-    )
-
-
-def _factor(every: Sequence[EquationSums]) -> np.ndarray | None:
-    if all(one.factor is None for one in every):
-        return None
-    sums = [np.asarray(one.moments).sum((0, 1)) for one in every]
-    given = [one.factor for one in every]
-    return joined_factor([factor_of_gram(s) if f is None else f for s, f in zip(sums, given)])

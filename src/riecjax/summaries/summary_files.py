@@ -36,7 +36,7 @@ DOCUMENT = "summary"
 EDGES = "edges"
 """Name of the array of the bins' edges."""
 FORMAT = "riecjax.Summary"
-SCHEMA = 4
+SCHEMA = 5
 """Of what a Summary holds; another one is refused."""
 LARGEST = 2**31
 """Bytes that a file may unpack to: it is refused by what it declares, before it is read."""
@@ -138,6 +138,7 @@ def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
         "riecjax": version_of("riecjax"),
         "dtype": str(recordings[0].stages[0][0].moments.dtype),
         "stages": outline.stages,
+        "parameters": outline.parameters,
         "units": outline.units,
         "fingerprint": outline.fingerprint,
         "bins": parts["edges"] is not None,
@@ -279,7 +280,9 @@ def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
     return {
         "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
         "criterion": criterion_from_plain_data(document["criterion"]),
-        "outline": Outline(tuple(stages), units, str(document["fingerprint"])),
+        "outline": Outline(
+            tuple(stages), tuple(document["parameters"]), units, str(document["fingerprint"])
+        ),
         "edges": edges,
         "in_law": _pair(document["in_law"]),
         "band": _pair(document["band"]),

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Self
 
 import equinox as eqx
 import numpy as np
@@ -61,11 +62,11 @@ class EquationSums(eqx.Module):
     noise_of_source: Float[Leaf, "bins sources columns columns"] | None = None
     constant: Float[Leaf, "bins blocks 1+columns"] | None = None
 
-    def each(self, of_sums: Callable[[Leaf], Leaf]) -> "EquationSums":
-        """The same done to all sums by bins and blocks."""
-        names = ("moments", "count", "noise", "constant")
-        leaves = {name: getattr(self, name) for name in names}
-        changed = {n: None if leaf is None else of_sums(leaf) for n, leaf in leaves.items()}
+    def each(self, of_sums: Callable[[Leaf], Leaf], **others: Callable[[Leaf], Leaf]) -> Self:
+        """The same done to all sums by bins and blocks, and what is said of `others` by name."""
+        by_name = dict.fromkeys(("moments", "count", "noise", "constant"), of_sums) | others
+        there = {name: getattr(self, name) for name in by_name}
+        changed = {n: by_name[n](leaf) for n, leaf in there.items() if leaf is not None}
         return dataclasses.replace(self, **changed)
 
 
@@ -74,7 +75,7 @@ class RecordingSums(eqx.Module):
 
     **Fields:**
 
-    - `stages`: equations of each stage of the procedure.
+    - `stages`: equations of each stage of the model.
     - `blocks`: how many short blocks of time hold the recording; arrays may be longer.
     - `block_seconds`: that each of them lasts.
     - `offered`: rows there would be of one equation without gaps and masks; NaN if not known.
@@ -97,14 +98,15 @@ class RecordingSums(eqx.Module):
         if index.size == int(self.blocks):
             return self
 
+        # A factor of all rows has no parts, and what one source adds is spread evenly.
+        share = index.size / int(self.blocks)
+
         def of(equation: EquationSums) -> EquationSums:
-            # A factor of all rows has no parts, and what one source adds is spread evenly.
-            share, of_source = index.size / int(self.blocks), equation.noise_of_source
-            return dataclasses.replace(
-                equation.each(lambda leaf: np.asarray(leaf[:, index], order="C")),
-                factor=None,
-                noise_of_source=None if of_source is None else share * of_source,
+            some = equation.each(
+                lambda leaf: np.asarray(leaf[:, index], order="C"),
+                noise_of_source=lambda leaf: share * leaf,
             )
+            return dataclasses.replace(some, factor=None)
 
         # Rows are not spread evenly over blocks, so that it is not known how many were offered.
         return dataclasses.replace(
@@ -137,12 +139,10 @@ class RecordingSums(eqx.Module):
         """Sums times a factor; triangular factors, whose squares are sums, times its root."""
         root = namespace(factor).sqrt(factor)
 
+        def times(leaf: Leaf) -> Leaf:
+            return leaf * factor
+
         def of(equation: EquationSums) -> EquationSums:
-            rows, of_source = equation.factor, equation.noise_of_source
-            return dataclasses.replace(
-                equation.each(lambda leaf: leaf * factor),
-                factor=None if rows is None else rows * root,
-                noise_of_source=None if of_source is None else of_source * factor,
-            )
+            return equation.each(times, noise_of_source=times, factor=lambda rows: rows * root)
 
         return dataclasses.replace(self.of_equations(of), offered=self.offered * factor)

@@ -1,7 +1,6 @@
 """What is to be summed, and everything of it that can be refused before any arithmetic."""
 
-import contextlib
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,14 +14,7 @@ from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
-from riecjax.equations.procedure import (
-    AtRest,
-    HasProcedure,
-    Procedure,
-    as_procedure,
-    with_rests,
-)
-from riecjax.equations.term import Terms
+from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.computed import without_computed
@@ -38,7 +30,7 @@ LARGEST = 1e150
 
 
 def default_criterion(
-    model: Equation | Procedure | HasProcedure, records: Records, noise: GivenNoise = "auto"
+    model: Equation | Model, records: Records, noise: GivenNoise = "auto"
 ) -> AbstractCriterion:
     """What [`identify`][] takes where no criterion is given.
 
@@ -48,90 +40,71 @@ def default_criterion(
 
     **Raises:** `DataError` for a missing signal.
     """
-    procedure = as_procedure(model)
-    recordings = [each.record for each in ready(procedure, records, noise)]
-    return suited(procedure, getattr(model, "band", None), recordings)
+    model = as_model(model)
+    recordings = [each.record for each in ready(model, records, noise)]
+    return suited(model, getattr(model, "band", None), recordings)
 
 
 class Task(NamedTuple):
-    """What is to be summed: a procedure's equations on records, by a criterion fitted to them.
+    """What is to be summed: a model's equations on records, by a criterion fitted to them.
 
     `keys`: what each record's random windows are drawn with.
     """
 
-    procedure: Procedure
+    model: Model
     records: list[Record]
     criterion: AbstractCriterion
     keys: list[Key[Array, ""] | None]
 
 
 def task(
-    model: Equation | Procedure | HasProcedure,
-    records: Records,
+    model: Equation | Model,
+    recordings: Sequence[Recording],
     criterion: "AbstractCriterion | Fit | None",
     key: Key[Array, ""] | None,
-    noise: GivenNoise = "auto",
     at_rest: AtRest | None = None,
 ) -> Task:
-    """What can be refused of records before arithmetic; see [`identify`][] for the arguments.
+    """What can be refused before arithmetic of recordings that are [`ready`][].
 
-    `criterion` may be what settings say of one.
-
-    Of the records' noise something is known from here on.
+    `criterion` may be what settings say of one; see [`identify`][] for the other arguments.
 
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
-    procedure = with_rests(as_procedure(model), at_rest)
-    # No sums tell of springs in series with maps.
-    if maps := [
-        f"'{spring.of}'"
-        for spring in procedure.springs
-        if any(isinstance(spring.element(e), Terms) for e in procedure.equations)
-    ]:
-        raise ModelError(
-            f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
-            f"its parameters: identify it without (on the command line: without --add-spring), and "
-            f"refine it from there, in Python: rx.refine(model, record, "
-            f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
-        )
-    recordings = ready(procedure, records, noise)
+    model = with_rests(as_model(model), at_rest)
     band = getattr(model, "band", None)
     sampled = [each.record for each in recordings]
-    criterion = criterion_for(criterion, procedure, band, sampled)
-    _require_derivatives(procedure, criterion)
+    criterion = criterion_for(criterion, model, band, sampled)
+    _require_derivatives(model, criterion)
     require_key(key)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
     for recording in recordings:
+        record = recording.record
         with recording.explaining_errors():
-            criterion.check(recording.record)
-            _require_squares(procedure, recording.record, criterion)
+            criterion.check(record)
+            if not is_concrete(record.arrays):
+                continue
+            # A value that is read and too large to be squared.
+            sizes = {name: float(np.max(np.abs(values))) for name, values in record.arrays.items()}
+            huge = [name for name, size in sizes.items() if size > LARGEST]
+            for name in huge and signals_read(model, record, criterion):
+                if name in huge:
+                    place = int(np.argmax(np.abs(record.arrays[name])))
+                    raise DataError(
+                        f"{name} is {float(record.arrays[name][place]):.4g} at "
+                        f"{float(record.elapsed[place]):.6g} s, so large that its square is not "
+                        f"finite. If that is a spike, repair it (--outliers repair; in Python "
+                        f"rx.records.repair_outliers(record)); else scale the signals to SI units."
+                    )
     plain = [recording.record for recording in recordings]
-    return Task(procedure, plain, criterion.fitted(plain), record_keys(key, len(plain)))
+    return Task(model, plain, criterion.fitted(plain), record_keys(key, len(plain)))
 
 
-def _require_squares(procedure: Procedure, record: Record, criterion: AbstractCriterion) -> None:
-    """Raise `DataError` for a signal that is read and has a value too large to be squared."""
-    if not is_concrete(record.arrays):
-        return
-    sizes = {name: float(np.max(np.abs(values))) for name, values in record.arrays.items()}
-    huge = [name for name, size in sizes.items() if size > LARGEST]
-    for name in huge and signals_read(procedure, record, criterion):
-        if name in huge:
-            place = int(np.argmax(np.abs(record.arrays[name])))
-            raise DataError(
-                f"{name} is {float(record.arrays[name][place]):.4g} at "
-                f"{float(record.elapsed[place]):.6g} s, so large that its square is not finite. If "
-                f"that is a spike, repair it (--outliers repair; in Python "
-                f"rx.records.repair_outliers(record)); else scale the signals to SI units."
-            )
-
-
-def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> None:
+def _require_derivatives(model: Model, criterion: AbstractCriterion) -> None:
     """Raise `ModelError` unless a criterion takes off what hidden elements put before terms."""
-    if not procedure.has_hidden:
+    if not model.has_hidden:
         return
-    most = max(t.derivative for stage in procedure.linear.stages for e in stage for t in e.terms)
+    most = max(t.derivative for stage in model.linear.stages for e in stage for t in e.terms)
     if criterion.smoothness < most or not criterion.in_closed_form:
         raise ModelError(
             f"hidden modes and springs need all windows of a test function that takes {most} "
@@ -142,16 +115,30 @@ def _require_derivatives(procedure: Procedure, criterion: AbstractCriterion) -> 
         )
 
 
-def ready(procedure: Procedure, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
-    """Recordings with the velocities that only functions read, and with their noise judged."""
+def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
+    """Recordings with the velocities that only functions read, and with their noise judged.
+
+    **Raises:** `ModelError` for springs of which no sums tell.
+    """
+    if maps := [
+        f"'{spring.of}'"
+        for spring in model.springs
+        if any((t := spring.element(e)) and not t.is_linear for e in model.equations)
+    ]:
+        raise ModelError(
+            f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
+            f"its parameters: identify it without (on the command line: without --add-spring), and "
+            f"refine it from there, in Python: rx.refine(model, record, "
+            f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
+        )
 
     def of(recording: Recording) -> Recording:
         with recording.explaining_errors():
-            record, steps = with_velocities(procedure, recording.record)
+            record, steps = with_velocities(model, recording.record)
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
             record = judged(record, noise)
-            record, found = without_computed(record, procedure.derivatives, known)
-            record = with_memories(record, procedure.memories)
+            record, found = without_computed(record, model.derivatives, known)
+            record = with_memories(record, model.memories)
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
@@ -176,9 +163,9 @@ def require_key(key: object) -> None:
 
 
 def signals_read(
-    procedure: Procedure, record: Record, criterion: AbstractCriterion, summed: bool = False
+    model: Model, record: Record, criterion: AbstractCriterion, summed: bool = False
 ) -> tuple[str, ...]:
-    """Names of the record's signals that a criterion reads for a procedure's equations.
+    """Names of the record's signals that a criterion reads for a model's equations.
 
     Raises what `identify` would raise of this one record, before any arithmetic; where it was
     `summed`, that raised it.
@@ -186,27 +173,21 @@ def signals_read(
     **Raises:** `DataError` for a missing signal or a record shorter than a window; `ModelError`
     for an expression that fails, and for windows that hidden elements cannot have.
     """
-    _require_derivatives(procedure, criterion)
+    _require_derivatives(model, criterion)
     criterion.check(record)
     read: set[str] = set()
-    for stage in procedure.stages:
+    for stage in model.stages:
         for equation in stage:
-            with _saying_whose_derivative(equation):
+            try:
                 read |= equation.signals_read(record, criterion.smoothness)
+            except MissingSignalError as error:
+                # If the equation calls it a derivative, say whose it is.
+                below = [of for of, name in equation.derivatives if name == error.signal]
+                known = next((of for of in below if of in error.available), "")
+                raise MissingSignalError(error.signal, error.available, known) from None
             if not summed:
                 eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
     return tuple(name for name in record.arrays if name in read)
-
-
-@contextlib.contextmanager
-def _saying_whose_derivative(equation: Equation) -> Iterator[None]:
-    """Of a missing signal that the equation calls a derivative, say whose it is."""
-    try:
-        yield
-    except MissingSignalError as error:
-        below = [of for of, name in equation.derivatives if name == error.signal]
-        known = next((of for of in below if of in error.available), "")
-        raise MissingSignalError(error.signal, error.available, known) from None
 
 
 def record_keys(key: Key[Array, ""] | None, count: int) -> list[Key[Array, ""] | None]:

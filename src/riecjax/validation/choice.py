@@ -12,7 +12,7 @@ falls with the square of frequency, so these modes average out. An offset, at fr
 |H|^2 = T^2 throughout and grows beside a motion that has long returned: the share rises with T.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure
+from riecjax.equations.model import Model
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Records, as_records
@@ -113,7 +113,7 @@ class WindowChoice(eqx.Module):
 
 
 def window_choice(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records,
     estimate: Estimate | Mapping[str, float | Array],
     *,
@@ -162,14 +162,7 @@ def window_choice(
         equations.append(
             EquationWindows(error.name, error.unit, spectrum, share, current, mean, mean_square)
         )
-    recommended, reason = _recommend(equations, length)
-    return WindowChoice(length, tuple(equations), alpha, beta, recommended, reason)
-
-
-def _recommend(
-    equations: Sequence[EquationWindows], length: Float[np.ndarray, " lengths"]
-) -> tuple[tuple[float, float], str]:
-    """The range around the best length in which no equation is far above its least, and why."""
+    # The range around the best length in which no equation is far above its least, and why.
     shares = np.stack([np.maximum(each.error_share, NEGLIGIBLE) for each in equations])
     above = shares / np.min(shares, axis=1, keepdims=True)
     worst = np.max(above, axis=0)
@@ -191,7 +184,8 @@ def _recommend(
                 f"{length[end]:.2g} s, {np.min(share):.2g} % at its least)"
             )
     ruled = f"; {' and '.join(limits)}" if limits else ", and so at all other lengths"
-    return (low, high), (
+    reason = (
         f"In windows of {low:.2g} to {high:.2g} s the error of no equation is far above its least "
         f"share of the signal{ruled}."
     )
+    return WindowChoice(length, tuple(equations), alpha, beta, (low, high), reason)

@@ -12,11 +12,13 @@ windows are sums of these values times h: the impulse's rise.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Shaped
+import scipy.fft
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.test_functions import Boxcar, Hat
@@ -24,12 +26,59 @@ from riecjax.criteria.windows import WindowSet
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
+from riecjax.equations.model import Model, as_model
 from riecjax.equations.noisy_columns import sampled_columns
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_in_recording
 from riecjax.leaves import Leaf, namespace
-from riecjax.records.record import Record
+from riecjax.records.record import Record, runs
+
+
+class Series(NamedTuple):
+    """Values in time, of which those that are not present are zero, or count as zero."""
+
+    values: Float[np.ndarray, " n"]
+    present: Bool[np.ndarray, " n"]
+
+    @property
+    def held(self) -> int:
+        """How many are present."""
+        return int(self.present.sum())
+
+    def centred(self) -> "Series":
+        """The same about its mean."""
+        mean = np.sum(self.values, where=self.present) / max(self.held, 1)
+        return Series(np.where(self.present, self.values - mean, 0.0), self.present)
+
+    def averaged(self, count: int) -> "Series":
+        """Means of `count` successive values, of which those that are whole are present."""
+        running = np.concatenate([[0.0], np.cumsum(np.where(self.present, self.values, 0.0))])
+        absent = np.concatenate([[0], np.cumsum(~self.present)])
+        whole = absent[count:] == absent[:-count]
+        return Series(np.where(whole, (running[count:] - running[:-count]) / count, 0.0), whole)
+
+    def runs(self) -> list[slice]:
+        """Stretches without a missing value."""
+        return [slice(a, b) for a, b in runs(self.present).T.tolist()]
+
+    def correlation(
+        self, other: "Series", lags: Int[np.ndarray, " lags"]
+    ) -> Float[np.ndarray, " lags"]:
+        """Mean product of the pairs that are present at each lag, over the root mean squares."""
+        size = scipy.fft.next_fast_len(2 * self.values.size, real=True)
+
+        def products(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+            """Sum over t of mine[t + lag] theirs[t]."""
+            spectrum = np.fft.rfft(mine, size) * np.conj(np.fft.rfft(theirs, size))
+            return np.fft.irfft(spectrum, size)[lags % size]
+
+        pairs = np.round(products(self.present.astype(float), other.present.astype(float)))
+        squares = np.sum(self.values**2) / max(self.held, 1) * np.sum(other.values**2)
+        scale = np.sqrt(squares / max(other.held, 1))
+        if not scale > 0:
+            return np.where(lags == 0, 1.0 if self is other else 0.0, 0.0)
+        means = products(self.values, other.values) / np.maximum(pairs, 1) / scale
+        return np.where(pairs > 0, means, 0.0)
 
 
 class EquationError(eqx.Module):
@@ -61,6 +110,17 @@ class EquationError(eqx.Module):
     times: Float[Leaf, " values"]
 
     @property
+    def series(self) -> Series:
+        """The error where it is present (not under jit)."""
+        return Series(np.asarray(self.error), np.asarray(self.present))
+
+    def signal(self, record: Record, name: str) -> Series:
+        """A signal at the middle of each window, where its samples are present (not under jit)."""
+        values, there = np.asarray(self.centred(record[name])), record.signal(name).present
+        gone = np.zeros(values.size) if there is None else self.centred(~there * 1.0)
+        return Series(values, np.asarray(gone) == 0)
+
+    @property
     def target(self) -> Float[Leaf, " values"]:
         """What the model was to explain."""
         return self.explained + self.error
@@ -89,7 +149,7 @@ class EquationError(eqx.Module):
 
 
 def equation_error(
-    model: Equation | Procedure | HasProcedure, record: Record, values: Mapping[str, float | Array]
+    model: Equation | Model, record: Record, values: Mapping[str, float | Array]
 ) -> tuple[EquationError, ...]:
     """The equation error of every equation of a model, in the order of its stages.
 
@@ -102,19 +162,55 @@ def equation_error(
     **Raises:** `ModelError` for a parameter without a value, `DataError` for a missing signal or
     a record of fewer than three samples.
     """
-    procedure = as_procedure(model)
-    given = {name: _value(values, name) for name in procedure.parameters}
-    if procedure.has_hidden:
+    model = as_model(model)
+    given = {name: _value(values, name) for name in model.parameter_names}
+    if model.has_hidden:
         from riecjax.equations.hidden_motion import with_hidden_motion
 
-        procedure, record = with_hidden_motion(procedure, record, given)
-    return tuple(
-        _error_of(equation, record, given) for stage in procedure.stages for equation in stage
-    )
+        model, record = with_hidden_motion(model, record, given)
+    errors = []
+    for equation in model.equations:
+        # The boxcar, if the record holds every derivative that it needs.
+        weight = Boxcar()
+        try:
+            for term in equation.terms:
+                term.expression(record, max(term.derivative - weight.smoothness, 0))
+        except DataError:
+            weight = Hat()
+        span, step = weight.smoothness, record.time_step
+        if record.sample_count <= span + 1:
+            raise DataError(
+                f"{equation.name}: a record of {record.sample_count} samples has no equation error "
+                f"over time."
+            )
+        start = jnp.arange(record.sample_count - span)
+        sampled = sampled_columns(equation, record, weight.smoothness)
+        columns, whole = weight.finest().integrals(sampled, WindowSet(start, start + span))
+        present = jnp.ones(start.shape, bool) if whole is None else whole
+        target, *regressors = jnp.where(present[None, :], columns / step**span, 0.0)
+        parts = {
+            name: given[name] * column
+            for name, column in zip(equation.parameters, regressors, strict=True)
+        }
+        if not equation.has_target:
+            target = -parts.pop(equation.parameters[0])
+        explained = sum(parts.values(), start=jnp.zeros_like(target))
+        error = EquationError(
+            target - explained,
+            explained,
+            present,
+            step,
+            span,
+            equation.name,
+            equation.unit,
+            0.5 * (record.elapsed[span:] + record.elapsed[:-span]),
+        )
+        errors.append(error)
+    return tuple(errors)
 
 
 def errors_over_records(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Sequence[Record],
     values: Mapping[str, float | Array],
 ) -> list[list[EquationError]]:
@@ -131,13 +227,13 @@ def errors_over_records(
             f"residuals over several records need one time step; there are {listed} s. Bring the "
             f"records to one rate first (riecjax.resample)."
         )
-    procedure = as_procedure(model)
-    records = [with_memories(record, procedure.memories) for record in records]
-    names = procedure.parameters
+    model = as_model(model)
+    records = [with_memories(record, model.memories) for record in records]
+    names = model.parameter_names
     own = [values_in_recording(names, values, i) for i in range(len(records))]
     # Only what the equations read: other names would compile them anew.
     parts = [
-        _compiled(in_motion(procedure, record), record, {name: _value(v, name) for name in names})
+        _compiled(in_motion(model, record), record, {name: _value(v, name) for name in names})
         for record, v in zip(records, own)
     ]
     return [list(of_equation) for of_equation in zip(*parts)]
@@ -177,46 +273,6 @@ def with_pads(parts: Sequence[Shaped[np.ndarray, " n"]], pad: int) -> Shaped[np.
 
 
 _compiled = kept_jit(equation_error)
-
-
-def _error_of(
-    equation: Equation, record: Record, values: Mapping[str, float | Array]
-) -> EquationError:
-    # The boxcar, if the record holds every derivative that it needs.
-    weight = Boxcar()
-    try:
-        for term in equation.terms:
-            term.expression(record, max(term.derivative - weight.smoothness, 0))
-    except DataError:
-        weight = Hat()
-    span, step = weight.smoothness, record.time_step
-    if record.sample_count <= span + 1:
-        raise DataError(
-            f"{equation.name}: a record of {record.sample_count} samples has no equation error "
-            f"over time."
-        )
-    start = jnp.arange(record.sample_count - span)
-    sampled = sampled_columns(equation, record, weight.smoothness)
-    columns, whole = weight.finest().integrals(sampled, WindowSet(start, start + span))
-    present = jnp.ones(start.shape, bool) if whole is None else whole
-    target, *regressors = jnp.where(present[None, :], columns / step**span, 0.0)
-    parts = {
-        name: _value(values, name) * column
-        for name, column in zip(equation.parameters, regressors, strict=True)
-    }
-    if not equation.has_target:
-        target = -parts.pop(equation.parameters[0])
-    explained = sum(parts.values(), start=jnp.zeros_like(target))
-    return EquationError(
-        target - explained,
-        explained,
-        present,
-        step,
-        span,
-        equation.name,
-        equation.unit,
-        0.5 * (record.elapsed[span:] + record.elapsed[:-span]),
-    )
 
 
 def _value(values: Mapping[str, float | Array], name: str) -> Array:

@@ -32,7 +32,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import DataError, SimulationError
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Signal, both
 from riecjax.shows import Drawn
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import Simulation, simulate
@@ -120,12 +120,10 @@ class Validation(dict[str, Array]):
         return sum(self.values(), start=jnp.zeros(()))
 
 
-def present_in_both(one: Record, other: Record, signal: str) -> Bool[Array, " n"] | None:
-    """Where both records have their sample of a signal; `None` if they have all."""
-    first, second = one.present((signal,)), other.present((signal,))
-    if first is None or second is None:
-        return second if first is None else first
-    return first & second
+def in_both(predicted: Record, measured: Record, name: str) -> tuple[Array, Array, Array | None]:
+    """A signal of both records, and where both have their sample of it; `None` if everywhere."""
+    present: Any = both(predicted.signal(name).present, measured.signal(name).present)
+    return predicted[name], measured[name], present
 
 
 def validate(predicted: Record, measured: Record, signals: Sequence[str]) -> Validation:
@@ -135,12 +133,7 @@ def validate(predicted: Record, measured: Record, signals: Sequence[str]) -> Val
 
     **Raises:** `DataError` if a signal is missing in either record.
     """
-    return Validation(
-        {
-            s: percentage_error(predicted[s], measured[s], present_in_both(predicted, measured, s))
-            for s in signals
-        }
-    )
+    return Validation({s: percentage_error(*in_both(predicted, measured, s)) for s in signals})
 
 
 class SignalFit(NamedTuple):
@@ -168,14 +161,14 @@ class SignalFit(NamedTuple):
 
 
 def signal_fit(
-    predicted: Float[Array, " n"], measured: Float[Array, " n"], present: Bool[Array, " n"]
+    predicted: Float[Array, " n"], measured: Float[Array, " n"], present: Bool[Array, " n"] | None
 ) -> SignalFit:
     """All measures of one signal's prediction over the samples that are `present`."""
     return SignalFit(
         percentage_error(predicted, measured, present),
         nrmse_fit(predicted, measured, present),
         variance_accounted_for(predicted, measured, present),
-        int(jnp.sum(present)),
+        measured.size if present is None else int(jnp.sum(present)),
     )
 
 
@@ -198,28 +191,21 @@ def unbroken_stretches(
     # Without inputs a pause still breaks the motion: every recorded signal misses its sample there.
     names = system.input_names or tuple(recorded) or tuple(measured.arrays)
     found = []
-    for part in _parts(measured, names, horizon):
-        starts = np.flatnonzero(known[part])
-        if starts.size and part.stop - part.start - starts[0] >= SHORTEST_STRETCH:
-            found.append((part.start + int(starts[0]), part.stop))
+    for whole in measured.segments(names):
+        edges = [whole.start, whole.stop]
+        if horizon is not None:  # parts of a horizon or a little more
+            samples = max(round(horizon / float(measured.time_step)), SHORTEST_STRETCH)
+            count = max((whole.stop - whole.start) // samples, 1)
+            edges = np.linspace(whole.start, whole.stop, count + 1).tolist()
+        for first, stop in itertools.pairwise(int(edge) for edge in edges):
+            starts = np.flatnonzero(known[first:stop])
+            if starts.size and stop - first - starts[0] >= SHORTEST_STRETCH:
+                found.append((first + int(starts[0]), stop))
     if not found:
         raise DataError(
             f"no unbroken stretch of {SHORTEST_STRETCH} samples is left in which "
             f"{', '.join(names)} are recorded."
         )
-    return found
-
-
-def _parts(measured: Record, names: Sequence[str], horizon: float | None) -> list[slice]:
-    """Unbroken stretches, cut into parts of a horizon or a little more."""
-    whole = measured.segments(names)
-    if horizon is None:
-        return whole
-    samples = max(round(horizon / float(measured.time_step)), SHORTEST_STRETCH)
-    found = []
-    for part in whole:
-        edges = np.linspace(part.start, part.stop, max((part.stop - part.start) // samples, 1) + 1)
-        found += [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     return found
 
 
@@ -332,17 +318,47 @@ def validate_held_out(
     given = dict(initial_state or {})
     system.require_states(given)
     recorded = [name for name in system.state_names if name in measured.arrays]
-    compared = _compared(system, measured, signals)
+    for name in system.input_names:
+        _ = measured.signals[name]
+    available = system.simulated_names
+    for name in signals or ():
+        if name not in available:
+            raise DataError(
+                f"the simulation has no signal '{name}' to compare; it has: {', '.join(available)}."
+            )
+        _ = measured.signals[name]
+    if signals is None:
+        compared = tuple(name for name in available if name in measured.arrays)
+    else:
+        compared = tuple(signals)
+    if signals is None and not compared:
+        raise DataError(
+            f"the record holds nothing that is simulated, so there is nothing to compare; needed "
+            f"is one of: {', '.join(available)}."
+        )
     sources = state_sources(system, measured)
     sources |= {name: "carried" for name in system.carried if sources[name] == "zero"}
     sources |= dict.fromkeys(given, "given")
     # A free motion has no inputs: some signal only says how many samples there are.
     inputs = measured.select(*(system.input_names or list(measured.arrays)[:1]))
+    integral = {velocity: state for state, velocity in system.velocity_of.items()}
     runs: list[_Run] = []
     for start, stop in unbroken_stretches(system, measured, recorded, sources, horizon):
         # What the caller gives holds at the start; further on the record knows better.
-        held = {n: v for n, v in given.items() if not runs or n not in recorded}
-        first = _initial_state(system, measured, start, sources, held)
+        first: dict[str, Array] = {}
+        for name, source in sources.items():
+            if name in given and (not runs or name not in recorded):
+                first[name] = jnp.asarray(given[name])
+            elif name in measured.arrays:
+                first[name] = measured[name][start]
+            elif source == "differences":
+                q = measured[integral[name]]
+                rise = -3 * q[start] + 4 * q[start + 1] - q[start + 2]
+                first[name] = rise / (2 * measured.time_step)
+        there = {name: samples[start : start + 1] for name, samples in measured.arrays.items()}
+        there |= {name: value[None] for name, value in first.items()}
+        levels = system.carried_levels(there)
+        first = {name: level[0] for name, level in levels.items()} | first
         count = stop - start
         # Each length compiles; with powers of two there are few.
         length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
@@ -358,11 +374,7 @@ def validate_held_out(
         simulation = simulate(system, padded, method=method, initial_state=first)
         runs.append(_Run(start, stop, simulation, min(int(simulation.samples_reached), count)))
     record, simulated = _joined(system, measured, runs)
-    fits: dict[str, SignalFit] = {}
-    for name in compared:
-        there = measured.present((name,))
-        both = jnp.asarray(simulated) if there is None else there & jnp.asarray(simulated)
-        fits[name] = signal_fit(record[name], measured[name], both)
+    fits = {name: signal_fit(*in_both(record, measured, name)) for name in compared}
     reason = ""
     for run in runs:
         if run.reached < run.stop - run.start and not reason:
@@ -371,7 +383,24 @@ def validate_held_out(
             except SimulationError as error:
                 reason = str(error)
     judged = tuple(signals or [name for name in compared if name in recorded] or compared)
-    drifting = _drifting(system, measured, record, simulated, fits)
+    # Positions that are not predicted though their velocity is, and that nothing depends on.
+    drifting = [
+        position
+        for position, velocity in system.velocity_of.items()
+        if position in fits
+        and velocity in fits
+        and fits[position].grade in ("not", "worse than its mean")
+        and fits[velocity].grade in ("well", "roughly")
+    ]
+    if drifting:
+        chosen = np.flatnonzero(simulated)
+        chosen = chosen[:: max(1, chosen.size // FREE_POINTS)]
+        states = jnp.stack([record[name][chosen] for name in system.state_names], axis=-1)
+        levels = [measured[name][chosen] for name in system.input_names]
+        inputs = jnp.stack(levels, axis=-1) if levels else jnp.zeros((chosen.size, 0))
+        influence = jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
+        place = system.state_names.index
+        drifting = [q for q in drifting if not bool(jnp.any(influence[:, :, place(q)]))]
     grades = {fits[name].grade for name in judged} - {"unknown"}
     predicts = not reason and bool(grades) and grades <= {"well", "roughly"}
     return HeldOut(
@@ -386,57 +415,10 @@ def validate_held_out(
         ),
         tuple((run.start, run.stop) for run in runs),
         tuple(sources.items()),
-        drifting,
+        tuple(drifting),
         horizon,
         measured.select(*compared),
     )
-
-
-def _compared(
-    system: AbstractSystem, measured: Record, signals: Sequence[str] | None
-) -> tuple[str, ...]:
-    for name in system.input_names:
-        measured.signals[name]
-    available = system.simulated_names
-    if signals is None:
-        compared = tuple(name for name in available if name in measured.arrays)
-        if not compared:
-            raise DataError(
-                f"the record holds nothing that is simulated, so there is nothing to compare; "
-                f"needed is one of: {', '.join(available)}."
-            )
-        return compared
-    for name in signals:
-        if name not in available:
-            raise DataError(
-                f"the simulation has no signal '{name}' to compare; it has: {', '.join(available)}."
-            )
-        measured.signals[name]
-    return tuple(signals)
-
-
-def _initial_state(
-    system: AbstractSystem,
-    measured: Record,
-    start: int,
-    sources: Mapping[str, str],
-    given: Mapping[str, Array | float],
-) -> dict[str, Array]:
-    integral = {velocity: state for state, velocity in system.velocity_of.items()}
-    values: dict[str, Array] = {}
-    for name, source in sources.items():
-        if name in given:
-            values[name] = jnp.asarray(given[name])
-        elif name in measured.arrays:
-            values[name] = measured[name][start]
-        elif source == "differences":
-            q = measured[integral[name]]
-            rise = -3 * q[start] + 4 * q[start + 1] - q[start + 2]
-            values[name] = rise / (2 * measured.time_step)
-    there = {name: samples[start : start + 1] for name, samples in measured.arrays.items()}
-    there |= {name: value[None] for name, value in values.items()}
-    levels = system.carried_levels(there)
-    return {name: level[0] for name, level in levels.items()} | values
 
 
 def _joined(
@@ -460,34 +442,6 @@ def _joined(
         {name: Signal(values, present, units.get(name, "")) for name, values in arrays.items()}
     )
     return record.select(*system.input_names, *made), simulated
-
-
-def _drifting(
-    system: AbstractSystem,
-    measured: Record,
-    record: Record,
-    simulated: np.ndarray,
-    fits: Mapping[str, SignalFit],
-) -> tuple[str, ...]:
-    """Positions that are not predicted though their velocity is, and that nothing depends on."""
-    candidates = [
-        position
-        for position, velocity in system.velocity_of.items()
-        if position in fits
-        and velocity in fits
-        and fits[position].grade in ("not", "worse than its mean")
-        and fits[velocity].grade in ("well", "roughly")
-    ]
-    if not candidates:
-        return ()
-    chosen = np.flatnonzero(simulated)
-    chosen = chosen[:: max(1, chosen.size // FREE_POINTS)]
-    states = jnp.stack([record[name][chosen] for name in system.state_names], axis=-1)
-    levels = [measured[name][chosen] for name in system.input_names]
-    inputs = jnp.stack(levels, axis=-1) if levels else jnp.zeros((chosen.size, 0))
-    influence = jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
-    column = system.state_names.index
-    return tuple(q for q in candidates if not bool(jnp.any(influence[:, :, column(q)])))
 
 
 def _verdict(

@@ -13,8 +13,7 @@ from jaxtyping import Float
 
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import Procedure
-from riecjax.equations.term import Term
+from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off
 from riecjax.records.noise import noise_level
@@ -38,7 +37,7 @@ FOLLOWS = 0.999
 # Values too large to be squared drift nowhere.
 @np.errstate(over="ignore", invalid="ignore")
 def drifting_inputs(
-    procedure: Procedure,
+    model: Model,
     records: Sequence[Record],
     errors: Sequence[Sequence[EquationError]],
     estimate: Estimate,
@@ -60,7 +59,7 @@ def drifting_inputs(
     (record,) = records
     time = np.asarray(record.time)
     line = (time - 0.5 * (time[0] + time[-1])) / (time[-1] - time[0])
-    for index, (equation, (error,)) in enumerate(zip(procedure.equations, errors, strict=True)):
+    for index, (equation, (error,)) in enumerate(zip(model.equations, errors, strict=True)):
         if (name := _only_input(equation)) is None:
             continue
         left = _left(error, np.asarray(error.centred(record[name])))
@@ -71,7 +70,7 @@ def drifting_inputs(
         for shape in (line, np.ones_like(line)):
             less = record.with_signals({name: record[name] - jnp.asarray(unit * shape)})
             others.append(again([less]))
-            (still,) = errors_over_records(procedure, [less], others[-1].values)[index]
+            (still,) = errors_over_records(model, [less], others[-1].values)[index]
             rest = _left(still, np.asarray(still.centred(less[name])))
             response.append(np.zeros(2) if rest is None else (left.line - rest.line) / unit)
         drift = np.linalg.lstsq(np.transpose(response), left.line, MOST_TAKEN)[0]
@@ -80,36 +79,30 @@ def drifting_inputs(
             for n in equation.parameters
             if n in estimate.parameters and float(estimate[n])
         }
-        yield _finding(equation, record, name, drift, moved)
+        change, offset = drift.tolist()
+        unit = dict(record.units).get(name, "")
+        offset = offset if abs(offset) > 1e-3 * abs(change) else 0.0
+        remedy = line_taken_off(name, time, offset, change)
+        most = max(moved, key=lambda n: moved[n], default="")
+        without = f"; without it {most} changes by {100 * moved[most]:.2g} %" if moved else ""
+        yield Finding(
+            "drifting_signal",
+            f"what {equation.name} leaves grows evenly with time, as if {name} drifted by "
+            f"{f'{change:.3g} {unit}'.rstrip()} along the record{without}. Take it off (on the "
+            f"command line: {shlex.join(remedy)}), or look for what else changes with time, such "
+            f"as friction of a machine that warms up.",
+            (name,),
+            equation.parameters,
+            doubts=moved,
+            remedy=remedy,
+            step=f"Take the straight line off {name}",
+        )
 
 
 def _only_input(equation: Equation) -> str | None:
     """The signal of an equation's only known term."""
-    inputs = [t.of for t in equation.terms if not t.parameters and isinstance(t, Term)]
-    return inputs[0] if len(inputs) == 1 and isinstance(inputs[0], str) else None
-
-
-def _finding(
-    equation: Equation, record: Record, name: str, drift: np.ndarray, moved: dict[str, float]
-) -> Finding:
-    change, offset = drift.tolist()
-    time, unit = np.asarray(record.time), dict(record.units).get(name, "")
-    offset = offset if abs(offset) > 1e-3 * abs(change) else 0.0
-    remedy = line_taken_off(name, time, offset, change)
-    most = max(moved, key=lambda n: moved[n], default="")
-    without = f"; without it {most} changes by {100 * moved[most]:.2g} %" if moved else ""
-    return Finding(
-        "drifting_signal",
-        f"what {equation.name} leaves grows evenly with time, as if {name} drifted by "
-        f"{f'{change:.3g} {unit}'.rstrip()} along the record{without}. Take it off (on the command "
-        f"line: {shlex.join(remedy)}), or look for what else changes with time, such as friction "
-        f"of a machine that warms up.",
-        (name,),
-        equation.parameters,
-        doubts=moved,
-        remedy=remedy,
-        step=f"Take the straight line off {name}",
-    )
+    inputs = [t.signal for t in equation.terms if not t.parameters]
+    return inputs[0] if len(inputs) == 1 else None
 
 
 class _Left(NamedTuple):

@@ -30,24 +30,27 @@ without each block of time in turn. Noise is taken off the moments as ever.
 """
 
 import dataclasses
+import functools
 import itertools
+import operator
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from riecjax import tails
 from riecjax.equations.hidden_elements import accelerated
-from riecjax.equations.procedure import Procedure
+from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, option_for
 from riecjax.records.faults.derivative_pairs import Course, changing
 from riecjax.records.preparation.filtering import SLOPE, lead
 from riecjax.records.record import Record
+from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summarise import summed
-from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import Task, record_keys, signals_read
 
 GROUPS = 32
@@ -60,15 +63,8 @@ COARSE = 3
 """Units between the amounts that are then tried."""
 STEPS = 5
 """Times that the middle of the three amounts is moved to where least is left."""
-Blocks = Float[np.ndarray, "blocks q q"]
-
-
-class StageSums(NamedTuple):
-    """Sums of a stage by block of time, less noise; and those of noise."""
-
-    names: tuple[str, ...]
-    clean: Blocks
-    noise: Blocks
+Stages = Sequence[NormalEquations]
+"""Of each stage, by block of time or over some of them."""
 
 
 class Solved(NamedTuple):
@@ -108,11 +104,11 @@ class Search:
     `most`, the largest k; `kept`, sums by k, of which those of 0 may be another search's.
     """
 
-    procedure: Procedure
+    model: Model
     estimate: Estimate
     undone: Callable[[int], list[Record]]
     most: int
-    kept: dict[int, list[StageSums]]
+    kept: dict[int, Stages]
 
     def __post_init__(self) -> None:
         zero, one = self.sums(0), self.sums(1)
@@ -122,11 +118,21 @@ class Search:
         count = min(int(self.estimate.block_count), GROUPS)
         self.groups = np.array_split(np.flatnonzero(rows != 0), count)
 
-    def sums(self, count: int) -> list[StageSums]:
+    def sums(self, count: int) -> Stages:
         """Of the records with so much undone."""
         if count not in self.kept:
-            summary = sums_like(self.procedure, self.undone(count), self.estimate)
-            self.kept[count] = _stages(summary)
+            # By the functions that were compiled for the estimate's own Summary.
+            made, criterion, own = self.estimate.summary, self.estimate.criterion, None
+            assert made is not None
+            if (windows := criterion.windows) is not None:
+                own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
+            bins = None if own is not None or made.edges is None else np.asarray(made.edges)
+            records = self.undone(count)
+            task = Task(self.model, records, criterion, record_keys(None, len(records)))
+            surveyed = made.recordings[0].stages[0][0].survey is not None
+            summary = summed(task, bins=bins, survey=surveyed)
+            stages = (sum_of_equations(stage).flattened() for stage in summary.equations())
+            self.kept[count] = list(stages)
         return self.kept[count]
 
     # Values too large to be squared leave no finite sum, and nothing is found.
@@ -169,12 +175,12 @@ class Search:
                 break  # a parabola through the three reaches no further
         return at
 
-    def around(self, middle: int, left_out: np.ndarray | None = None) -> list[list[StageSums]]:
+    def around(self, middle: int, left_out: np.ndarray | None = None) -> list[Stages]:
         """Sums over all blocks, but some, at an amount and one unit to either side of it."""
         every = (self.sums(middle + k) for k in (-1, 0, 1))
         return [[total(stage, left_out) for stage in stages] for stages in every]
 
-    def solve(self, three: Sequence[Sequence[StageSums]], at: float) -> Solved:
+    def solve(self, three: Sequence[Stages], at: float) -> Solved:
         """Values and what is left at an amount from the middle one of three."""
         return solve(between(three, at), self.estimate.known, self.reading)
 
@@ -184,96 +190,55 @@ class Search:
         return found._replace(left=float(np.maximum(found.left, 0.0)), noise=max(found.noise, 0.0))
 
 
-def sums_like(procedure: Procedure, records: list[Record], estimate: Estimate) -> Summary:
-    """A Summary of other records, made by the functions that were compiled for an estimate's."""
-    made, criterion = estimate.summary, estimate.criterion
-    assert made is not None
-    windows = criterion.windows
-    own = None
-    if windows is not None:
-        own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
-    bins = None if own is not None or made.edges is None else np.asarray(made.edges)
-    surveyed = made.recordings[0].stages[0][0].survey is not None
-    task = Task(procedure, records, criterion, record_keys(None, len(records)))
-    return summed(task, bins=bins, survey=surveyed)
-
-
-def _stages(summary: Summary) -> list[StageSums]:
-    found = []
-    for stage in summary.equations():
-        names = tuple(dict.fromkeys(name for e in stage for name in e.parameters))
-        size, blocks = 1 + len(names), stage[0].count.size
-        clean, noise = np.zeros((2, blocks, size, size))
-        for equation in stage:
-            place = [0, *(1 + names.index(name) for name in equation.parameters)]
-            among = np.ix_(range(blocks), place, place)
-            shape = (blocks, len(place), len(place))
-            clean[among] += np.asarray(equation.clean).reshape(shape)
-            if equation.noise is not None:
-                noise[among] += np.asarray(equation.noise).reshape(shape)
-        found.append(StageSums(names, clean, noise))
-    return found
-
-
 def total(
-    stage: StageSums, left_out: np.ndarray | None = None, only: np.ndarray | None = None
-) -> StageSums:
+    stage: NormalEquations, left_out: np.ndarray | None = None, only: np.ndarray | None = None
+) -> NormalEquations:
     """The sum over all blocks, over all but some, or over some only."""
 
-    def of(blocks: Blocks) -> Float[np.ndarray, "q q"]:
+    def of(blocks: Any) -> Any:
         if only is not None:
             return blocks[only].sum(0)
         every = blocks.sum(0)
         return every if left_out is None else every - blocks[left_out].sum(0)
 
-    return StageSums(stage.names, of(stage.clean), of(stage.noise))
+    return stage.in_blocks(of)
 
 
-def between(parts: Sequence[Sequence[StageSums]], at: float) -> list[StageSums]:
+def between(parts: Sequence[Stages], at: float) -> list[NormalEquations]:
     """Sums at an amount between three."""
-    shares = at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2
-
-    def mixed(of: Callable[[StageSums], np.ndarray], stages: Sequence[StageSums]) -> np.ndarray:
-        return sum((w * of(s) for w, s in zip(shares, stages)), np.zeros(()))
-
+    low, here, high = at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2
     return [
-        StageSums(three[0].names, mixed(lambda s: s.clean, three), mixed(lambda s: s.noise, three))
-        for three in zip(*parts)
+        jax.tree.map(lambda a, b, c: low * a + here * b + high * c, *three) for three in zip(*parts)
     ]
 
 
-def solve(stages: Sequence[StageSums], known: Mapping, reading: Sequence[int]) -> Solved:
+def solve(stages: Stages, known: Mapping, reading: Sequence[int]) -> Solved:
     """Values of all stages in turn, and what those that the fault reaches leave, as energy."""
     values, left, noise = {n: float(v) for n, v in known.items()}, 0.0, 0.0
-    for i, (names, clean, noisy) in enumerate(stages):
-        free = [name for name in names if name not in values]
-        mix = np.zeros((1 + len(free), 1 + len(names)))
-        mix[0] = [1.0, *(-values.get(name, 0.0) for name in names)]
-        for row, name in enumerate(free, 1):
-            mix[row, 1 + names.index(name)] = 1.0
-        moments = mix @ clean @ mix.T
-        if not np.isfinite(moments).all():
+    for i, stage in enumerate(stages):
+        equations = stage.fix(values)
+        clean = np.asarray(equations.clean)
+        if not np.isfinite(clean).all():
             return Solved(values, float("nan"), 0.0)
-        sizes = np.diagonal(moments)
+        sizes = np.diagonal(clean)
         scale = 1 / np.sqrt(np.where(sizes > 0, sizes, 1.0))
-        scaled = moments * scale[:, None] * scale
+        scaled = clean * scale[:, None] * scale
         theta = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-12)[0]
         theta = theta * scale[1:] / scale[0]
-        values |= dict(zip(free, theta.tolist()))
-        if i in reading and free:
-            row = np.array([1.0, *-theta]) @ mix
-            target = (mix[0] @ (clean + noisy) @ mix[0]) or 1.0
-            left += float(row @ clean @ row / target)
-            noise += float(row @ noisy @ row / target)
+        values |= dict(zip(equations.parameters, theta.tolist()))
+        if i in reading and equations.parameters:
+            row = np.array([1.0, *-theta])
+            target = float(equations.energy) or 1.0
+            left += float(row @ clean @ row) / target
+            if equations.noise is not None:
+                noise += float(row @ equations.noise @ row) / target
     return Solved(values, left, noise, tuple(n for n in values if n not in known))
 
 
-def energy(
-    stages: Sequence[StageSums], values: Mapping[str, float], reading: Sequence[int]
-) -> float:
+def energy(stages: Stages, values: Mapping[str, float], reading: Sequence[int]) -> float:
     """What stages leave beyond noise with these values, in the squares of their units."""
-    rows = {i: np.array([1.0, *(-values[n] for n in stages[i].names)]) for i in reading}
-    return float(sum(row @ stages[i].clean @ row for i, row in rows.items()))
+    left = (stages[i].fix(values).clean for i in reading)
+    return float(sum(moments[0, 0] for moments in left))
 
 
 PARTS = 16
@@ -352,12 +317,9 @@ def _found(
 
 
 def _solved(search: Search, sums: list, at: Float[np.ndarray, " parts"]) -> Solved:
-    each = [_at(sums, i, float(place)) for i, place in enumerate(at)]
-    every = [
-        stages[0]._replace(clean=sum(s.clean for s in stages), noise=sum(s.noise for s in stages))
-        for stages in zip(*each)
-    ]
-    return solve(every, search.estimate.known, search.reading)
+    parts = [_at(sums, i, float(place)) for i, place in enumerate(at)]
+    stages = [functools.reduce(operator.add, stage) for stage in zip(*parts)]
+    return solve(stages, search.estimate.known, search.reading)
 
 
 def _at(sums: list, part: int, place: float) -> list:
@@ -469,9 +431,7 @@ class SignalDelay(NamedTuple):
         return self.otherwise**2 > least
 
 
-def signal_delays(
-    procedure: Procedure, records: Sequence[Record], estimate: Estimate
-) -> list[SignalDelay]:
+def signal_delays(model: Model, records: Sequence[Record], estimate: Estimate) -> list[SignalDelay]:
     """The delay of each input, and of each motion against the first (not under jit).
 
     Of one that is late it is told whether a first-order low-pass explains it better. None are
@@ -482,12 +442,12 @@ def signal_delays(
     """
     criterion, step = estimate.criterion, float(records[0].time_step)
     own = any(estimate.table[name].recording is not None for name in estimate.parameters)
-    if procedure.has_hidden or own or not criterion.in_closed_form or estimate.summary is None:
+    if model.has_hidden or own or not criterion.in_closed_form or estimate.summary is None:
         return []
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
     reach = min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
-    read = {n for each in records for n in signals_read(procedure, each, criterion, summed=True)}
-    groups = _clocks(procedure, read)
+    read = {n for each in records for n in signals_read(model, each, criterion, summed=True)}
+    groups = _clocks(model, read)
     if reach < 3 or int(estimate.block_count) < FEWEST_GROUPS or not groups:
         return []
     level, unmoved = LEVEL / len(groups), {}
@@ -497,7 +457,7 @@ def signal_delays(
             return [undo(each, signals, count * unit / step, reach) for each in records]
 
         # Without a shift all are the same records. Filters describe their noise otherwise.
-        made = Search(procedure, estimate, undone, most, {**(unmoved if undo is advanced else {})})
+        made = Search(model, estimate, undone, most, {**(unmoved if undo is advanced else {})})
         unmoved.setdefault(0, made.sums(0))
         return made
 
@@ -531,26 +491,22 @@ def signal_delays(
     return found
 
 
-def late_signals(
-    procedure: Procedure, records: Sequence[Record], estimate: Estimate
-) -> Iterator[Finding]:
+def late_signals(model: Model, records: Sequence[Record], estimate: Estimate) -> Iterator[Finding]:
     """`late_signal`, `low_passed`, `two_clocks` or `lost_rows`: what explains most of what is left.
 
     **Raises:** as [`signal_delays`][].
     """
-    one = late_cause(procedure, records, estimate)
+    one = late_cause(model, records, estimate)
     if one is not None:
         yield finding_of(one, records[0])
 
 
-def late_cause(
-    procedure: Procedure, records: Sequence[Record], estimate: Estimate
-) -> SignalDelay | None:
+def late_cause(model: Model, records: Sequence[Record], estimate: Estimate) -> SignalDelay | None:
     """The delay that explains nearly all of what is left, if one does.
 
     **Raises:** as [`signal_delays`][].
     """
-    delays = signal_delays(procedure, records, estimate)
+    delays = signal_delays(model, records, estimate)
     errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
 
     def matters(one: SignalDelay) -> bool:
@@ -562,64 +518,15 @@ def late_cause(
     return max(causes, key=lambda one: one.left_as_recorded**2 - one.left**2, default=None)
 
 
-class _Told(NamedTuple):
-    """A delay in words: its code, what it is, what to do about it, and how."""
-
-    code: str
-    what: str
-    mend: str
-    remedy: tuple[str, ...]
-    step: str
-
-
 def finding_of(one: SignalDelay, record: Record) -> Finding:
     """What is told of a delay, seen in a record and others."""
-    told = _steady(one) if one.course.kind == "steady" else _uneven(one, record)
-    return Finding(
-        told.code,
-        f"{told.what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
-        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %{told.mend}",
-        one.signals,
-        tuple(one.moved),
-        doubts={name: abs(share) for name, share in one.moved.items()},
-        remedy=told.remedy,
-        step=told.step,
-    )
-
-
-def _steady(one: SignalDelay) -> _Told:
-    names, late = " and ".join(one.signals), one.seconds > 0
-    most = max(one.moved, key=lambda name: abs(one.moved[name]))
+    names, course, then = " and ".join(one.signals), one.course, ""
     size = (
         f"{1e3 * abs(one.seconds):.3g} ms ({abs(one.samples):.3g} samples, "
         f"+-{1e3 * one.reach:.2g} ms)"
     )
-    named = one.low_passed and one.certain
-    option = "--unfilter" if named else "--shift"
-    remedy = option_for(option, one.signals, f"{one.seconds:.4g}")
-    if named:
-        what = (
-            f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
-            f"{1 / (2 * np.pi * one.seconds):.3g} Hz"
-        )
-        mend = f"Record it without that filter, or undo it ({shlex.join(remedy)})."
-        step = f"Undo the low-pass of {names}"
-    else:
-        comes = "come" if len(one.signals) > 1 else "comes"
-        doubtful = "" if one.certain else ", or low-passed"
-        others = "earlier than the equation says: all others are late, or low-passed"
-        what = f"{names} {comes} {size} " + (
-            f"later than the equation says{doubtful}" if late else others
-        )
-        mend = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
-        step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
-    moves = f", and {most} changes by {100 * one.moved[most]:+.2g} %. {mend}"
-    return _Told("low_passed" if named else "late_signal", what, moves, remedy, step)
-
-
-def _uneven(one: SignalDelay, record: Record) -> _Told:
-    names, course, time = " and ".join(one.signals), one.course, np.asarray(record.elapsed)
     lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
+    time = np.asarray(record.elapsed)
     if course.kind == "clocks":
         # Clocks go on through pauses.
         samples = float(time[-1] - time[0]) / one.time_step / (time.size - 1)
@@ -630,30 +537,61 @@ def _uneven(one: SignalDelay, record: Record) -> _Told:
             f"{names} {course.way} the others evenly, {lasts}: its clock differs by {rate:.3g} ppm"
         )
         step = f"Set the clock of {names}, or record it by that of the others"
-    else:
+    elif course.kind == "rows":
         first, last = (time[min(place + LONGEST, time.size - 1)] for place in course.place)
-        remedy = course.in_time(first, last)
-        code, step = "lost_rows", "Use the part of the record in which it is in time"
+        code, remedy = "lost_rows", course.in_time(first, last)
         what = (
             f"the delay of {names} jumps {lasts} between {first:.4g} and {last:.4g} s: "
             f"{'all others have' if course.change > 0 else 'it has'} lost rows there"
         )
-    how = f" ({shlex.join(remedy)})" if remedy else ""
-    return _Told(code, what, f". {step}{how}.", remedy, step)
+        step = "Use the part of the record in which it is in time"
+    elif one.low_passed and one.certain:
+        code, remedy = "low_passed", option_for("--unfilter", one.signals, f"{one.seconds:.4g}")
+        what = (
+            f"{names}: behind a first-order low-pass with a time constant of {size}, a cut-off at "
+            f"{1 / (2 * np.pi * one.seconds):.3g} Hz"
+        )
+        then = f"Record it without that filter, or undo it ({shlex.join(remedy)})."
+        step = f"Undo the low-pass of {names}"
+    else:
+        code, remedy = "late_signal", option_for("--shift", one.signals, f"{one.seconds:.4g}")
+        comes = "come" if len(one.signals) > 1 else "comes"
+        doubtful, late = "" if one.certain else ", or low-passed", one.seconds > 0
+        others = "earlier than the equation says: all others are late, or low-passed"
+        what = f"{names} {comes} {size} " + (
+            f"later than the equation says{doubtful}" if late else others
+        )
+        then = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
+        step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
+    if course.kind == "steady":
+        most = max(one.moved, key=lambda name: abs(one.moved[name]))
+        then = f", and {most} changes by {100 * one.moved[most]:+.2g} %. {then}"
+    else:
+        then = f". {step}{f' ({shlex.join(remedy)})' if remedy else ''}."
+    return Finding(
+        code,
+        f"{what}. With that taken off, the model leaves {100 * one.left:.2g} % of the target "
+        f"beyond noise instead of {100 * one.left_as_recorded:.2g} %{then}",
+        one.signals,
+        tuple(one.moved),
+        doubts={name: abs(share) for name, share in one.moved.items()},
+        remedy=remedy,
+        step=step,
+    )
 
 
-def _clocks(procedure: Procedure, read: set[str]) -> list[tuple[str, ...]]:
+def _clocks(model: Model, read: set[str]) -> list[tuple[str, ...]]:
     """Signals that are shifted together: inputs one by one, a motion with its derivatives.
 
     All at once cannot be late against an equation, so that the first body's motion is left out, or
     the first signal.
     """
     groups: list[set[str]] = [{name} for name in sorted(read)]
-    for equation in procedure.equations:
+    for equation in model.equations:
         for pair in equation.derivatives:
             one = set().union(*(g for g in groups if g & {*pair}))
             groups = [g for g in groups if not g & {*pair}] + ([one] if one else [])
-    bodies = [name for e in procedure.equations for name in accelerated(e)]
+    bodies = [name for e in model.equations for name in accelerated(e)]
     groups.sort(key=lambda g: (not g & {*bodies[:1]}, sorted(g)))
     return [tuple(sorted(g)) for g in groups[1:]]
 
@@ -669,7 +607,7 @@ def advanced(record: Record, signals: Sequence[str], shift: float, reach: int) -
 def unfiltered(record: Record, signals: Sequence[str], lag: float, reach: int) -> Record:
     """The same with a first-order low-pass of a time constant in samples taken off them."""
     near = record.part(reach - SLOPE.size // 2, record.sample_count - reach + SLOPE.size // 2)
-    return lead(near, dict.fromkeys(signals, lag * float(record.time_step)))
+    return near.through(lead(near, lag * float(record.time_step)), *signals)
 
 
 Undo = Callable[[Record, Sequence[str], float, int], Record]

@@ -37,20 +37,25 @@ import equinox as eqx
 import numpy as np
 import scipy.fft
 import scipy.signal
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
 from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths, with_memories
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure, told_apart
-from riecjax.equations.term import Term
+from riecjax.equations.model import Model, as_model, told_apart
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
-from riecjax.validation.equation_errors import EquationError, errors_over_records, joined, with_pads
+from riecjax.validation.equation_errors import (
+    EquationError,
+    Series,
+    errors_over_records,
+    joined,
+    with_pads,
+)
 
 if TYPE_CHECKING:
     from riecjax.equations.motions import Motion
@@ -121,45 +126,37 @@ class CrossCorrelation(NamedTuple):
         return float(self.lag[np.argmax(np.abs(self.values))])
 
 
-def autocorrelation(
-    values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"], lags: int, time_step: float
-) -> Autocorrelation:
+def autocorrelation(series: Series, lags: int, time_step: float) -> Autocorrelation:
     """Autocorrelation about the mean at lags from zero; zeros of a series that does not vary."""
-    centred = _centred(values, present)
+    centred = series.centred()
     forward = np.arange(lags + 1)
-    found = _correlation(centred, centred, present, present, forward)
+    found = centred.correlation(centred, forward)
     taper = 1 - forward[1:] / (lags + 1)
     return Autocorrelation(
         forward * time_step,
         found,
-        float(tails.normal(LEVEL / 2) / np.sqrt(max(present.sum(), 1))),
+        float(tails.normal(LEVEL / 2) / np.sqrt(max(series.held, 1))),
         time_step * float(1 + 2 * np.sum(found[1:] ** 2)),
         time_step * float(1 + 2 * np.sum(taper * found[1:])),
     )
 
 
 def cross_correlation(
-    error: Float[np.ndarray, " n"],
-    signal: Float[np.ndarray, " n"],
-    present: Bool[np.ndarray, " n"],
-    lags: int,
-    time_step: float,
-    *,
-    name: str = "",
-    signals: int = 1,
+    error: Series, signal: Series, lags: int, time_step: float, *, name: str = "", signals: int = 1
 ) -> CrossCorrelation:
     """Correlation of an error with a signal about their means, at lags of both signs.
 
     The bound takes Bartlett's variance, and Bonferroni's correction for as many lags as are
     independent, of this and of all `signals`.
     """
-    one, other = _centred(error, present), _centred(signal, present)
-    both = np.arange(-lags, lags + 1)
-    values = _correlation(one, other, present, present, both)
-    variance = bartlett_variance(one, other)
-    apart = max(both.size / max(variance * present.sum(), 1.0), 1.0)
+    both = error.present & signal.present
+    error, signal = (Series(series.values, both).centred() for series in (error, signal))
+    around = np.arange(-lags, lags + 1)
+    variance = bartlett_variance(error.values, signal.values)
+    apart = max(around.size / max(variance * error.held, 1.0), 1.0)
     quantile = tails.normal(LEVEL / (2 * apart * signals))
-    return CrossCorrelation(name, both * time_step, values, float(quantile * np.sqrt(variance)))
+    bound = float(quantile * np.sqrt(variance))
+    return CrossCorrelation(name, around * time_step, error.correlation(signal, around), bound)
 
 
 def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> float:
@@ -175,49 +172,11 @@ def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n
     return float(np.sum(first * second) / (scale * count)) if scale > 0 and count else 0.0
 
 
-def moving_average(
-    values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"], count: int
-) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
-    """Means of `count` successive values, and a mask of those that are whole."""
-    running = np.concatenate([[0.0], np.cumsum(np.where(present, values, 0.0))])
-    absent = np.concatenate([[0], np.cumsum(~present)])
-    whole = absent[count:] == absent[:-count]
-    return np.where(whole, (running[count:] - running[:-count]) / count, 0.0), whole
-
-
 def _of_order_one(series: Sequence[np.ndarray]) -> list[np.ndarray]:
     """A signal's values in each record over one power of two, where only ratios matter: sums and
     squares of values near the largest number would overflow."""
     largest = max(np.max(np.abs(values), initial=0.0) for values in series)
     return [np.ldexp(values, -np.frexp(largest)[1]) for values in series]
-
-
-def _centred(values: np.ndarray, present: np.ndarray) -> np.ndarray:
-    mean = np.sum(values, where=present) / max(present.sum(), 1)
-    return np.where(present, values - mean, 0.0)
-
-
-def _correlation(
-    one: np.ndarray,
-    other: np.ndarray,
-    one_valid: np.ndarray,
-    other_valid: np.ndarray,
-    lags: Int[np.ndarray, " lags"],
-) -> Float[np.ndarray, " lags"]:
-    """Mean product of the pairs that are valid at each lag, over the root mean squares."""
-    pairs = np.round(_products(one_valid.astype(float), other_valid.astype(float), lags))
-    squares = np.sum(one**2) / max(one_valid.sum(), 1) * np.sum(other**2)
-    scale = np.sqrt(squares / max(other_valid.sum(), 1))
-    if not scale > 0:
-        return np.where(lags == 0, 1.0 if one is other else 0.0, 0.0)
-    return np.where(pairs > 0, _products(one, other, lags) / np.maximum(pairs, 1) / scale, 0.0)
-
-
-def _products(one: np.ndarray, other: np.ndarray, lags: np.ndarray) -> np.ndarray:
-    """Sum over t of one[t + lag] other[t]."""
-    size = scipy.fft.next_fast_len(2 * one.size, real=True)
-    spectrum = np.fft.rfft(one, size) * np.conj(np.fft.rfft(other, size))
-    return np.fft.irfft(spectrum, size)[lags % size]
 
 
 # When a peak is no chance. One periodogram scatters by its own size. The mean over K segments under
@@ -314,42 +273,31 @@ class ErrorSpectrum(NamedTuple):
         holds 30 % of the error's power there. A rise towards half the sampling rate, as of
         differentiated noise, is no peak, nor one that only ends where the excitation does.
         """
-        from scipy.signal import find_peaks  # half a second, which the first answer need not wait
+        # Half a second, which the first answer need not wait.
+        from scipy.signal import find_peaks, peak_widths
 
         if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
             return None
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
         level = np.log(np.maximum(smooth, np.finfo(float).tiny))
         tops, _ = find_peaks(level, prominence=np.log(PROMINENCE))
-        peaks = (self._peak_at(int(top), smooth) for top in tops)
-        genuine = [
-            p
-            for p in peaks
-            if p.bandwidth <= p.frequency
-            and p.high < PEAK_BAND * self.band
-            and p.share >= PEAK_SHARE
-        ]
-        return max(genuine, key=lambda p: p.share, default=None)
-
-    def _peak_at(self, top: int, smooth: Float[np.ndarray, " frequencies"]) -> Peak:
-        from scipy.signal import peak_widths
-
-        # As prominence the whole height, so that half the prominence is half the power.
-        height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
-        edges = peak_widths(smooth, [top], prominence_data=height)
-        low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
-        inside = (self.frequency >= low) & (self.frequency <= high)
         # The mean is no oscillation, so it does not count.
         total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
-        power = np.sum(self.error, where=inside)
-        whole = np.sum(self.target)
-        return Peak(
-            float(self.frequency[top]),
-            low,
-            high,
-            float(power / total) if total > 0 else 0.0,
-            float(np.sqrt(power / whole)) if whole > 0 else 0.0,
-        )
+        whole, genuine = np.sum(self.target), []
+        for top in tops.tolist():
+            # As prominence the whole height, so that half the prominence is half the power.
+            height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
+            edges = peak_widths(smooth, [top], prominence_data=height)
+            low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
+            inside = (self.frequency >= low) & (self.frequency <= high)
+            power = np.sum(self.error, where=inside)
+            share = float(power / total) if total > 0 else 0.0
+            size = float(np.sqrt(power / whole)) if whole > 0 else 0.0
+            peak = Peak(float(self.frequency[top]), low, high, share, size)
+            narrow = peak.bandwidth <= peak.frequency and high < PEAK_BAND * self.band
+            if narrow and share >= PEAK_SHARE:
+                genuine.append(peak)
+        return max(genuine, key=lambda peak: peak.share, default=None)
 
 
 def error_spectrum(
@@ -364,8 +312,13 @@ def error_spectrum(
     """
     from scipy.signal import csd
 
-    runs = unbroken(np.asarray(error.present))
-    length = segment_length([run.stop - run.start for run in runs], parts)
+    runs, length = error.series.runs(), SHORTEST_SEGMENT
+    if runs:
+        # As wanted, unless half of all samples lie in shorter stretches.
+        longest_first = np.sort([run.stop - run.start for run in runs])[::-1]
+        running = np.cumsum(longest_first)
+        typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
+        length = max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
     left, explained, target = map(np.asarray, (error.error, error.explained, error.target))
     pairs = {
         "error": (left, left),
@@ -391,22 +344,6 @@ def error_spectrum(
     frequency = np.fft.rfftfreq(length, float(error.time_step))
     means = {name: total / max(count, 1) for name, total in sums.items()}
     return ErrorSpectrum(frequency, **means, segments=count)
-
-
-def unbroken(present: Bool[np.ndarray, " n"]) -> list[slice]:
-    """Stretches without a missing value."""
-    edges = np.flatnonzero(np.diff(np.pad(present.astype(np.int8), 1)))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
-
-
-def segment_length(stretches: list[int], parts: int) -> int:
-    """Samples in a segment: as wanted, unless half of all samples lie in shorter stretches."""
-    if not stretches:
-        return SHORTEST_SEGMENT
-    longest_first = np.sort(stretches)[::-1]
-    running = np.cumsum(longest_first)
-    typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
-    return max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
 
 
 # Why eq. (18) allows ordinary least squares. With n windows the errors' covariance is
@@ -496,10 +433,18 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     lags = np.unique(np.round(np.geomspace(max(alpha / step, 1), longest, LENGTHS)).astype(int))
     length = BLOCK_LENGTH * longest
     sizes = [error.error.size for error in errors]
-    records = [
-        _blocks(error, lags, length, before)
-        for error, before in zip(errors, np.cumsum([0, *sizes[:-1]]))
-    ]
+    records = []
+    for error, before in zip(errors, np.cumsum([0, *sizes[:-1]])):
+        # Blocks of each unbroken stretch, the rest of it left out.
+        starts = [
+            start
+            for run in error.series.runs()
+            for start in range(run.start, run.stop - length + 1, length)
+        ]
+        starts = np.array(starts, int)
+        mean, square = _rises(np.asarray(error.error) * step, starts, lags, length)
+        _, of_target = _rises(np.asarray(error.target) * step, starts, lags, length)
+        records.append(_Blocks(starts + before, mean, square, of_target))
     count = sum(blocks.start.size for blocks in records)
     if count < 2:
         return None
@@ -542,33 +487,10 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     )
 
 
-def _blocks(error: EquationError, lags: np.ndarray, length: int, before: int) -> _Blocks:
-    """Blocks of `length` samples of each unbroken stretch, the rest of it left out.
-
-    **Arguments:** `before`, samples of the records before this one, from which starts count.
-    """
-    step = float(error.time_step)
-    starts = [
-        start
-        for run in unbroken(np.asarray(error.present))
-        for start in range(run.start, run.stop - length + 1, length)
-    ]
-    rises, targets = (
-        _rises(np.asarray(values) * step, np.array(starts, int), lags, length)
-        for values in (error.error, error.target)
-    )
-    return _Blocks(np.array(starts, int) + before, rises.mean, rises.square, targets.square)
-
-
-class _Rises(NamedTuple):
-    """Mean and mean square over all windows in each block, shape `(blocks,)`."""
-
-    mean: np.ndarray
-    square: np.ndarray
-
-
-def _rises(values: np.ndarray, starts: np.ndarray, lags: np.ndarray, length: int) -> _Rises:
-    """Of sums over every window of these lengths in blocks that begin at `starts`.
+def _rises(
+    values: np.ndarray, starts: np.ndarray, lags: np.ndarray, length: int
+) -> tuple[Float[np.ndarray, " blocks"], Float[np.ndarray, " blocks"]]:
+    """Mean and mean square of sums over every window of these lengths in blocks from `starts` on.
 
     A window's sum is the rise of the block's own running sum, one lag for all blocks at a time.
     """
@@ -581,7 +503,7 @@ def _rises(values: np.ndarray, starts: np.ndarray, lags: np.ndarray, length: int
             rises = running[:, lag:] - running[:, :-lag]
             mean[some] += rises.sum(1) / windows
             square[some] += np.einsum("ij,ij->i", rises, rises) / windows
-    return _Rises(mean, square)
+    return mean, square
 
 
 def _share(part: float, whole: float) -> float:
@@ -601,9 +523,6 @@ NOTABLE_GAIN = 0.5
 """Share of what no function explains, from which on it is a loop."""
 MOST_VALUES = 2**16
 """Values that are enough."""
-
-Series = list[Float[np.ndarray, " n"]]
-"""A signal of each record."""
 
 
 class Loop(NamedTuple):
@@ -666,11 +585,10 @@ def loop_of(
     signals that the model leaves `unread`; error and regressors are averaged over `count` samples.
     """
     error = joined(errors, count)
-    present = np.asarray(error.present)
 
     def averaged(values: np.ndarray) -> np.ndarray:
-        found, whole = moving_average(values, present, count)
-        return found[whole]
+        means = Series(values, np.asarray(error.present)).averaged(count)
+        return means.values[means.present]
 
     ends = [averaged(np.asarray(one)) for one in (error.error, error.target)]
     loops = []
@@ -686,7 +604,7 @@ def loop_of(
 
 def _regressors(
     motion: "Motion", unread: Sequence[str], records: Sequence[Record]
-) -> Iterator[tuple[Loop | None, Series]]:
+) -> Iterator[tuple[Loop | None, list[Float[np.ndarray, " n"]]]]:
     """What is taken out first, and each that may explain the rest, as signals of each record."""
     v = _each(records, motion.velocity)
     # Without a recorded position a spring would pass for a state that goes with the displacement.
@@ -750,7 +668,7 @@ def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
     return total
 
 
-def _each(records: Sequence[Record], name: str) -> Series:
+def _each(records: Sequence[Record], name: str) -> list[Float[np.ndarray, " n"]]:
     return _of_order_one([np.nan_to_num(record.signal(name).with_nan) for record in records])
 
 
@@ -954,7 +872,7 @@ LARGEST_LAG_SHARE = 10
 class ResidualTests(Drawn, eqx.Module):
     """What every equation of a model leaves unexplained; see [`residual_tests`][].
 
-    **Fields:** `equations`, in the order of the procedure's stages; `faults` of sensors that
+    **Fields:** `equations`, in the order of the model's stages; `faults` of sensors that
     explain what some of them leave.
     """
 
@@ -974,7 +892,7 @@ class ResidualTests(Drawn, eqx.Module):
 
 
 def residual_tests(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records,
     estimate: Estimate | Mapping[str, float | Array],
     *,
@@ -997,8 +915,8 @@ def residual_tests(
     **Raises:** `ModelError` for a parameter without a value; `DataError` for a missing signal,
     records of unequal time steps or too short ones.
     """
-    procedure = as_procedure(model)
-    recordings = [with_memories(record, procedure.memories) for record in as_records(records)]
+    model = as_model(model)
+    recordings = [with_memories(record, model.memories) for record in as_records(records)]
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
     if windows is None and isinstance(estimate, Estimate):
         windows = estimate.criterion.windows
@@ -1011,33 +929,60 @@ def residual_tests(
         lags = max(min(wanted, MOST_LAGS, samples // LARGEST_LAG_SHARE), 1)
     names = told_apart([of_equation[0].name for of_equation in errors])
     first = recordings[0]
-    reads = [e.signals_read(first, of[0].span) for e, of in zip(procedure.equations, errors)]
-    pairs = (pair for equation in procedure.equations for pair in equation.derivatives)
+    reads = [e.signals_read(first, of[0].span) for e, of in zip(model.equations, errors)]
+    pairs = (pair for equation in model.equations for pair in equation.derivatives)
     named = {name for pair in pairs for name in pair}.union(*reads)
     faulty = {name for fault in faults for name in fault.signals}
-    found, parts = [], zip(names, errors, procedure.equations, reads, strict=True)
+    common = [n for n in first.arrays if all(n in each.arrays for each in recordings)]
+    found, parts = [], zip(names, errors, model.equations, reads, strict=True)
     for name, of_equation, equation, read in parts:
-        residual = _residual(name, of_equation, recordings, windows, lags)
-        is_notable = residual.averaged_size >= NOTABLE_SIZE
-        count = round(residual.averaged / float(recordings[0].time_step))
+        error = joined(of_equation, lags)
+        step, spectrum = float(error.time_step), error_spectrum(error)
+        shortest = 0.0 if windows is None else float(windows.alpha)
+        period = 1 / spectrum.band if spectrum.band > 0 else 0.0
+        count = min(max(round(max(period, shortest) / (2 * step)), 1), lags)
+        averaged = error.series.averaged(count)
+        target = Series(np.asarray(error.target), np.asarray(error.present)).averaged(count)
+        energy = np.sum(target.values**2)
+        size = float(np.sqrt(np.sum(averaged.values**2) / energy)) if energy > 0 else 0.0
+        follows = []
+        for other in common:
+            signals = [e.signal(record, other) for e, record in zip(of_equation, recordings)]
+            values = _of_order_one([signal.values for signal in signals])
+            present = [signal.present for signal in signals]
+            signal = Series(with_pads(values, lags), with_pads(present, lags)).averaged(count)
+            both = averaged.present & signal.present
+            if both.any() and np.ptp(signal.values[both]) > 0:
+                among = {"name": other, "signals": len(common)}
+                follows.append(cross_correlation(averaged, signal, lags, step, **among))
         # Where the equation could hide something.
-        sprung = {spring.of for spring in procedure.springs}
-        elements = force_elements(procedure.equations, [equation])
+        sprung = {spring.of for spring in model.springs}
+        elements = force_elements(model.equations, [equation])
         free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         loop = None
-        if is_notable:  # hysteresis, or a signal of no name that changes a force
+        if size >= NOTABLE_SIZE:  # hysteresis, or a signal of no name that changes a force
             from riecjax.equations.motions import motions_and_unread
 
             units = {name: unit for record in recordings for name, unit in record.units}
-            common = [n for n in first.arrays if all(n in each.arrays for each in recordings)]
             unread = [name for name in common if name not in named]
             motions, unread = motions_and_unread(equation, first, {*common}, units, unread)
             loop = loop_of(of_equation, recordings, motions, unread, count)
-        residual = residual._replace(
+        residual = EquationResidual(
+            name,
+            error.unit,
+            float(error.relative_rms),
+            error,
+            autocorrelation(error.series, lags, step),
+            tuple(sorted(follows, key=lambda one: -abs(one.largest))),
+            count * step,
+            size,
+            spectrum,
+            spectrum.peak(),
+            None if windows is None else window_errors(of_equation, windows),
             bodies=accelerated(equation),
-            carrying=tuple(m.on for m in procedure.modes if m.inertia(equation) is not None),
-            dampers=tuple(name for name, term in free.items() if isinstance(term, Term)),
-            maps=tuple(name for name, term in free.items() if not isinstance(term, Term)),
+            carrying=tuple(m.on for m in model.modes if m.inertia(equation) is not None),
+            dampers=tuple(name for name, term in free.items() if term.is_linear),
+            maps=tuple(name for name, term in free.items() if not term.is_linear),
             loop=loop,
             parameters=equation.parameters,
             names=tuple(sorted(named)),
@@ -1045,67 +990,3 @@ def residual_tests(
         )
         found.append(residual)
     return ResidualTests(tuple(found), tuple(faults))
-
-
-def _residual(
-    name: str,
-    errors: list[EquationError],
-    records: list[Record],
-    windows: AbstractWindows | None,
-    lags: int,
-) -> EquationResidual:
-    error = joined(errors, lags)
-    step = float(error.time_step)
-    present, values = np.asarray(error.present), np.asarray(error.error)
-    spectrum = error_spectrum(error)
-    shortest = 0.0 if windows is None else float(windows.alpha)
-    period = 1 / spectrum.band if spectrum.band > 0 else 0.0
-    count = min(max(round(max(period, shortest) / (2 * step)), 1), lags)
-    averaged = moving_average(values, present, count)
-    target, _ = moving_average(np.asarray(error.target), present, count)
-    energy = np.sum(target**2)
-    return EquationResidual(
-        name,
-        error.unit,
-        float(error.relative_rms),
-        error,
-        autocorrelation(values, present, lags, step),
-        _follows(averaged, errors, records, count, lags),
-        count * step,
-        float(np.sqrt(np.sum(averaged[0] ** 2) / energy)) if energy > 0 else 0.0,
-        spectrum,
-        spectrum.peak(),
-        None if windows is None else window_errors(errors, windows),
-    )
-
-
-def _follows(
-    averaged: tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]],
-    errors: list[EquationError],
-    records: list[Record],
-    count: int,
-    lags: int,
-) -> tuple[CrossCorrelation, ...]:
-    """Correlations of the averaged error with the averaged signals, strongest first."""
-    error, present = averaged
-    common = [
-        name for name in records[0].arrays if all(name in record.arrays for record in records)
-    ]
-    found = []
-    for name in common:
-        # At the times of the joined errors, with a mask of its samples that are present.
-        values, masks = [], []
-        for part, record in zip(errors, records):
-            there = record.signal(name).present
-            values.append(np.asarray(part.centred(record[name])))
-            gone = np.zeros(values[-1].size) if there is None else part.centred(~there * 1.0)
-            masks.append(np.asarray(gone) == 0)
-        series = with_pads(_of_order_one(values), lags)
-        signal, valid = moving_average(series, with_pads(masks, lags), count)
-        both = present & valid
-        if both.any() and np.ptp(signal[both]) > 0:
-            step = float(errors[0].time_step)
-            found.append(
-                cross_correlation(error, signal, both, lags, step, name=name, signals=len(common))
-            )
-    return tuple(sorted(found, key=lambda one: -abs(one.largest)))

@@ -17,7 +17,7 @@ from riecjax import tails
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
-from riecjax.equations.procedure import HasProcedure, Procedure, as_procedure
+from riecjax.equations.model import Model, as_model
 from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
@@ -34,7 +34,7 @@ from riecjax.summaries.normal_equations import (
 )
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.task import task
+from riecjax.summaries.task import ready, task
 from riecjax.uncertainty.block_statistics import block_influence
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
@@ -229,7 +229,7 @@ for show motions that the model was never meant for, and nearly every model fail
 
 
 def window_sweep(
-    model: Equation | Procedure | HasProcedure,
+    model: Equation | Model,
     records: Records | Summary,
     criterion: AbstractCriterion | None = None,
     *,
@@ -255,22 +255,65 @@ def window_sweep(
 
     **Raises:** as `identify`, and `DataError` if the records are too short for any sweep.
     """
-    procedure = as_procedure(model)
+    model = as_model(model)
     if isinstance(records, Summary):
         summary = records
-        summary.require_model(procedure)
+        summary.require_model(model)
     else:
         require(
             "the criterion", criterion, RIEC, "rx.RIEC(rx.AllWindows(0.05, 0.5)), which has windows"
         )
         assert isinstance(criterion, RIEC)
-        asked = task(procedure, records, criterion.every, key)
+        asked = task(model, ready(model, records), criterion.every, key)
         edges = sweep_edges(
             asked.records, criterion, shortest=shortest, longest=longest, bands=bands
         )
         summary = summed(asked, bins=edges)
-    table = plan_parameters(procedure, len(summary.recordings), known, per_record)
+    table = plan_parameters(model, len(summary.recordings), known, per_record)
     return sweep_of_sums(summary, table, shortest, longest)
+
+
+def sweep_of_sums(
+    summary: Summary,
+    table: ParameterTable,
+    shortest: float | None = None,
+    longest: float | None = None,
+) -> WindowSweep:
+    """[`window_sweep`][] of what a table of parameters says, from sums in bins of window lengths.
+
+    **Raises:** as it does.
+    """
+    # Bands are pairs of neighbouring bins of a Summary within the reach of the sweep.
+    bins = summary.bins
+    if bins is None:
+        raise DataError(
+            "this Summary keeps the sums of all window lengths together: make it with bins, "
+            "rx.summarise(..., bins=12)."
+        )
+    lengths = [(float(r.time_step), int(r.samples)) for r in summary.recordings]
+    law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
+    low, high = _reach(lengths, law, shortest, longest)
+    inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))
+    pairs = [(i, i + 2) for i in range(inside.size - 1) if inside[i] and inside[i + 1]]
+    if len(pairs) < 2:
+        raise DataError(
+            f"the Summary's bins of window lengths make fewer than two bands from {low:.3g} to "
+            f"{high:.3g} s: make it anew with more of them."
+        )
+    ends = np.array([summary.lengths_of(pair) for pair in pairs])
+    short = summary.short_blocks
+    # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
+    used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
+    every = [summary.equations(pair) for pair in pairs]
+    equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
+    return WindowSweep(
+        ends[:, 0],
+        ends[:, 1],
+        *_estimates(equations, table, short, used),
+        block_count=namespace(used).sum(used),
+        table=table,
+        stage_names=tuple(label for label, names in table.stages if names),
+    )
 
 
 def sweep_edges(
@@ -325,67 +368,13 @@ def _reach(
     return low, high
 
 
-def _bands(
-    summary: Summary, shortest: float | None, longest: float | None
-) -> list[tuple[int, int]]:
-    """Pairs of neighbouring bins of a Summary within the reach of a sweep."""
-    bins = summary.bins
-    if bins is None:
-        raise DataError(
-            "this Summary keeps the sums of all window lengths together: make it with bins, "
-            "rx.summarise(..., bins=12)."
-        )
-    lengths = [(float(r.time_step), int(r.samples)) for r in summary.recordings]
-    law = summary.criterion.between(bins.edges[bins.band[0]], bins.edges[bins.band[1]])
-    low, high = _reach(lengths, law, shortest, longest)
-    inside = (bins.edges[:-1] > low * (1 - 1e-9)) & (bins.edges[1:] < high * (1 + 1e-9))
-    found = [(i, i + 2) for i in range(inside.size - 1) if inside[i] and inside[i + 1]]
-    if len(found) < 2:
-        raise DataError(
-            f"the Summary's bins of window lengths make fewer than two bands from {low:.3g} to "
-            f"{high:.3g} s: make it anew with more of them."
-        )
-    return found
-
-
-def sweep_of_sums(
-    summary: Summary,
-    table: ParameterTable,
-    shortest: float | None = None,
-    longest: float | None = None,
-) -> WindowSweep:
-    """[`window_sweep`][] of what a table of parameters says, from sums in bins of window lengths.
-
-    **Raises:** as it does.
-    """
-    bands = _bands(summary, shortest, longest)
-    ends = np.array([summary.lengths_of(band) for band in bands])
-    short = summary.short_blocks
-    # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
-    used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
-    every = [summary.equations(band) for band in bands]
-    equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
-    theta, influence, residual, noise = _estimates(equations, table, short, used)
-    return WindowSweep(
-        alpha=ends[:, 0],
-        beta=ends[:, 1],
-        theta=theta,
-        influence=influence,
-        relative_rms=residual,
-        noise_rms=noise,
-        block_count=namespace(used).sum(used),
-        table=table,
-        stage_names=tuple(label for label, names in table.stages if names),
-    )
-
-
 @kept_jit
 def _estimates(
     equations: list[list[NormalEquations]],
     table: ParameterTable,
     short: ShortBlocks,
     used: Int[Array, " records"],
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, ...]:
     """What a `WindowSweep` holds: theta, influence, relative r.m.s. and the noise's."""
 
     def at_length(own: list[list[NormalEquations]]) -> tuple[Array, ...]:
@@ -400,11 +389,6 @@ def _estimates(
             jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
         )
 
-    theta, influence, residual, noise, held = jax.lax.map(at_length, equations)
+    *found, held = jax.lax.map(at_length, equations)
     known = (held >= SHARE_OF_BLOCKS * jnp.max(held)) & (held > 0)
-    return (
-        jnp.where(known[:, None], theta, jnp.nan),
-        jnp.where(known[:, None, None], influence, jnp.nan),
-        jnp.where(known[:, None], residual, jnp.nan),
-        jnp.where(known[:, None], noise, jnp.nan),
-    )
+    return tuple(jnp.where(known.reshape(-1, *(1,) * (of.ndim - 1)), of, jnp.nan) for of in found)

@@ -28,6 +28,7 @@ from riecjax import tails
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
 from riecjax.refinement.output_error import OutputMisfit
+from riecjax.validation.equation_errors import Series
 from riecjax.validation.residuals import autocorrelation
 
 LAGS = 20
@@ -108,10 +109,15 @@ def whiteness(
     sigma = np.asarray(misfit.sigma)
     statistics, chi_squared, shares = {}, {}, {}
     for j, name in enumerate(misfit.labels):
-        tests = [
-            ljung_box(*_in_time(one[..., j], there[..., j], part.position, part.every))
-            for one, there, part in zip(series, masks, misfit.recorded)
-        ]
+        tests = []
+        for values, present, part in zip(series, masks, misfit.recorded):
+            # The values of all windows where they stand in the recording.
+            values, present = values[..., j], present[..., j]
+            place = np.asarray(part.position)[present] // part.every
+            length = int(place.max(initial=0)) + 1
+            series_in_time = Series(np.zeros(length), np.zeros(length, bool))
+            series_in_time.values[place], series_in_time.present[place] = values[present], True
+            tests.append(ljung_box(series_in_time))
         statistics[name] = max((t for t in tests if t == t), default=float("nan")) / LAGS
         noise = [float(judged(record, "auto", name).noise.std(name)) for record in records]
         level = float(np.sqrt(np.mean(np.square(noise))))
@@ -124,25 +130,14 @@ def whiteness(
     return Whiteness(statistics, threshold, chi_squared, shares)
 
 
-def ljung_box(values: Float[np.ndarray, " n"], present: Bool[np.ndarray, " n"]) -> float:
+def ljung_box(series: Series) -> float:
     """Q over 20 lags; NaN of fewer than 60 values, or of values that do not vary."""
-    count = int(present.sum())
+    (values, present), count = series, series.held
     if count < FEWEST_RESIDUALS or not np.ptp(values[present]) > 0:
         return float("nan")
-    found = autocorrelation(values, present, LAGS, 1.0).values[1:]
+    found = autocorrelation(series, LAGS, 1.0).values[1:]
     pairs = np.array([np.sum(present[k:] & present[:-k]) for k in range(1, LAGS + 1)])
     return float((count + 2) / count * np.sum(pairs * found**2))
-
-
-def _in_time(
-    values: Float[np.ndarray, "w n"], present: Bool[np.ndarray, "w n"], position: Array, every: int
-) -> tuple[Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
-    """The values of all windows where they stand in the recording."""
-    place = np.asarray(position)[present] // every
-    size = int(place.max(initial=0)) + 1
-    series, there = np.zeros(size), np.zeros(size, bool)
-    series[place], there[place] = values[present], True
-    return series, there
 
 
 def innovations(

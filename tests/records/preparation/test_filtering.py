@@ -6,6 +6,8 @@ import scipy.signal
 
 from nightly import nightly
 from riecjax.errors import DataError
+from riecjax.records.linear_op import LinearOp
+from riecjax.records.noise import SignalNoise
 from riecjax.records.preparation.filtering import (
     derivative_taps,
     differentiate,
@@ -89,25 +91,27 @@ def test_one_sample_between_gaps_has_no_slope_and_two_have_one():
     derived = differentiate(Record.from_samples({"q": values}, time_step=1.0), "q", "dq")
     assert derived.segments(["dq"]) == [slice(0, 2), slice(5, 7)]
     assert derived["dq"].tolist() == [1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0]
+    with pytest.raises(DataError, match=r"'q' .*central differences of q.*takes 2 samples"):
+        differentiate(Record.from_samples({"q": values[1:5]}, time_step=1.0), "q", "dq")
 
 
-def test_no_two_samples_in_succession():
-    values = np.array([0.0, np.nan, 1.0, np.nan])
-    with pytest.raises(DataError, match="'q' has no derivative"):
-        differentiate(Record.from_samples({"q": values}, time_step=1.0), "q", "dq")
+def test_an_operation_carries_values_gaps_noise_and_unit_of_the_signals_that_it_is_for():
+    q = np.array([1.0, 2.0, 4.0, 8.0, np.nan, 3.0, 5.0, 7.0])
+    signals = {"q": Signal.of(q, "m", SignalNoise({"q": np.ones(1)})), "p": np.arange(8.0)}
+    average = LinearOp.of_taps("{}: mean of three", np.ones(3) / 3, -1, source="q", unit="/3")
+    made = Record(signals, 1 / RATE).through({"mean": average})
+    expected = [7 / 3, 14 / 3, np.nan, np.nan, np.nan, 5.0]
+    np.testing.assert_allclose(made.signal("mean").with_nan, expected)
+    np.testing.assert_array_equal(made["p"], np.arange(1.0, 7.0))
+    np.testing.assert_allclose(made.noise.kernels["mean"]["q"], np.ones(3) / 3)
+    assert made.signal("mean").unit == "m/3"
 
 
 FINE_STEP = 0.01
 FINE_TIME = np.arange(4000) * FINE_STEP
-MOTION = np.sin(2 * np.pi * 0.7 * FINE_TIME) + 0.4 * np.sin(2 * np.pi * 1.9 * FINE_TIME + 1)
-SLOPE = (
-    2
-    * np.pi
-    * (
-        0.7 * np.cos(2 * np.pi * 0.7 * FINE_TIME)
-        + 0.4 * 1.9 * np.cos(2 * np.pi * 1.9 * FINE_TIME + 1)
-    )
-)
+SLOW, FAST = 2 * np.pi * 0.7 * FINE_TIME, 2 * np.pi * 1.9 * FINE_TIME + 1
+MOTION = np.sin(SLOW) + 0.4 * np.sin(FAST)
+SLOPE = 2 * np.pi * (0.7 * np.cos(SLOW) + 0.4 * 1.9 * np.cos(FAST))
 
 
 def noisy(level, seed=0):

@@ -1,11 +1,13 @@
 """Steps in their order, cuts, and records split in two."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
 
+from riecjax.equations.model import Model
 from riecjax.errors import DataError
-from riecjax.models.model import Model
 from riecjax.records.preparation.steps import prepare, split
 from riecjax.records.record import Record
 from riecjax.settings import Prepare
@@ -19,17 +21,11 @@ def record(**signals: np.ndarray) -> Record:
     return Record(signals, 1 / RATE)
 
 
-def butterworth(cutoff: float) -> tuple[np.ndarray, np.ndarray]:
-    coefficients = scipy.signal.butter(4, cutoff, fs=RATE)
-    assert coefficients is not None
-    return np.asarray(coefficients[0]), np.asarray(coefficients[1])
-
-
 def test_prepare_filters_then_differentiates_then_thins_out():
     rng = np.random.default_rng(2)
     q = np.sin(9 * TIME) + 1e-3 * rng.normal(size=4000)
     prepared, _ = prepare(record(q=q), AXIS.derived, Prepare(cutoffs={"q": 100.0}, every=10))
-    smooth = scipy.signal.filtfilt(*butterworth(100.0), q)[50:-50]
+    smooth = scipy.signal.filtfilt(*scipy.signal.butter(4, 100.0, fs=RATE), q)[50:-50]  # pyright: ignore
     velocity = np.gradient(smooth, 1 / RATE, edge_order=2)
     acceleration = np.gradient(velocity, 1 / RATE, edge_order=2)
     assert float(prepared.time_step) == pytest.approx(0.01, rel=1e-12)
@@ -40,15 +36,8 @@ def test_prepare_filters_then_differentiates_then_thins_out():
 
 
 def test_every_step_of_a_preparation_is_taken_in_order():
-    asked = Prepare(
-        start=1.0,
-        stop=3.0,
-        offsets=("q",),
-        drifts=("p",),
-        upsample=2,
-        derivatives={"v": "q"},
-        every=4,
-    )
+    cut = Prepare(start=1.0, stop=3.0, offsets=("q",), drifts=("p",), upsample=2, every=4)
+    asked = replace(cut, derivatives={"v": "q"})
     prepared, words = prepare(record(q=5 + np.sin(9 * TIME), p=TIME), {}, asked)
     assert [word.split()[0] for word in words] == ["cut", "q:", "p:", "band-limited", "v:", "every"]
     assert float(prepared.time_step) == pytest.approx(2 / RATE)

@@ -9,7 +9,7 @@ from riecjax.records.preparation.resampling import on_grid, resample, upsample
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 
-UP_REACH, DOWN_REACH = 44, 26
+UP_REACH = 44
 """Samples of the slower rate that are lost, as the docstrings say."""
 
 
@@ -79,9 +79,6 @@ def test_more_samples_than_anybody_wants():
     with pytest.raises(DataError, match=r"4e\+06 samples.* of 4000 .* takes about 0\.68 GB"):
         upsample(waves(4000, 0.1), 1000)
     assert upsample(waves(4000, 0.1), 50).sample_count > 190_000
-
-
-ANTI_ALIAS_REACH = 26
 
 
 def sampled(rate: float, duration: float, start: float = 0.0) -> np.ndarray:

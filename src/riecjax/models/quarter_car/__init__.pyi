@@ -1,5 +1,4 @@
 from .identification import BREAK_POINTS as BREAK_POINTS
-from .identification import QuarterCar as QuarterCar
 from .identification import body_equation as body_equation
 from .identification import mass_equation as mass_equation
 from .identification import quarter_car_by_body as quarter_car_by_body

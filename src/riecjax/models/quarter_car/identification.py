@@ -1,4 +1,4 @@
-"""The identification model of the quarter car, eqs (21)-(24), and the paper's procedure.
+"""The identification model of the quarter car, eqs (21)-(24), in the paper's stages.
 
 One equation of motion serves both criteria: DOLS reads it as eq. (23), RIEC as eq. (24). With the
 damper map's break points v_i free as well, the equations are no longer linear in their parameters:
@@ -7,19 +7,23 @@ they are refined, by output error ([`damper_system`][]) or by integral error ([`
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from riecjax import Equation, Term, Terms, staged
-from riecjax.equations import Procedure, RoofFunctions
-from riecjax.refinement import AbstractBalance, ByFunction
+from riecjax import Equation, Model, Term, Terms, staged
+from riecjax.equations import RoofFunctions
+from riecjax.models.catalogue import built_in_model
+from riecjax.refinement import ByFunction
 from riecjax.simulation import AbstractSystem
 
 Signals = Mapping[str, Array]
+Values = Mapping[str, Any]
 BREAK_POINTS = (-0.8, -0.3, 0.3, 0.8)
 """Suspension velocities v_i of the damper map in m/s (Table 2)."""
+Points = Sequence[float] | Array
 
 
 def suspension_velocity(signals: Signals) -> Array:
@@ -42,22 +46,23 @@ def mass_equation() -> Equation:
     return Equation(Term(1.0, "F_t"), -_unsprung(), -_sprung(), name="masses", unit="N")
 
 
-def wheel_equation() -> Equation:
+def wheel_equation(break_points: Points = BREAK_POINTS) -> Equation:
     """(23c), (24c): F_t - M_us x3' = K_s x2 + sum F_i R_i(x3 - x4)."""
-    return Equation(Term(1.0, "F_t"), -_unsprung(), -_spring(), -_damper(), name="wheel", unit="N")
+    forces = -_spring(), -_damper(break_points)
+    return Equation(Term(1.0, "F_t"), -_unsprung(), *forces, name="wheel", unit="N")
 
 
-def body_equation() -> Equation:
+def body_equation(break_points: Points = BREAK_POINTS) -> Equation:
     """(23d), (24d): M_s x4' = K_s x2 + sum F_i R_i(x3 - x4)."""
-    return Equation(_sprung(), -_spring(), -_damper(), name="body", unit="N")
+    return Equation(_sprung(), -_spring(), -_damper(break_points), name="body", unit="N")
 
 
-def quarter_car_by_body() -> Procedure:
+def quarter_car_by_body(break_points: Points = BREAK_POINTS) -> Model:
     """The paper's three stages, suspension forces from the motion of the body (variants B)."""
-    return staged(tyre_equation(), mass_equation(), body_equation())
+    return staged(tyre_equation(), mass_equation(), body_equation(break_points))
 
 
-def quarter_car_by_wheel() -> Procedure:
+def quarter_car_by_wheel() -> Model:
     """The paper's three stages, suspension forces from the motion of the wheel (variants W)."""
     return staged(tyre_equation(), mass_equation(), wheel_equation())
 
@@ -74,58 +79,17 @@ def _spring() -> Term:
     return Term("K_s", "x2", unit="N/m")
 
 
-def _damper() -> Terms:
-    return Terms("F", RoofFunctions(BREAK_POINTS), of=suspension_velocity, unit="N")
+def _damper(break_points: Points) -> Term:
+    return Terms("F", RoofFunctions(break_points), of=suspension_velocity, unit="N")
 
 
-class QuarterCar(AbstractSystem):
-    """Two masses, linear but for a damper map F_di = sum F_i R_i(x3 - x4), eqs (21)-(22).
+def quarter_car_system(parameters: Values, break_points: Points = BREAK_POINTS) -> AbstractSystem:
+    """Eqs (21)-(22) with these values of `K_t, M_us, M_s, K_s, F_1 ... F_4`.
 
     States and signs are those of the source model's `x1` to `x4`.
-
-    **Fields:** `K_t`, `K_s` in N/m; `M_us`, `M_s` in kg; `F` damper forces in N at the break
-    points; `roof` the damper map's functions.
     """
-
-    K_t: Float[Array, ""]
-    M_us: Float[Array, ""]
-    M_s: Float[Array, ""]
-    K_s: Float[Array, ""]
-    F: Float[Array, " points"]
-    roof: RoofFunctions
-
-    states: ClassVar = (("x1", "m"), ("x2", "m"), ("x3", "m/s"), ("x4", "m/s"))
-    inputs: ClassVar = (("v_r", "m/s"),)
-    outputs: ClassVar = (("F_t", "N"),)
-
-    @classmethod
-    def from_parameters(cls, parameters: Mapping[str, Array]) -> "QuarterCar":
-        """The model with these values of `K_t, M_us, M_s, K_s, F_1 ... F_4`."""
-        forces = jnp.stack([jnp.asarray(parameters[f"F_{i}"]) for i in range(1, 5)])
-        named = {name: jnp.asarray(parameters[name]) for name in ("K_t", "M_us", "M_s", "K_s")}
-        return cls(**named, F=forces, roof=RoofFunctions(BREAK_POINTS))
-
-    def derivative(self, state: Array, inputs: Array) -> Array:
-        """Eq. (21)."""
-        x1, x2, x3, x4 = (state[i] for i in range(4))
-        suspension = self.K_s * x2 + self.roof.interpolate(self.F, x3 - x4)
-        return jnp.stack(
-            [
-                inputs[0] - x3,
-                x3 - x4,
-                (self.K_t * x1 - suspension) / self.M_us,
-                suspension / self.M_s,
-            ]
-        )
-
-    def output(self, state: Array, inputs: Array) -> Mapping[str, Array]:
-        """Tyre force F_t in N."""
-        return {"F_t": self.K_t * state[0]}
-
-
-def quarter_car_system(parameters: Mapping[str, Array]) -> QuarterCar:
-    """The identification model with these parameters."""
-    return QuarterCar.from_parameters(parameters)
+    model = replace(built_in_model("quarter-car"), stages=quarter_car_by_body(break_points))
+    return model.build_system({name: parameters[name] for name in model.parameter_names})
 
 
 FORCES = ("F_1", "F_2", "F_3", "F_4")
@@ -146,56 +110,6 @@ UNITS = (
     *((name, "m/s") for name in VELOCITIES),
 )
 
-Values = Mapping[str, Any]
-
-
-class Suspension(AbstractBalance):
-    """Force K_s x2 + sum F_i R_i(x3 - x4) between the masses, and what it does to one of them.
-
-    **Fields:** `mass` in kg of the body or the wheel, `K_s` in N/m, damper forces `F` in N at the
-    velocities `v` in m/s, both of shape `(4,)`.
-    """
-
-    mass: Float[Array, ""]
-    K_s: Float[Array, ""]
-    F: Float[Array, " points"]
-    v: Float[Array, " points"]
-
-    def suspension_force(self, signals: Signals) -> Array:
-        """Of spring and damper in N, shape `(n,)`."""
-        damper = RoofFunctions(self.v).interpolate(self.F, suspension_velocity(signals))
-        return self.K_s * signals["x2"] + damper
-
-
-class Body(Suspension):
-    """(24d): M_s x4' = K_s x2 + sum F_i R_i(x3 - x4)."""
-
-    name = "body"
-    unit = "N"
-
-    def force(self, signals: Signals) -> Array:
-        """Of the suspension, which drives the body."""
-        return -self.suspension_force(signals)
-
-    def momentum(self, signals: Signals) -> Array:
-        """M_s x4."""
-        return self.mass * signals["x4"]
-
-
-class Wheel(Suspension):
-    """(24c): F_t - M_us x3' = K_s x2 + sum F_i R_i(x3 - x4)."""
-
-    name = "wheel"
-    unit = "N"
-
-    def force(self, signals: Signals) -> Array:
-        """Of the tyre, less that of the suspension."""
-        return signals["F_t"] - self.suspension_force(signals)
-
-    def momentum(self, signals: Signals) -> Array:
-        """M_us x3, which takes up the rest."""
-        return -self.mass * signals["x3"]
-
 
 def body_balance() -> ByFunction:
     """The body's motion for every M_s, K_s, F_i and v_i."""
@@ -212,24 +126,18 @@ def damper_system() -> ByFunction:
     return _parametric(quarter_car_of_break_points, ("K_t", "M_us", "M_s", "K_s"))
 
 
-def quarter_car_of_break_points(parameters: Values) -> QuarterCar:
+def quarter_car_of_break_points(parameters: Values) -> AbstractSystem:
     """The four-state model; break points that are not among the parameters stay as in Table 2."""
     places = {**dict(zip(VELOCITIES, BREAK_POINTS)), **parameters}
-    rates = {name: jnp.asarray(places[name]) for name in ("K_t", "M_us", "M_s", "K_s")}
-    roof = RoofFunctions(_stacked(places, VELOCITIES))
-    return QuarterCar(**rates, F=_stacked(places, FORCES), roof=roof)
+    return quarter_car_system(parameters, _stacked(places, VELOCITIES))
 
 
-def _body(values: Values) -> Body:
-    return Body(jnp.asarray(values["M_s"]), *_suspension(values))
+def _body(values: Values) -> Equation:
+    return body_equation(_stacked(values, VELOCITIES))
 
 
-def _wheel(values: Values) -> Wheel:
-    return Wheel(jnp.asarray(values["M_us"]), *_suspension(values))
-
-
-def _suspension(values: Values) -> tuple[Array, Array, Array]:
-    return jnp.asarray(values["K_s"]), _stacked(values, FORCES), _stacked(values, VELOCITIES)
+def _wheel(values: Values) -> Equation:
+    return wheel_equation(_stacked(values, VELOCITIES))
 
 
 def _stacked(values: Values, names: Sequence[str]) -> Float[Array, " points"]:

@@ -362,6 +362,11 @@ class Course(NamedTuple):
             *option_for("--clock", late, f"{ppm:.5g}"),
         )
 
+    @property
+    def way(self) -> str:
+        """What the signal does whose delay changes evenly."""
+        return "falls behind" if self.change > 0 else "gets ahead of"
+
 
 def delay_course(
     parts: Sequence[Sequence[Piece]],

@@ -1,10 +1,10 @@
 """Signals brought forward in time, by what is asked or by what recorded derivatives tell."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
@@ -19,11 +19,9 @@ from riecjax.records.faults.derivative_pairs import (
     with_sum,
 )
 from riecjax.records.faults.rows import cut_rows
-from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation.filtering import longest_stretch, through
-from riecjax.records.preparation.resampling import SAME_TIME, band_limited, reach_beyond, response
+from riecjax.records.linear_op import SAME_TIME, LinearOp, convolved_with, longest_stretch
+from riecjax.records.preparation.resampling import band_limited, reach_beyond, response
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
 
 POINTS = np.arange(-3, 5)
 """Samples around a place that a polynomial of degree 7 goes through."""
@@ -54,28 +52,32 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, a time that is no number, or a
     record or stretches too short for it.
     """
-    moved, before, after = {}, 0, 0
-    record = judged(record, "auto", *seconds)
-    for name, late in seconds.items():
-        signal = record.signal(name)
-        by = late / float(record.time_step)
-        if not abs(by) < record.sample_count / 2:
-            raise DataError(
-                f"cannot shift '{name}' by {late:g} s, which is {by:.4g} samples of "
-                f"{record.sample_count}. Give seconds, less than half the record."
-            )
-        reach = reach_beyond(1.0)
-        wide = longest_stretch(record, name) >= 2 * MOST_LOST * reach
-        taps, first = _taps(by, reach if wide else 0)
-        before, after = max(before, -first), max(after, first + taps.size - 1)
-        # A shift between samples leaves white noise nearly white, but a little less of it.
-        noise = signal.through_taps(np.array([np.linalg.norm(taps)]))
-        moved[name] = Signal.of(through(record, name, taps, first), signal.unit, noise)
-    for name, signal in moved.items():
-        if np.isnan(signal.with_nan).all():
-            raise DataError(f"no stretch of '{name}' is long enough to be shifted.")
-    result = record.with_signals(moved)
-    return result.part(max(before, 0), record.sample_count - max(after, 0))
+    return record.through({n: advance(record, n, late) for n, late in seconds.items()})
+
+
+def advance(record: Record, name: str, seconds: float) -> LinearOp:
+    """The operation of [`shift`][] on one signal."""
+    record.signal(name)  # an error that helps, if there is none
+    by = seconds / float(record.time_step)
+    if not abs(by) < record.sample_count / 2:
+        raise DataError(
+            f"cannot shift '{name}' by {seconds:g} s, which is {by:.4g} samples of "
+            f"{record.sample_count}. Give seconds, less than half the record."
+        )
+    whole, reach = math.floor(by + SAME_TIME), reach_beyond(1.0)
+    between, at, taps = by - whole, np.zeros(1, int), np.ones(1)
+    if between >= 2 * SAME_TIME:
+        if longest_stretch(record, name) >= 2 * MOST_LOST * reach:
+            at = np.arange(1 - reach, reach + 1)
+            taps = response(at - between, 1.0)
+        else:
+            at = POINTS
+            taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
+    taps = taps / taps.sum()
+    # A shift between samples leaves white noise nearly white, but a little less of it.
+    noise = convolved_with(float(np.linalg.norm(taps)))
+    words = f"advanced: {{}} by {seconds:g} s"
+    return LinearOp.of_taps(words, taps, whole + int(at[0]), noise=noise)
 
 
 def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
@@ -90,44 +92,33 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, a clock that is off by more than
     10 %, or stretches too short for it.
     """
-    reach, moved, lost = reach_beyond(1.0), {}, 0
-    record = judged(record, "auto", *ppm)
-    elapsed = np.asarray(record.elapsed) / float(record.time_step)
+    return record.through({name: clock(record, name, rate) for name, rate in ppm.items()})
+
+
+def clock(record: Record, name: str, ppm: float) -> LinearOp:
+    """The operation of [`set_clocks`][] on one signal."""
+    if not abs(ppm) < MOST_PPM:
+        raise DataError(
+            f"the clock of '{name}' is off by {ppm:g} ppm, which is no clock. Give millionths "
+            f"of the time, less than {MOST_PPM:g}."
+        )
+    reach = reach_beyond(1.0)
+    late = PPM * ppm * np.asarray(record.elapsed) / float(record.time_step)
+    lost = reach + math.ceil(np.max(np.abs(late[[0, -1]])))
     # The interpolator's gain of white noise, over all places between two samples.
     phases = response(np.arange(1 - reach, reach + 1) - np.linspace(0, 1, 21)[:, None], 1.0)
     white = np.sqrt(np.mean(np.sum(phases**2, axis=1)))
-    for name, rate in ppm.items():
-        signal = record.signal(name)
-        samples = np.asarray(signal.values)
-        if not abs(rate) < MOST_PPM:
-            raise DataError(
-                f"the clock of '{name}' is off by {rate:g} ppm, which is no clock. Give millionths "
-                f"of the time, less than {MOST_PPM:g}."
-            )
-        late, values = PPM * rate * elapsed, np.full(samples.size, np.nan)
-        for part in record.segments([name]):
-            own = np.arange(part.stop - part.start)
-            values[part] = band_limited(samples[part], own + late[part], 1.0)
-        if np.isnan(values).all():
-            raise DataError(f"no stretch of '{name}' is long enough for another clock.")
-        moved[name] = Signal.of(values, signal.unit, signal.through_taps(np.array([white])))
-        lost = max(lost, reach + int(np.ceil(np.max(np.abs(late[[0, -1]])))))
-    return record.with_signals(moved).part(lost, record.sample_count - lost)
 
+    def set_(samples: np.ndarray, places: np.ndarray, first: int) -> np.ndarray:
+        return band_limited(samples, places - first + late[places], 1.0)
 
-def _taps(by: float, reach: int) -> tuple[Float[np.ndarray, " taps"], int]:
-    """Weights of samples around a place `by` samples on, and where the first of them lies."""
-    whole = int(np.floor(by + SAME_TIME))
-    between = by - whole
-    if between < 2 * SAME_TIME:
-        return np.ones(1), whole
-    if reach:
-        at = np.arange(1 - reach, reach + 1)
-        taps = response(at - between, 1.0)
-    else:
-        at = POINTS
-        taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
-    return taps / taps.sum(), whole + int(at[0])
+    return LinearOp.of_stretches(
+        f"clocks: {{}} by {ppm:g} ppm",
+        set_,
+        lost=(lost, lost),
+        noise=convolved_with(float(white)),
+        shortest=2 * reach + 1,
+    )
 
 
 def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Aligned:
@@ -166,7 +157,19 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     late = _named(found, names) if names else _later(found)
     if not late:
         return Aligned(record)
-    told = [_finding(name, seconds, found) for name, seconds in late.items()]
+    told = []
+    for name, seconds in late.items():
+        holding = [pair for pair in found if name in pair.relation.names]
+        pair = next((pair for pair in holding if pair.delay), holding[0])
+        mine, others = pair.relation.side(pair.suspect)
+        other = " and ".join(others if name in mine else mine)
+        message = (
+            f"{name} came {seconds / pair.step:.3g} \u00b1 {pair.fit.errors[0]:.1g} samples "
+            f"({1e3 * seconds:.3g} ms) late against {other}, and was brought forward by that; "
+            f"--align none leaves it. Whether both are late against other signals the two cannot "
+            f"tell."
+        )
+        told.append(Finding("late_signal", message, (name,)))
     words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
     return Aligned(shift(record, late), words, tuple(told))
 
@@ -202,23 +205,9 @@ def _later(pairs: Sequence[Pair]) -> dict[str, float]:
     }
 
 
-def _finding(name: str, seconds: float, pairs: Sequence[Pair]) -> Finding:
-    holding = [pair for pair in pairs if name in pair.relation.names]
-    pair = next((pair for pair in holding if pair.delay), holding[0])
-    mine, others = pair.relation.side(pair.suspect)
-    other = " and ".join(others if name in mine else mine)
-    return Finding(
-        "late_signal",
-        f"{name} came {seconds / pair.step:.3g} \u00b1 {pair.fit.errors[0]:.1g} samples "
-        f"({1e3 * seconds:.3g} ms) late against {other}, and was brought forward by that; --align "
-        f"none leaves it. Whether both are late against other signals the two cannot tell.",
-        (name,),
-    )
-
-
 def declared_pairs(model: Any) -> list[tuple[str, str] | Relation]:
     """Signals and their derivatives, as a `Model` or its equations call them."""
     pairs: list[Any] = [(of, name) for name, of in getattr(model, "derived", {}).items()]
-    if getattr(model, "procedure", None) is not None:
-        pairs += model.build_procedure().derivatives
+    if hasattr(model, "stages"):
+        pairs += model.derivatives
     return list(dict.fromkeys(pairs))

@@ -1,5 +1,6 @@
-"""Filters without phase, offsets, drifts and derivatives, each on unbroken stretches."""
+"""Filters without phase, offsets, drifts and derivatives."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -8,17 +9,17 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
+from riecjax.records.linear_op import LinearOp, convolved_with, longest_stretch
 from riecjax.records.noise_judgement import blackman_harris, judged
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
 
 FILTER_ORDER = 4
 FILTER_PADDING = 16
 """Samples by which SciPy extends each end of a stretch for a filter of this order."""
 SETTLING_PERIODS = 5
 """Periods of the cut-off frequency after which a zero-phase filter has forgotten the ends."""
-SLOPE = np.linalg.inv(np.vander(np.arange(-3, 4), increasing=True))[1, ::-1]
-"""Taps of a derivative of sixth order over a sample, the middle one for the same sample."""
+SLOPE = np.linalg.inv(np.vander(np.arange(-3, 4), increasing=True))[1]
+"""Weights of samples around a place whose sum is a derivative of sixth order over a sample."""
 
 
 def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
@@ -32,47 +33,39 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     **Raises:** `DataError` for a cut-off beyond half the sampling rate, a missing signal, or a
     record whose stretches are too short for the filter.
     """
-    if not cutoffs:
-        return record
-    time_step = float(record.time_step)
-    nyquist = 0.5 / time_step
-    for name, cutoff in cutoffs.items():
-        if not 0 < cutoff < nyquist:
-            raise DataError(
-                f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
-                f"the sampling rate, {nyquist:g} Hz."
-            )
-    lost = {name: int(np.ceil(SETTLING_PERIODS / f / time_step)) for name, f in cutoffs.items()}
-    cut = max(lost.values())
-    if record.sample_count <= _shortest(cut):
+    return record.through({name: butterworth(record, name, f) for name, f in cutoffs.items()})
+
+
+def butterworth(record: Record, name: str, cutoff: float) -> LinearOp:
+    """The operation of [`low_pass`][] on one signal."""
+    nyquist = 0.5 / float(record.time_step)
+    if not 0 < cutoff < nyquist:
         raise DataError(
-            f"the record is too short to be filtered at {min(cutoffs.values()):g} Hz: {cut} "
+            f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
+            f"the sampling rate, {nyquist:g} Hz."
+        )
+    lost = math.ceil(SETTLING_PERIODS / cutoff / float(record.time_step))
+    shortest = max(2 * lost + 2, FILTER_PADDING) + 1
+    if record.sample_count < shortest:
+        raise DataError(
+            f"the record is too short to be filtered at {cutoff:g} Hz: {lost} "
             f"samples are lost at each end. Raise the cut-off, or record for longer."
         )
-    record = judged(record, "auto", *cutoffs)
-    filtered = {}
-    for name, cutoff in cutoffs.items():
-        sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
-        impulse = np.zeros(4 * lost[name] + FILTER_PADDING + 1)
-        impulse[impulse.size // 2] = 1.0
-        signal, values = record.signal(name), np.full(record.sample_count, np.nan)
-        for stretch in record.segments([name]):
-            if stretch.stop - stretch.start > _shortest(lost[name]):
-                inner = slice(stretch.start + lost[name], stretch.stop - lost[name])
-                samples = scipy.signal.sosfiltfilt(sections, np.asarray(signal.values)[stretch])
-                values[inner] = samples[lost[name] : -lost[name]]
-        noise = signal.through_taps(scipy.signal.sosfiltfilt(sections, impulse))
-        filtered[name] = Signal.of(values, signal.unit, noise)
-    result = record.with_signals(filtered).part(cut, record.sample_count - cut)
-    for name, cutoff in cutoffs.items():
-        if not result.segments([name]):
-            raise DataError(
-                f"no stretch of '{name}' without a gap is long enough to be filtered at "
-                f"{cutoff:g} Hz: it takes more than {_shortest(lost[name])} samples, and the "
-                f"longest has {longest_stretch(record, name)}. Raise the cut-off, or repair the "
-                f"gaps."
-            )
-    return result
+    sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
+    impulse = np.zeros(4 * lost + FILTER_PADDING + 1)
+    impulse[impulse.size // 2] = 1.0
+
+    def both_ways(samples: np.ndarray, *_: object) -> np.ndarray:
+        settled = scipy.signal.sosfiltfilt(sections, samples)[lost:-lost]
+        return np.pad(settled, lost, constant_values=np.nan)
+
+    return LinearOp.of_stretches(
+        f"zero-phase {FILTER_ORDER}th-order Butterworth low-pass: {{}} at {cutoff:g} Hz",
+        both_ways,
+        lost=(lost, lost),
+        noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
+        shortest=shortest,
+    )
 
 
 def unfilter(record: Record, lags: Mapping[str, float]) -> Record:
@@ -86,27 +79,25 @@ def unfilter(record: Record, lags: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a time constant that is not positive, a signal that the record
     lacks, or stretches of fewer than seven samples.
     """
-    for name, seconds in lags.items():
-        if not 0 < seconds < np.inf:
-            raise DataError(
-                f"the time constant of the low-pass before '{name}' must be positive; got "
-                f"{seconds:g} s."
-            )
-    return lead(record, lags)
+    return record.through({name: low_pass_undone(record, name, tau) for name, tau in lags.items()})
 
 
-def lead(record: Record, seconds: Mapping[str, float]) -> Record:
-    """As [`unfilter`][], of any time constant, one that is not positive too."""
-    led, half = {}, SLOPE.size // 2
-    record = judged(record, "auto", *seconds)
-    for name, tau in seconds.items():
-        taps = tau / float(record.time_step) * SLOPE
-        taps[half] += 1.0
-        values, signal = through(record, name, taps[::-1], -half), record.signal(name)
-        if np.isnan(values).all():
-            raise DataError(f"no stretch of '{name}' is long enough for its low-pass to be undone.")
-        led[name] = Signal.of(values, signal.unit, signal.through_taps(taps))
-    return record.with_signals(led).part(half, record.sample_count - half)
+def low_pass_undone(record: Record, name: str, seconds: float) -> LinearOp:
+    """The operation of [`unfilter`][] on one signal."""
+    if not 0 < seconds < np.inf:
+        raise DataError(
+            f"the time constant of the low-pass before '{name}' must be positive; got "
+            f"{seconds:g} s."
+        )
+    return lead(record, seconds)
+
+
+def lead(record: Record, seconds: float) -> LinearOp:
+    """The same of any time constant, one that is not positive too."""
+    half = SLOPE.size // 2
+    taps = seconds / float(record.time_step) * SLOPE
+    taps[half] += 1.0
+    return LinearOp.of_taps(f"low-pass undone: {{}} of {seconds:g} s", taps, -half)
 
 
 def remove_offset(record: Record, *signals: str) -> Record:
@@ -135,22 +126,17 @@ def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -
             f"name the signals to remove the {('offset', 'drift')[degree]} from; there are: "
             f"{', '.join(record.arrays)}."
         )
-    time = np.asarray(record.time)
-    columns = {}
-    for name in signals:
-        values = record.signal(name).with_nan
-        there = ~np.isnan(values)
-        # `fit` maps time to [-1, 1], so that seconds since 1970 lose no digits.
-        trend = np.polynomial.Polynomial.fit(
-            time[there], values[there], min(degree, there.sum() - 1)
-        )
-        columns[name] = values - trend(time)
-    return record.with_samples(columns)
+    return record.through({name: without_polynomial(record, name, degree) for name in signals})
 
 
-def _shortest(lost: int) -> int:
-    """Samples that are still too few to be filtered if `lost` of them go at each end."""
-    return max(2 * lost + 2, FILTER_PADDING)
+def without_polynomial(record: Record, name: str, degree: int) -> LinearOp:
+    """The operation of [`remove_offset`][] and, of the first degree, [`remove_drift`][]."""
+    time, values = np.asarray(record.time), record.signal(name).with_nan
+    there = ~np.isnan(values)
+    # `fit` maps time to [-1, 1], so that seconds since 1970 lose no digits.
+    trend = np.polynomial.Polynomial.fit(time[there], values[there], min(degree, there.sum() - 1))
+    words = "{}: straight line removed" if degree else "{}: mean removed"
+    return LinearOp.of_values(words, values - trend(time))
 
 
 def differentiate(record: Record, signal: str, name: str) -> Record:
@@ -164,50 +150,24 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
 
     **Raises:** `DataError` for a missing signal, or one without two samples in succession.
     """
-    if longest_stretch(record, signal) < 2:
-        raise DataError(
-            f"'{signal}' has no derivative: nowhere are two of its samples next to each other. "
-            f"Repair the gaps, or resample to a lower rate."
-        )
-    samples = np.asarray(record[signal])
-    derivative = np.full(record.sample_count, np.nan)
-    for stretch in record.segments([signal]):
-        if (size := stretch.stop - stretch.start) > 1:
-            order = min(size - 1, 2)
-            step = float(record.time_step)
-            derivative[stretch] = np.gradient(samples[stretch], step, edge_order=order)
-    taps = np.array([0.5, 0.0, -0.5]) / float(record.time_step)
-    record = judged(record, "auto", signal)
-    return _with_rate(record, signal, name, derivative, taps)
+    return record.through({name: central_differences(record, signal)})
 
 
-def _with_rate(
-    record: Record, signal: str, name: str, rate: np.ndarray, taps: np.ndarray
-) -> Record:
-    """The record with a signal's derivative, which these taps make of it."""
-    of = record.signal(signal)
-    unit = f"{of.unit}/s" if of.unit else dict(record.units).get(name, "")
-    return record.with_signals({name: Signal.of(rate, unit, of.through_taps(taps))})
+def central_differences(record: Record, signal: str) -> LinearOp:
+    """The operation of [`differentiate`][]."""
+    step = float(record.time_step)
 
+    def differences(samples: np.ndarray, *_: object) -> np.ndarray:
+        return np.gradient(samples, step, edge_order=2 if samples.size > 2 else 1)
 
-def through(
-    record: Record, signal: str, taps: Float[np.ndarray, " taps"], first: int
-) -> Float[np.ndarray, " n"]:
-    """Weighted sums of a signal's samples, from `first` samples on; NaN where they reach beyond."""
-    samples = np.asarray(record[signal])
-    result = np.full(record.sample_count, np.nan)
-    for stretch in record.segments([signal]):
-        if stretch.stop - stretch.start >= taps.size:
-            sums = np.convolve(samples[stretch], taps[::-1], "valid")
-            places = stretch.start - first + np.arange(sums.size)
-            there = (places >= stretch.start) & (places < stretch.stop)
-            result[places[there]] = sums[there]
-    return result
-
-
-def longest_stretch(record: Record, signal: str) -> int:
-    """Samples in the longest unbroken stretch of a signal."""
-    return max((part.stop - part.start for part in record.segments([signal])), default=0)
+    return LinearOp.of_stretches(
+        f"{{}}: central differences of {signal}",
+        differences,
+        noise=convolved_with(0.5 / step, 0.0, -0.5 / step),
+        source=signal,
+        unit="/s",
+        shortest=2,
+    )
 
 
 ORDER = 4
@@ -245,6 +205,12 @@ def with_local_derivative(record: Record, signal: str, name: str) -> tuple[Recor
 
     **Raises:** `DataError` for a missing signal, or stretches that are all too short.
     """
+    op = local_slope(record, signal)
+    return record.through({name: op}), op.lost[0] * float(record.time_step)
+
+
+def local_slope(record: Record, signal: str) -> LinearOp:
+    """The operation of [`with_local_derivative`][]."""
     record, step = judged(record, "auto", signal), float(record.time_step)
     longest = longest_stretch(record, signal)
     count = _widest(record, signal, step) if longest > 2 * NARROWEST else NARROWEST
@@ -253,10 +219,9 @@ def with_local_derivative(record: Record, signal: str, name: str) -> tuple[Recor
             f"'{signal}' has no derivative by local polynomials: they take {2 * count + 1} samples "
             f"in succession, and its longest stretch has {longest}. Repair the gaps."
         )
-    taps = derivative_taps(count, step)
-    slopes = through(record, signal, taps[::-1], -count)
-    added = _with_rate(record, signal, name, slopes, taps)
-    return added.part(count, record.sample_count - count), count * step
+    words = f"{{}}: slope of {signal} by local polynomials, {count * step:.3g} s to each side"
+    taps = derivative_taps(count, step)[::-1]
+    return LinearOp.of_taps(words, taps, -count, source=signal, unit="/s")
 
 
 def derivative_taps(count: int, step: float) -> Float[np.ndarray, " taps"]:
@@ -273,7 +238,16 @@ def _widest(record: Record, signal: str, step: float) -> int:
     size = samples.size
     kernels = record.noise.kernels[signal].values()
     noise = sum((np.abs(_response(k, size)) ** 2 for k in kernels), np.zeros(size // 2 + 1))
-    above = _above(samples, noise)
+    # Mean square of the motion at each frequency, up to the last that stands out of the noise.
+    window = blackman_harris(size)
+    density = np.abs(np.fft.rfft(window * scipy.signal.detrend(samples))) ** 2 / np.sum(window**2)
+    around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
+    summed = (density, noise, np.ones(density.size))
+    near, usual, number = (np.convolve(each, around, "same") for each in summed)
+    freedom = 2 * np.maximum(INDEPENDENT * number, 1.0)
+    out = np.flatnonzero(near > scipy.special.chdtri(freedom, BY_CHANCE) / freedom * usual)
+    last = out[-1] if out.size else 0
+    above = np.where(np.arange(density.size) <= last, 2 * (density - noise) / size, 0.0)
     slope = 2j * np.pi * np.fft.rfftfreq(size) / step
 
     def fits(count: int) -> bool:
@@ -294,19 +268,3 @@ def _response(taps: Leaf, size: int) -> np.ndarray:
     wrapped = np.zeros(size)
     np.add.at(wrapped, np.arange(taps.size) - taps.size // 2, taps)
     return np.fft.rfft(wrapped)
-
-
-def _above(samples: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Mean square of the motion at each frequency, up to the last that stands out of the noise.
-
-    **Arguments:** `noise`, its density, that of white noise being its variance.
-    """
-    window = blackman_harris(samples.size)
-    density = np.abs(np.fft.rfft(window * scipy.signal.detrend(samples))) ** 2 / np.sum(window**2)
-    around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
-    summed = (density, noise, np.ones(density.size))
-    near, usual, number = (np.convolve(each, around, "same") for each in summed)
-    freedom = 2 * np.maximum(INDEPENDENT * number, 1.0)
-    out = np.flatnonzero(near > scipy.special.chdtri(freedom, BY_CHANCE) / freedom * usual)
-    last = out[-1] if out.size else 0
-    return np.where(np.arange(density.size) <= last, 2 * (density - noise) / samples.size, 0.0)

@@ -12,6 +12,7 @@ from riecjax.records.faults.sampled_signal import (
     SampledSignal,
     percent,
 )
+from riecjax.records.linear_op import LinearOp
 from riecjax.records.record import Record
 
 MAINS = (50.0, 60.0, 50 / 3)
@@ -260,17 +261,22 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
 
     **Raises:** `DataError` for a frequency that is no positive number, or is seen as none.
     """
+    return record.through(lines_off(record, frequency))
+
+
+def lines_off(record: Record, frequency: float | Literal["auto"]) -> dict[str, LinearOp]:
+    """The operations of [`notch`][], by signal."""
     if frequency != "auto" and not (np.isfinite(frequency) and frequency > 0):
         raise DataError(f"the frequency to notch is a positive number of Hz; got {frequency}.")
-    step, columns = float(record.time_step), {}
+    step, ops = float(record.time_step), {}
+    at = "" if frequency == "auto" else f" at {frequency:g} Hz"
     for name in record.arrays:
         values = record.signal(name).with_nan
-        spectrum = spectrum_of(values, step)
-        if spectrum is None:
-            continue
-        grids = MAINS if frequency == "auto" else (frequency,)
-        lines = [line for grid in grids for line in lines_of(spectrum, grid)]
-        if frequency != "auto":
+        spectrum, lines = spectrum_of(values, step), []
+        if spectrum is not None:
+            grids = MAINS if frequency == "auto" else (frequency,)
+            lines = [line for grid in grids for line in lines_of(spectrum, grid)]
+        if spectrum is not None and frequency != "auto":
             seen = spectrum.folded(frequency)
             if not spectrum.resolution < seen < spectrum.resolution * (spectrum.power.size - 2):
                 raise DataError(
@@ -280,8 +286,9 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Record:
             exact = spectrum.line(frequency, 1.0) or Line(frequency, seen, 0.0)
             lines = [exact, *(line for line in lines if line.nominal > frequency)]
         if lines:
-            columns[name] = without_lines(values, step, [line.seen for line in lines])
-    return record.with_samples(columns) if columns else record
+            values = without_lines(values, step, [line.seen for line in lines])
+        ops[name] = LinearOp.of_values(f"lines of the mains{at} taken off", values)
+    return ops
 
 
 def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[float]) -> np.ndarray:

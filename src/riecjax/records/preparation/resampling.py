@@ -24,6 +24,7 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.memory import in_gigabytes, require_memory
+from riecjax.records.linear_op import SAME_TIME, LinearOp
 from riecjax.records.noise import (
     DIFFERENCE_ORDER,
     STRETCH,
@@ -33,9 +34,8 @@ from riecjax.records.noise import (
     shortened,
     usual_size,
 )
-from riecjax.records.noise_judgement import judged, noise_of_level
-from riecjax.records.preparation.filtering import longest_stretch
-from riecjax.records.record import Record, runs
+from riecjax.records.noise_judgement import noise_of_level
+from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 
 LARGEST_BLOCK = 2**22
@@ -70,8 +70,6 @@ SAME_RATE = 0.01
 """Share by which a channel may be faster than the grid without a low-pass."""
 EVEN = 1e-4
 """Share of a step by which stamps may be off an even grid and still count as even."""
-SAME_TIME = 1e-6
-"""Share of a step within which a grid's time is a sample's time."""
 FEWEST_KNOTS = 4
 
 
@@ -91,7 +89,8 @@ def resample(record: Record, rate: float) -> Record:
     stretches are all too short.
     """
     _check_rate(rate)
-    return _resampled(record, 1.0 / rate, 1.0 / (rate * float(record.time_step)))
+    spacing = 1.0 / (rate * float(record.time_step))
+    return record.through(spaced(record, f"resampled to {rate:g} Hz", spacing))
 
 
 def upsample(record: Record, factor: int) -> Record:
@@ -105,9 +104,35 @@ def upsample(record: Record, factor: int) -> Record:
     **Raises:** `DataError` for a factor below 1, too many samples, or a signal whose
     stretches are all too short.
     """
+    return record.through(finer(record, factor))
+
+
+def finer(record: Record, factor: int) -> dict[str, LinearOp]:
+    """The operations of [`upsample`][], by signal."""
     if not 1 <= factor < np.inf or int(factor) != factor:
         raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")
-    return _resampled(record, float(record.time_step) / factor, 1.0 / factor)
+    return spaced(record, f"band-limited up-sampling by {factor}", 1.0 / factor)
+
+
+def spaced(record: Record, words: str, spacing: float) -> dict[str, LinearOp]:
+    """The operations, by signal, that make samples so many of the old ones apart."""
+    if abs(spacing - 1) < SAME_TIME:
+        return {}
+    recorded = len(record.arrays) * record.sample_count
+    _require_room(
+        recorded / spacing,
+        recorded,
+        f"{1 / (spacing * float(record.time_step)):g} Hz",
+        "Choose a lower rate or factor, or a part of the record.",
+    )
+    op = LinearOp.of_stretches(
+        words,
+        lambda samples, places, first: band_limited(samples, places - first, spacing),
+        noise=lambda noise: resampled_noise(noise, spacing),
+        shortest=2 * reach_beyond(spacing) + 1,
+        spacing=spacing,
+    )
+    return dict.fromkeys(record.arrays, op)
 
 
 def on_grid(
@@ -189,12 +214,11 @@ def on_grid_noise(
     """
     on_grid = {}
     for name, (time, values) in channels.items():
-        signal = Signal.of(values)
         if name in given.kernels:
             noise = given[name]
         else:
-            level = uneven_level(time, values)
-            noise = noise_of_level(name, level, signal.values, ~np.isnan(values))
+            level, held = uneven_level(time, values), Signal.of(values).values
+            noise = noise_of_level(name, level, held, ~np.isnan(values))
         channel = _channel(name, time, values)
         taps = (
             resampled_taps(np.ones(1), 1 / (rate * channel.step))
@@ -415,76 +439,6 @@ def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
             values = scipy.interpolate.CubicSpline(time - time[0], values)(even)
         sampled[a:b] = band_limited(values, (there - time[0]) / step, 1 / (rate * step))
     return sampled
-
-
-def _resampled(record: Record, step: float, spacing: float) -> Record:
-    """A record with `step` seconds between samples, which are `spacing` of the old ones."""
-    if abs(spacing - 1) < SAME_TIME:
-        return record
-    count = record.sample_count
-    recorded = len(record.arrays) * count
-    _require_room(
-        recorded / spacing,
-        recorded,
-        f"{1 / step:g} Hz",
-        "Choose a lower rate or factor, or a part of the record.",
-    )
-    # Stretches of one even grid lie between pauses, which no signal spans.
-    some = np.ones(count, bool)
-    if record.stamps is not None:
-        columns = [signal.with_nan for signal in record.by_name.values()]
-        some = np.any(~np.isnan(columns), axis=0, keepdims=True)[0]
-    pieces = [_piece(record, slice(*run), step, spacing) for run in runs(some).T.tolist()]
-    pieces = [piece for piece in pieces if piece is not None]
-    for name in record.arrays:
-        if not any((~np.isnan(columns[name])).any() for _, columns in pieces):
-            raise DataError(
-                f"no stretch of '{name}' without a gap is long enough for 1 sample in {step:g} s: "
-                f"it takes {2 * reach_beyond(spacing) + 1} samples of the record, and the longest "
-                f"has {longest_stretch(record, name)}. Choose a higher rate, leave this signal "
-                f"out, or repair the gaps."
-            )
-
-    def joined(parts: list[np.ndarray]) -> np.ndarray:
-        # One missing sample between each two is the pause.
-        return np.concatenate([np.append(part, np.nan) for part in parts])[:-1]
-
-    columns = {name: joined([part[name] for _, part in pieces]) for name in record.arrays}
-    stamps = joined([time for time, _ in pieces])
-    pauses = np.flatnonzero(np.isnan(stamps))
-    stamps[pauses] = 0.5 * (stamps[pauses - 1] + stamps[pauses + 1])
-    noise = judged(record).noise
-    signals = {
-        name: Signal.of(values, record.signal(name).unit, resampled_noise(noise[name], spacing))
-        for name, values in columns.items()
-    }
-    skipped = record.skipped + (stamps[0] - record.time[0])
-    return Record(signals, step, stamps[0], stamps if len(pieces) > 1 else None, skipped)
-
-
-def _piece(
-    record: Record, run: slice, step: float, spacing: float
-) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-    """Times and signals of one run on its new grid, NaN in gaps, less the rows at its ends where
-    nothing could be computed."""
-    old_time = np.asarray(record.time)[run]
-    # Stamps may be rounded; together they tell the run's start more precisely than its first.
-    start = float(np.mean(old_time - float(record.time_step) * np.arange(old_time.size)))
-    positions = spacing * np.arange(int((old_time.size - 1) / spacing + SAME_TIME) + 1)
-    columns = {name: np.full(positions.size, np.nan) for name in record.arrays}
-    for name, values in columns.items():
-        samples = np.asarray(record[name])
-        for segment in record.segments([name]):
-            if run.start <= segment.start < run.stop:
-                first, last = segment.start - run.start, segment.stop - run.start
-                a, b = np.searchsorted(positions, [first - SAME_TIME, last])
-                values[a:b] = band_limited(samples[segment], positions[a:b] - first, spacing)
-    some = np.flatnonzero(~np.all([np.isnan(values) for values in columns.values()], axis=0))
-    if not some.size:
-        return None
-    rows = slice(some[0], some[-1] + 1)
-    time = start + step * (int(some[0]) + np.arange(some[-1] + 1 - some[0]))
-    return time, {name: values[rows] for name, values in columns.items()}
 
 
 def _check_rate(rate: float) -> None:

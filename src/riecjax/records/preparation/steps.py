@@ -1,47 +1,37 @@
 """From a record as read to the records that a model's equations are estimated and validated on."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.records.linear_op import LinearOp, words_of
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation import (
-    differentiate,
-    leave_out,
-    low_pass,
-    notch,
-    remove_drift,
-    remove_offset,
-    set_clocks,
-    shift,
-    unfilter,
-    upsample,
-    with_local_derivative,
+from riecjax.records.preparation.alignment import advance, clock
+from riecjax.records.preparation.filtering import (
+    butterworth,
+    central_differences,
+    local_slope,
+    low_pass_undone,
+    without_polynomial,
 )
+from riecjax.records.preparation.hum import lines_off
+from riecjax.records.preparation.repair import without_limits
+from riecjax.records.preparation.resampling import finer
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
 from riecjax.settings import Prepare
 
 
-class Step(NamedTuple):
-    """One step, in words for the result's provenance, the function that takes it, and how."""
-
-    words: str
-    function: Callable[..., Record]
-    settings: tuple[Any, ...] = ()
-
-
 def halves(preparation: Prepare) -> tuple[Prepare, Prepare]:
     """What comes before signals are aligned, and what comes after."""
-    names = ("start", "stop", "left_out", "shifts", "clocks", "lags")
-    first = Prepare(**{name: getattr(preparation, name) for name in names})
-    last = {n: getattr(preparation, n) for n in Prepare.options() if n not in names}
-    return first, Prepare(**last)
+    names = list(Prepare.options())
+    at = names.index("align")
+    first, last = ({n: getattr(preparation, n) for n in part} for part in (names[:at], names[at:]))
+    return Prepare(**first), Prepare(**last)
 
 
 def idle_cuts(preparation: Prepare, record: Record) -> dict[str, str]:
@@ -55,42 +45,22 @@ def idle_cuts(preparation: Prepare, record: Record) -> dict[str, str]:
     return idle
 
 
-def steps_of(preparation: Prepare) -> Iterator[Step]:
-    """The steps in the order in which they are taken, but for alignment and missing derivatives,
-    which depend on what is found, and for thinning, which comes last of all."""
-    start, stop = preparation.start, preparation.stop
-    if start is not None or stop is not None:
-        low = "the start" if start is None else f"{start:g} s"
-        high = "the end" if stop is None else f"{stop:g} s"
-        yield Step(f"cut from {low} to {high}", partial(cut, start, stop))
-    stuck = "left out where it is stuck or at its limit"
-    butterworth = "zero-phase 4th-order Butterworth low-pass: {} at {:g} Hz"
-    yield from _each(preparation.left_out, stuck, leave_out)
-    yield from _together(preparation.shifts, "advanced: {} by {:g} s", shift)
-    yield from _together(preparation.clocks, "clocks: {} by {:g} ppm", set_clocks)
-    yield from _together(preparation.lags, "low-pass undone: {} of {:g} s", unfilter)
-    yield from _each(preparation.offsets, "mean removed", remove_offset)
-    yield from _each(preparation.drifts, "straight line removed", remove_drift)
-    for hertz in preparation.notches:
-        at = "" if hertz == "auto" else f" at {hertz:g} Hz"
-        yield Step(f"lines of the mains{at} taken off", notch, (hertz,))
-    yield from _together(preparation.cutoffs, butterworth, low_pass)
-    if (factor := preparation.upsample) > 1:
-        yield Step(f"band-limited up-sampling by {factor}", upsample, (factor,))
-    for name, of in preparation.derivatives.items():
-        yield Step(f"{name}: central differences of {of}", differentiate, (of, name))
-
-
-def _each(names: Sequence[str], words: str, step: Callable[..., Record]) -> list[Step]:
-    """A step for each of these signals."""
-    return [Step(f"{name}: {words}", step, (name,)) for name in names]
-
-
-def _together(settings: Mapping[str, float], words: str, step: Callable[..., Record]) -> list[Step]:
-    """One step for all signals that have a setting."""
-    what, form = words.split("{", 1)
-    listed = ", ".join(f"{{{form}".format(*setting) for setting in settings.items())
-    return [Step(what + listed, step, (dict(settings),))] if settings else []
+def operations(preparation: Prepare) -> Iterator[Callable[[Record], Mapping[str, LinearOp]]]:
+    """The operations in the order in which they are carried out, each of the record that those
+    before it made; but for alignment and missing derivatives, which depend on what is found."""
+    p = preparation
+    yield from ((lambda r, n=n: {n: without_limits(r, n)}) for n in p.left_out)
+    yield lambda r: {n: advance(r, n, seconds) for n, seconds in p.shifts.items()}
+    yield lambda r: {n: clock(r, n, ppm) for n, ppm in p.clocks.items()}
+    yield lambda r: {n: low_pass_undone(r, n, seconds) for n, seconds in p.lags.items()}
+    yield lambda r: {n: without_polynomial(r, n, 0) for n in p.offsets}
+    yield lambda r: {n: without_polynomial(r, n, 1) for n in p.drifts}
+    yield from (partial(lines_off, frequency=hertz) for hertz in p.notches)
+    yield lambda r: {n: butterworth(r, n, hertz) for n, hertz in p.cutoffs.items()}
+    yield lambda r: finer(r, p.upsample)
+    yield from (
+        (lambda r, n=n, of=of: {n: central_differences(r, of)}) for n, of in p.derivatives.items()
+    )
 
 
 def prepare(
@@ -107,25 +77,27 @@ def prepare(
     **Raises:** `DataError` for a missing signal or settings that the record does not allow.
     """
     preparation = replace(preparation, **dict.fromkeys(idle_cuts(preparation, record)))
-    words = []
-    for step in steps_of(preparation):
-        record = step.function(record, *step.settings)
-        words.append(step.words)
+    words, start, stop = [], preparation.start, preparation.stop
+    if start is not None or stop is not None:
+        record = cut(start, stop, record)
+        low = "the start" if start is None else f"{start:g} s"
+        high = "the end" if stop is None else f"{stop:g} s"
+        words.append(f"cut from {low} to {high}")
+    for operation in operations(preparation):
+        ops = operation(record)
+        record = record.through(ops)
+        words += words_of(ops)
     for name, of in derived.items():
         if name in record.signals:
             continue
         record = judged(record, "auto", of)
         record.signals[of]  # without it there is a helpful error, and no noise to look up
-        kernel = record.noise.kernels[of].get(of)
+        op, kernel = central_differences(record, of), record.noise.kernels[of].get(of)
         if of not in derived and kernel is not None and kernel.shape[-1] == 1:
             with contextlib.suppress(DataError):  # too short for them
-                record, width = with_local_derivative(record, of, name)
-                words.append(
-                    f"{name}: slope of {of} by local polynomials, {width:.3g} s to each side"
-                )
-                continue
-        record = differentiate(record, of, name)
-        words.append(f"{name}: central differences of {of}")
+                op = local_slope(record, of)
+        record = record.through({name: op})
+        words.append(op.words.format(name))
     if (every := preparation.every) > 1:
         tens, ones = divmod(every % 100, 10)
         ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"

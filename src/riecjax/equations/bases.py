@@ -1,0 +1,265 @@
+"""Families of functions of one signal, each function with its own coefficient.
+
+Laws with a width are each one function: dead zone, saturation, Stribeck's friction. They are linear
+in their coefficient and not in the width, which is an array: sums for another width compile nothing
+anew.
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from riecjax.errors import ModelError
+from riecjax.leaves import Leaf, as_leaf, is_concrete
+
+
+class AbstractBasis(eqx.Module):
+    """A family of functions of one variable."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What is appended to a coefficient's name, one for each function."""
+        raise NotImplementedError
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
+        """Every function at every sample."""
+        raise NotImplementedError
+
+    def interpolate(self, values: Float[Array, " functions"], x: Float[Array, " n"]) -> Array:
+        """`sum values_i f_i(x)`, which some know without forming their functions."""
+        return values @ self(x)
+
+    def words(self, name: str, of: str) -> list[str]:
+        """The summands of `sum_i name_i basis_i(of)` in words."""
+        return [f"{name} {type(self).__name__.lower()}({of})"]
+
+    @property
+    def source(self) -> str | None:
+        """As it is written after `import riecjax as rx`; `None` where that is not known."""
+        return None
+
+
+class RoofFunctions(AbstractBasis):
+    """Piecewise linear roof functions R_i on break points, eq. (22) and Fig. 6.
+
+    R_i is 1 at its break point, 0 at the others and linear between them, so that
+    `sum F_i R_i(x)` interpolates the forces F_i linearly. Outside the break points the end
+    segments are continued. Everywhere the functions sum to 1 and `sum v_i R_i(x) = x`.
+
+    **Raises:** `ModelError` unless there are at least two break points in increasing order.
+    """
+
+    break_points: Float[Array, " points"]
+
+    def __init__(self, break_points: Sequence[float] | ArrayLike | Array):
+        self.break_points = jnp.asarray(break_points, jnp.result_type(float))
+
+    def __check_init__(self):
+        points = self.break_points
+        if points.ndim != 1 or points.shape[0] < 2:
+            raise ModelError("roof functions need at least two break points.")
+        if is_concrete(points) and not bool(np.all(np.diff(points) > 0)):
+            raise ModelError(f"break points must increase; got {points.tolist()}.")
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """`1`, `2`, ... in the order of the break points."""
+        return tuple(str(i + 1) for i in range(self.break_points.shape[0]))
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "points n"]:
+        """R_i(x) for every i."""
+        # Each roof looks at x by itself: to look up the segment of x takes four times as long.
+        points, widths, x = self.break_points, jnp.diff(self.break_points), x[None, :]
+        one, inner = jnp.ones(1, points.dtype), points[1:-1]
+        far = jnp.inf * one
+        falls = ~(x < jnp.concatenate([-far, inner, far])[:, None])
+        ended = x >= jnp.concatenate([inner, far, far])[:, None]
+        begun = ~(x < jnp.concatenate([-far, -far, inner])[:, None])
+        start = jnp.where(falls, points[:, None], jnp.pad(points, (1, 0))[:-1, None])
+        width = jnp.concatenate([one, widths, one])
+        share = (x - start) / jnp.where(falls, width[1:, None], width[:-1, None])
+        return jnp.where(falls, jnp.where(ended, 0.0, 1 - share), jnp.where(begun, share, 0.0))
+
+    def words(self, name: str, of: str) -> list[str]:
+        """`F R(v)`."""
+        return [f"{name} R({of})"]
+
+    def interpolate(self, values: Float[Array, " points"], x: Array) -> Array:
+        """`sum values_i R_i(x)`, without forming the functions; x of any shape."""
+        # The segment that x lies on (the nearest one outside), and its share along it.
+        points = self.break_points
+        last = points.shape[0] - 2
+        # Comparing with the inner points vectorises where a binary search does not.
+        inside = [(x >= points[i]).astype(jnp.int32) for i in range(1, last + 1)]
+        below = sum(inside, start=jnp.zeros(jnp.shape(x), jnp.int32))
+        share = (x - points[below]) / (points[below + 1] - points[below])
+        return values[below] * (1 - share) + values[below + 1] * share
+
+
+class Polynomial(AbstractBasis):
+    """Powers x^p of a signal for the given exponents."""
+
+    exponents: tuple[int, ...] = eqx.field(static=True, converter=tuple)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The exponents."""
+        return tuple(str(p) for p in self.exponents)
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "exponents n"]:
+        """x^p for every exponent p."""
+        return jnp.stack([x**p for p in self.exponents])
+
+    def words(self, name: str, of: str) -> list[str]:
+        """`c_1 x` and `c_3 x^3`."""
+        base = of if of.isidentifier() else f"({of})"
+        powers = {0: "", 1: f" {base}"}
+        return [f"{name}_{p}{powers.get(p, f' {base}^{p}')}" for p in self.exponents]
+
+
+def roof(break_points: Sequence[float]) -> RoofFunctions:
+    """Roof functions on these break points; see [`RoofFunctions`][]."""
+    return RoofFunctions(break_points)
+
+
+class Friction(AbstractBasis):
+    """Viscous and Coulomb friction, shared by both directions or separate, and Stribeck's.
+
+    The functions of the velocity v, with the labels that are appended to a coefficient's name:
+
+    - `viscous`: v, and `coulomb`: sign(v); or, if asymmetric, `viscous_pos`, `coulomb_pos` for
+      v > 0 and `viscous_neg`, `coulomb_neg` for v < 0. Each has the sign of v, so all
+      coefficients of a passive friction are positive.
+    - `stribeck`: sign(v) exp(-(v / speed)^2), what is added near standstill.
+
+    **Arguments:**
+
+    - `asymmetric`: separate coefficients for each direction.
+    - `stribeck`: Stribeck speed in the velocity's unit, or `None` for none.
+    - `smooth`: width over which sign(v) goes from -1 to 1, as tanh(v / smooth), in the
+      velocity's unit; `None` for the sign itself.
+
+    **Raises:** `ModelError` unless speeds are positive.
+    """
+
+    asymmetric: bool = eqx.field(static=True)
+    stribeck: Leaf | None
+    smooth: Leaf | None
+
+    def __init__(
+        self,
+        *,
+        asymmetric: bool = False,
+        stribeck: float | Array | None = None,
+        smooth: float | Array | None = None,
+    ):
+        self.asymmetric = asymmetric
+        self.stribeck = None if stribeck is None else as_leaf(stribeck)
+        self.smooth = None if smooth is None else as_leaf(smooth)
+        _require_positive("the Stribeck speed", self.stribeck)
+        _require_positive("the smoothing width", self.smooth)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the functions; see the class."""
+        sliding = ("viscous", "coulomb")
+        if self.asymmetric:
+            sliding = ("viscous_pos", "coulomb_pos", "viscous_neg", "coulomb_neg")
+        return sliding if self.stribeck is None else (*sliding, "stribeck")
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
+        """Every function at every velocity."""
+        direction = jnp.sign(x) if self.smooth is None else jnp.tanh(x / self.smooth)
+        if self.asymmetric:
+            forward, backward = x > 0, x < 0
+            functions = [
+                jnp.where(forward, x, 0.0),
+                jnp.where(forward, direction, 0.0),
+                jnp.where(backward, x, 0.0),
+                jnp.where(backward, direction, 0.0),
+            ]
+        else:
+            functions = [x, direction]
+        if self.stribeck is not None:
+            functions.append(direction * _near_standstill(x, self.stribeck))
+        return jnp.stack(functions)
+
+
+def friction(
+    *, asymmetric: bool = False, stribeck: float | None = None, smooth: float | None = None
+) -> Friction:
+    """A basis of friction functions; see [`Friction`][]."""
+    return Friction(asymmetric=asymmetric, stribeck=stribeck, smooth=smooth)
+
+
+class AbstractShape(AbstractBasis):
+    """A function of one signal with a width in that signal's unit.
+
+    **Raises:** `ModelError` unless the width is positive.
+    """
+
+    width: Leaf = eqx.field(converter=as_leaf)
+    label: ClassVar[str]
+    """What the coefficient is of."""
+
+    def __check_init__(self):
+        _require_positive("a width", self.width)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What the coefficient is of."""
+        return (self.label,)
+
+    def words(self, name: str, of: str) -> list[str]:
+        """`stop_stiffness deadzone(x; 0.1)`."""
+        at = f"; {float(self.width):.4g}" if is_concrete(self.width) else ""
+        return [f"{name}_{self.label} {type(self).__name__.lower()}({of}{at})"]
+
+    @property
+    def source(self) -> str:
+        """`rx.equations.DeadZone(0.1)`."""
+        return f"rx.equations.{type(self).__name__}({float(np.asarray(self.width))!r})"
+
+
+class DeadZone(AbstractShape):
+    """Nothing within +-width, and what is beyond it outside: play, a gap, a stop."""
+
+    label = "stiffness"
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
+        """x - clip(x, -width, width)."""
+        return (x - jnp.clip(x, -self.width, self.width))[None]
+
+
+class Saturation(AbstractShape):
+    """Linear within +-width, and constant outside."""
+
+    label = "slope"
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
+        """clip(x, -width, width)."""
+        return jnp.clip(x, -self.width, self.width)[None]
+
+
+class Stribeck(AbstractShape):
+    """What dry friction is more near standstill: sign(v) exp(-(v / width)^2)."""
+
+    label = "force"
+
+    def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
+        """sign(x) exp(-(x / width)^2)."""
+        return (jnp.sign(x) * _near_standstill(x, self.width))[None]
+
+
+def _near_standstill(x: Float[Array, " n"], speed: Leaf) -> Float[Array, " n"]:
+    return jnp.exp(-((x / speed) ** 2))
+
+
+def _require_positive(what: str, size: Leaf | None) -> None:
+    if size is not None and is_concrete(size) and not float(size) > 0:
+        raise ModelError(f"{what} must be positive; got {float(size):g}.")

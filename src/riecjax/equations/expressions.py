@@ -1,0 +1,211 @@
+"""Expressions of signals: what a term or a mask is of, common ones, and their samples.
+
+Two of the common ones that say the same compare equal, so that building an equation anew compiles
+nothing anew, as a fresh `lambda` would.
+"""
+
+import functools
+import json
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from riecjax.errors import ModelError, users_code
+from riecjax.records.record import Record, Signals
+from riecjax.records.signal import Signal, both
+
+Expression = str | Callable[[Signals], Array]
+"""A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
+
+A function returns one number for each sample, which depends on that sample alone (long records are
+worked through in chunks), or one for all if it reads no signal.
+Write functions once, at module level: a new function object each time compiles anew.
+"""
+
+
+def combined(function: Callable[..., Array], *signals: Signal) -> Signal:
+    """A function of the values of several, present where all of these are."""
+    masks = (signal.present for signal in signals)
+    return Signal(function(*(s.values for s in signals)), functools.reduce(both, masks, None))
+
+
+def evaluate(expression: Expression, record: Record) -> Signal:
+    """Samples of an expression on a record, present where every signal that it reads is.
+
+    **Raises:** `DataError` for a missing signal, `ModelError` if a function of the user's own
+    fails or does not return one number for each sample.
+    """
+    if isinstance(expression, str):
+        return record.signal(expression)
+    signals = record.signals
+    name = label_of(expression)
+    with users_code(f"the expression {name}"):
+        samples = jnp.asarray(expression(signals))
+    # One number of the signals, such as their sum, is a slip; one of no signal is a constant.
+    if samples.shape == () and not signals.read:
+        samples = jnp.broadcast_to(samples, (record.sample_count,))
+    if samples.shape != (record.sample_count,):
+        raise ModelError(
+            f"the expression {name} must return one number for each of the {record.sample_count} "
+            f"samples; it returned shape {samples.shape}."
+        )
+    return Signal(samples, record.present(signals.read))
+
+
+def read_expression(expression: Expression, signals: Signals) -> None:
+    """Note in `signals.read` what an expression reads, without computing anything."""
+    if isinstance(expression, str):
+        _ = signals[expression]
+        return
+    with users_code(f"the expression {label_of(expression)}"):
+        jax.eval_shape(lambda: expression(signals))
+
+
+class _AnySignals(Signals):
+    """Signals of any name, which note in what order they are read."""
+
+    def __init__(self):
+        # An expression may ask for some signal, no matter which, to learn the number of samples.
+        super().__init__({"": jnp.zeros(1)})
+        self.order: list[str] = []
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.data:
+            self.order.append(name)
+        return jnp.full(1, 0.5)
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str)
+
+
+def signals_read(expression: Expression) -> tuple[str, ...]:
+    """Signals that an expression reads, in order.
+
+    **Raises:** `ModelError` for a function that fails, or returns other than a number a sample.
+    """
+    if isinstance(expression, str):
+        return (expression,)
+    signals = _AnySignals()
+    with users_code(f"the expression {label_of(expression)}"):
+        shape = jax.eval_shape(lambda: jnp.asarray(expression(signals))).shape
+    if shape != (1,) and (shape != () or signals.order):
+        raise ModelError(
+            f"the expression {label_of(expression)} must return one number for each sample; for "
+            f"one sample it returned shape {shape}."
+        )
+    return tuple(dict.fromkeys(signals.order))
+
+
+def label_of(expression: Expression) -> str:
+    """What an expression is called in messages."""
+    return expression if isinstance(expression, str) else getattr(expression, "__name__", "given")
+
+
+def constant(signals: Signals) -> Array:
+    """1 at every sample: `Term("offset", constant, unit="N")` is a constant force."""
+    return jnp.ones(())
+
+
+@dataclass(frozen=True)
+class _Formula:
+    """A function of signals that is equal to another one of this kind and these arguments.
+
+    **Fields:** `kind`, as users call it; `arguments` of the `function` after the signals; `words`.
+    """
+
+    kind: str
+    arguments: tuple[Expression | float, ...]
+    function: Callable[..., Array]
+    words: str
+
+    @property
+    def __name__(self) -> str:
+        return self.words
+
+    @property
+    def source(self) -> str | None:
+        """As it is written, if its arguments can be."""
+        texts = [
+            repr(of) if isinstance(of, int | float) else source_of(of) for of in self.arguments
+        ]
+        return None if None in texts else f"{self.kind}({', '.join(map(str, texts))})"
+
+    def __call__(self, signals: Signals) -> Array:
+        return self.function(signals, *self.arguments)
+
+
+def _times(signals: Signals, *factors: Expression) -> Array:
+    values = (signals[of] if isinstance(of, str) else of(signals) for of in factors)
+    return functools.reduce(operator.mul, values)
+
+
+def _minus(signals: Signals, first: str, second: str) -> Array:
+    return signals[first] - signals[second]
+
+
+def _beyond(signals: Signals, name: str, threshold: float) -> Array:
+    return jnp.abs(signals[name]) > threshold
+
+
+def _odd(signals: Signals, name: str, power: int) -> Array:
+    x = signals[name]
+    return x**power if power % 2 else jnp.sign(x) * jnp.abs(x) ** power
+
+
+def _even(signals: Signals, name: str, power: int) -> Array:
+    x = signals[name]
+    return jnp.abs(x) ** power if power % 2 else x**power
+
+
+def _raised(base: str, power: int) -> str:
+    return base if power == 1 else f"{base}^{power}"
+
+
+def odd(name: str, power: int) -> _Formula:
+    """sign(x) |x|^power of a signal x: dry friction of a velocity (0), drag (2), a cubic (3)."""
+    if power % 2:
+        words = _raised(name, power)
+    else:
+        words = f"{name} {_raised(f'|{name}|', power - 1)}" if power else f"sign({name})"
+    return _Formula("odd", (name, power), _odd, words)
+
+
+def even(name: str, power: int) -> _Formula:
+    """|x|^power of a signal x, the same in both directions."""
+    words = _raised(f"|{name}|" if power % 2 else name, power) if power else "1"
+    return _Formula("even", (name, power), _even, words)
+
+
+def source_of(of: Expression) -> str | None:
+    """An expression as it is written after `import riecjax as rx`; `None` for a function of the
+    user's own."""
+    if isinstance(of, str):
+        return json.dumps(of, ensure_ascii=False)
+    if of is constant:
+        return "rx.constant"
+    source = getattr(of, "source", None)
+    return None if source is None else f"rx.{source}"
+
+
+def product(*factors: Expression) -> _Formula:
+    """The product of signals and expressions, such as `product("current", "flux")`."""
+    return _Formula("product", factors, _times, " ".join(map(label_of, factors)))
+
+
+def difference(first: str, second: str) -> _Formula:
+    """One signal minus another, such as the velocity across a damper."""
+    return _Formula("difference", (first, second), _minus, f"{first} - {second}")
+
+
+def faster_than(name: str, threshold: float) -> _Formula:
+    """A mask: True where the signal's magnitude is above a threshold, in the signal's unit.
+
+    Near standstill the sign of a measured velocity is noise, and so is Coulomb friction
+    computed from it.
+    """
+    words = f"|{name}| > {threshold:g}"
+    return _Formula("equations.faster_than", (name, threshold), _beyond, words)

@@ -1,0 +1,693 @@
+"""Models: equations of motion, in which order they are solved, what they leave out, what is known.
+
+Equations stand in stages. A stage is a group of equations whose normal equations are added; what
+earlier stages found is known to later ones. The paper's three stages are `staged(...)` of three
+equations; its remark that all parameters may be estimated at once is `simultaneous(...)`.
+
+Unknown offsets and gains of sensors, as coefficients of the equations that read them.
+
+A sensor that shows `z = x + b` turns a term `k x` into `k z - k b`: a constant beside it. Where k
+is a known number the offset b itself is the coefficient; where k is estimated too, only the product
+`k b` is, in the unit of the equation. A sensor that shows `z = F / g` turns a known term `a F` into
+`g a z`, of the coefficient g. Either way the equations stay linear, and are those of the signals as
+measured: what is simulated of them is what the sensors would show.
+"""
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import Expression, constant, signals_read
+from riecjax.equations.hidden_elements import (
+    Expanded,
+    HiddenMode,
+    ModeParameters,
+    SeriesSpring,
+    force_elements,
+    stiffness_name,
+    why_no_element,
+)
+from riecjax.equations.memories import Memory
+from riecjax.equations.quantity import FrozenDict, Quantity
+from riecjax.equations.term import AbstractTerm, Term
+from riecjax.errors import ModelError, require, users_code
+from riecjax.leaves import Leaf, is_concrete
+from riecjax.records.faults.derivative_pairs import Relation
+from riecjax.records.record import Record
+from riecjax.shows import Shown
+
+if TYPE_CHECKING:
+    from riecjax.settings import Elements
+    from riecjax.simulation.system import AbstractSystem
+
+
+def _refuse_functions(equation: Equation, signal: str) -> None:
+    """Refuse a function of the signal: in it, an offset or a gain is no coefficient."""
+    for term in equation.terms:
+        if signal in signals_read(term.of) and term.signal != signal:
+            raise ModelError(
+                f"{equation.name}: the term of {' and '.join(term.parameters) or 'no coefficient'} "
+                f"is a function of '{signal}', in which an unknown offset or gain is no "
+                f"coefficient of its own; calibrate that sensor."
+            )
+
+
+PROBES, EXACT = 32, 1e-5
+"""Values that an expression is tried with, and how nearly it must be a sum of them."""
+
+
+class _Probe(dict[str, np.ndarray]):
+    """Random values of whatever signals are asked for."""
+
+    def __missing__(self, name: str) -> np.ndarray:
+        rng = np.random.default_rng(len(self))
+        return self.setdefault(name, rng.standard_normal(PROBES))
+
+
+def relation_of(signal: str, rate: Expression) -> Relation | None:
+    """The relation that a rate of a signal stands for; `None` unless it is a sum of signals."""
+    if isinstance(rate, str):
+        return Relation(signal, ((rate, 1.0),))
+    probe = _Probe()
+    try:
+        values = np.asarray(rate(probe), float)  # pyright: ignore[reportArgumentType]
+    except Exception:  # of the user's function, which says so where it is used
+        return None
+    if values.shape != (PROBES,) or not 0 < len(probe) < PROBES // 2 or signal in probe:
+        return None
+    columns = np.transpose([*probe.values()])
+    factors = np.linalg.lstsq(columns, values)[0]
+    if not np.abs(columns @ factors - values).max() < EXACT * np.abs(factors).max():
+        return None
+    # What rounding adds to 1 would be told as a factor.
+    told = zip(probe, np.round(factors, 6).tolist())
+    return Relation(signal, tuple((name, factor) for name, factor in told if factor))
+
+
+AtRest: TypeAlias = Literal["mask", "keep"]
+"""What is done where a velocity with dry friction rests: weights that vanish there leave it out of
+the sums, or it stays as any other sample."""
+
+
+OWN = "your own equation"
+"""What a model says of itself where it is not described."""
+Stages = tuple[tuple[Equation, ...], ...]
+
+
+def _in_stages(given: "Stages | Equation | Model") -> Stages:
+    """Stages as they are given: of an equation or a model, its own."""
+    if isinstance(given, Model):
+        if given.has_hidden or given.memories or given.rates:
+            raise ModelError("stages= takes equations: add what else the model has to the new one.")
+        return given.stages
+    if isinstance(given, tuple):
+        return given
+    require(
+        "what is in stages", given, Equation, "stages=rx.Equation(...), or rx.staged(*equations)"
+    )
+    return ((given,),)
+
+
+class Model(Shown, eqx.Module):
+    """Equations in stages, what they leave out, and what is known of their signals.
+
+    It can be identified, simulated, or both; a model of equations is simulated by these. Where
+    something else moves than what is identified, `system` says what.
+
+    **Fields:**
+
+    - `name`, `summary`: for listings.
+    - `stages` of equations: an `Equation`, or several by [`staged`][] or [`simultaneous`][].
+    - `signals`: what identification reads from a record.
+    - `derived`: signal to the signal whose time derivative it is, formed by central differences
+      if the record lacks it.
+    - `parameters`: of the equations, with what they mean and values to simulate with. Those that
+      are not given are added.
+    - `inputs`: what drives it. Recordings that hold these are simulated with `rates`.
+    - `rates`: of states whose derivative no equation holds, such as x1' = v_r - x3: signal to an
+      expression, see [`Model.with_rates`][].
+    - `system`: builds what is simulated from parameter values, where no equation that is linear in
+      these can say it; `own_simulation_parameters`, what that takes, with defaults; the identified
+      ones unless given.
+    - `band`: lowest and highest frequency in hertz that the model should explain. Windows are half
+      its periods long (eq. 26) unless other lengths are asked for.
+    - `written`: signals that a simulated recording holds; all by default.
+    - `note`: something a user should know before using it.
+    - `modes`: oscillators that the equations leave out, see [`Model.with_modes`][]; `springs` in
+      series with force elements, see [`Model.with_series_springs`][]; `memories`, see
+      [`Model.with_memories`][]; `at_rest`, see [`AtRest`][riecjax.equations.AtRest].
+    """
+
+    name: str = eqx.field(static=True, default="")
+    summary: str = eqx.field(static=True, default=OWN)
+    stages: Stages = eqx.field(converter=_in_stages, default=())
+    signals: tuple[Quantity, ...] = eqx.field(static=True, default=())
+    derived: Mapping[str, str] = eqx.field(static=True, default=FrozenDict())
+    parameters: tuple[Quantity, ...] = eqx.field(static=True, default=())
+    inputs: tuple[Quantity, ...] = eqx.field(static=True, default=())
+    rates: Mapping[str, Expression] = eqx.field(static=True, default=FrozenDict())
+    system: Callable[[Mapping[str, Any]], Any] | None = eqx.field(static=True, default=None)
+    own_simulation_parameters: tuple[Quantity, ...] = eqx.field(static=True, default=())
+    band: tuple[float, float] | None = eqx.field(static=True, default=None)
+    written: tuple[str, ...] = eqx.field(static=True, default=())
+    note: str = eqx.field(static=True, default="")
+    modes: tuple[HiddenMode, ...] = ()
+    springs: tuple[SeriesSpring, ...] = ()
+    memories: tuple[Memory, ...] = eqx.field(static=True, default=())
+    at_rest: AtRest = eqx.field(static=True, default="mask")
+
+    def __post_init__(self) -> None:
+        # The field's converter comes after, for what stands here is needed first.
+        self.stages = _in_stages(self.stages)
+        for field_name in ("signals", "parameters", "own_simulation_parameters", "inputs"):
+            for quantity in getattr(self, field_name):
+                write = f"{field_name}=(Quantity('x', 'm', 'position'), ...)"
+                require(f"what is in {field_name}", quantity, Quantity, write)
+        self.derived, self.rates = FrozenDict(self.derived), FrozenDict(self.rates)
+        for mode in self.modes:
+            require("a mode", mode, HiddenMode, "rx.HiddenMode(on='x4')")
+            if not any(mode.inertia(e) is not None for e in self.equations):
+                raise ModelError(
+                    f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
+                    f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
+                )
+        self._require_elements()
+        listed, units = {quantity.name for quantity in self.parameters}, self.units
+        meanings = {name: "" for equation in self.equations for name in equation.parameters}
+        for number, mode in enumerate(self.modes):
+            for part, parameter in ModeParameters.of(number)._asdict().items():
+                meanings[parameter] = f"{part} of the hidden mode on {mode.on}"
+        springs = map(stiffness_name, range(len(self.springs)))
+        meanings |= dict.fromkeys(springs, "spring in series")
+        added = [Quantity(n, units[n], said) for n, said in meanings.items() if n not in listed]
+        self.parameters = (*self.parameters, *added)
+
+    def _require_elements(self) -> None:
+        """Raise `ModelError` for a spring in series with what it cannot be in series with."""
+        taken: list[str] = []
+        for spring in self.springs:
+            require("a spring", spring, SeriesSpring, "rx.SeriesSpring(of='c')")
+            if spring.of in taken:
+                raise ModelError(f"'{spring.of}' has a spring in series already.")
+            every = [t for e in self.equations for t in e.terms if spring.of in t.parameters]
+            if not every:
+                names = dict.fromkeys(name for e in self.equations for name in e.parameters)
+                raise ModelError(
+                    f"no equation has a coefficient '{spring.of}' that a spring could be in series "
+                    f"with; there are: {', '.join(names)}."
+                )
+            if any((t.of, t.derivative) != (every[0].of, every[0].derivative) for t in every):
+                raise ModelError(
+                    f"{spring.of} is of other signals in one term than in another, so that it is "
+                    f"no one element that a spring could be in series with."
+                )
+            if wrong := why_no_element(every[0], self.equations):
+                fitting = force_elements(self.equations, self.equations)
+                raise ModelError(
+                    f"'{spring.of}' {wrong}. A spring is in series with a damper, a term of a "
+                    f"velocity or a map of one: {', '.join(fitting) or 'no equation has any'}."
+                )
+            taken += every[0].parameters
+
+    @property
+    def kinematics(self) -> tuple[Relation, ...]:
+        """Rates that are sums of signals with constant factors."""
+        sums = (relation_of(name, rate) for name, rate in self.rates.items())
+        return tuple(relation for relation in sums if relation)
+
+    @property
+    def derivatives(self) -> tuple[tuple[str, str] | Relation, ...]:
+        """Signals with those that are their time derivatives, alone or as a sum."""
+        pairs = (pair for equation in self.equations for pair in equation.derivatives)
+        return tuple(dict.fromkeys((*pairs, *self.kinematics)))
+
+    def with_rates(self, rates: Mapping[str, Expression]) -> "Model":
+        """The same equations, knowing what the time derivatives of some signals are.
+
+        `rates` are expressions by signal, such as `{"x2": rx.difference("x3", "x4")}`. Where they
+        are sums of signals with constant factors, recordings are held against them: which signal is
+        late, or wrong in size, sign, unit or zero. Simulations have these signals for states.
+        """
+        return replace(self, rates={**self.rates, **rates})
+
+    def with_modes(self, *modes: HiddenMode, values: Mapping[str, float] | None = None) -> "Model":
+        """The same model with oscillators that its equations leave out.
+
+        Their parameters join the model's, and it is simulated by its equations.
+
+        **Arguments:** `values` of parameters to simulate with.
+
+        **Raises:** `ModelError` for a mode on a signal whose derivative no equation holds.
+        """
+        return self._simulated_by_equations(modes=(*self.modes, *modes)).with_values(values or {})
+
+    def with_series_springs(self, *springs: SeriesSpring) -> "Model":
+        """The same model with springs in series with force elements, see [`SeriesSpring`][].
+
+        Their stiffnesses join the model's parameters, and it is simulated by its equations.
+
+        **Raises:** `ModelError` for an element that no equation holds, that is no damper, that has
+        a spring, or that is of other signals in one term than in another.
+        """
+        return self._simulated_by_equations(springs=(*self.springs, *springs))
+
+    def with_memories(self, *memories: Memory) -> "Model":
+        """The same equations, reading states of hysteresis as signals.
+
+        Recordings that lack them are given them from the velocities that drive them; simulations
+        carry them along.
+        """
+        return replace(self, memories=(*self.memories, *memories))
+
+    def with_values(self, values: Mapping[str, float]) -> "Model":
+        """The same model with these values of parameters to simulate with."""
+        return replace(
+            self,
+            parameters=tuple(
+                quantity._replace(default=values.get(quantity.name, quantity.default))
+                for quantity in self.parameters
+            ),
+        )
+
+    def with_terms(
+        self,
+        added: Mapping[str, Sequence[AbstractTerm]],
+        memories: Sequence[Memory] = (),
+        values: Mapping[str, float] | None = None,
+        meanings: Mapping[str, str] | None = None,
+    ) -> "Model":
+        """The same model with further terms, each for the equation of a name.
+
+        They stand beside the inertia: where that has a minus they get one too, so that what resists
+        motion has a positive coefficient. Their coefficients join the model's parameters, and it is
+        simulated by its equations.
+
+        **Arguments:** `added`, terms by the name of their equation; `memories`, states that they
+        read and recordings lack, see [`Model.with_memories`][]; `values` of parameters to simulate
+        with; `meanings` of those that are added.
+
+        **Raises:** `ModelError` for an equation that there is none of, and for a coefficient that
+        the model has already or that is added twice.
+        """
+        names = [name for stage in self.equation_names for name in stage]
+        if unknown := [name for name in added if name not in names]:
+            raise ModelError(
+                f"no equation is called '{unknown[0]}'; there are: {', '.join(names)}."
+            )
+        taken = {*self.parameter_names}
+        for name in (n for terms in added.values() for term in terms for n in term.parameters):
+            if name in taken:
+                raise ModelError(f"there is a coefficient '{name}' already: call it otherwise.")
+            taken.add(name)
+        rest = iter(names)
+
+        def extended(equation: Equation) -> Sequence[AbstractTerm]:
+            # What is differentiated most often stands for the inertia, a named coefficient first;
+            # of a force element, which has none, what it was given.
+            first = min(equation.terms, key=lambda t: (-t.derivative, not t.parameters))
+            turned = is_concrete(first.factor) and float(np.asarray(first.factor)) < 0
+            own = added.get(next(rest), ())
+            return (*equation.terms, *(-term if turned else term for term in own))
+
+        model = self.with_memories(*memories)._with_equations(extended, meanings or {})
+        return replace(model, written=()).with_values(values or {})
+
+    def with_sensor_errors(self, offsets: Sequence[str] = (), gains: Sequence[str] = ()) -> "Model":
+        """The same model with unknown offsets and gains of the sensors of these signals.
+
+        They join its parameters. What is simulated are its equations, and by them the signals as
+        these sensors show them. A derivative of a signal has no offset. Coefficients of an offset
+        are called `offset_SIGNAL`, in the signal's unit, where the term's own is known, else
+        `k_offset_SIGNAL`, that is k times it; of a gain `gain_SIGNAL`, by which readings are to be
+        multiplied.
+
+        **Raises:** `ModelError` where no equation has a term of the signal itself, or reads it in a
+        function; where it has a constant term already, from which no offset can be told apart; and
+        where a term whose sensor has a gain has a coefficient that is estimated too.
+        """
+        model = self
+        for signal in offsets:
+            model = model._with_offset(signal)
+        for signal in gains:
+            model = model._with_gain(signal)
+        return model
+
+    def _with_offset(self, signal: str) -> "Model":
+        units = {quantity.name: quantity.unit for quantity in self.signals}
+
+        def terms(equation: Equation) -> list[AbstractTerm]:
+            _refuse_functions(equation, signal)
+            own = [t for t in equation.terms if t.signal == signal and t.derivative == 0]
+            if not own:
+                return [*equation.terms]
+            if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
+                raise ModelError(
+                    f"{equation.name}: an offset of '{signal}' cannot be told apart from "
+                    f"'{taken[0]}', which is constant too; give {signal}'s offset, or leave that "
+                    f"term out."
+                )
+            if len(own) > 1:
+                raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
+            name, number = own[0].name, -own[0].factor
+            label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
+            unit = (
+                units.get(signal, own[0].unit if isinstance(own[0].unit, str) else "")
+                if name is None
+                else equation.unit
+            )
+            return [*equation.terms, Term(label, constant, unit=unit, sign=number)]
+
+        unread = f"no equation has a term of '{signal}' itself, so that none tells of its offset."
+        return self._with_equations(terms, unread=unread)
+
+    def _with_gain(self, signal: str) -> "Model":
+        def changed(term: AbstractTerm) -> AbstractTerm:
+            if term.signal != signal:
+                return term
+            if term.name is not None:
+                raise ModelError(
+                    f"the gain of '{signal}' cannot be told apart from '{term.name}', which "
+                    f"multiplies it: {term.name} comes out multiplied by the gain."
+                )
+            order, measured, factor = term.derivative, term.measured, term.factor
+            return Term(f"gain_{signal}", term.of, derivative=order, measured=measured, sign=factor)
+
+        def terms(equation: Equation) -> list[AbstractTerm]:
+            _refuse_functions(equation, signal)
+            return list(map(changed, equation.terms))
+
+        unread = f"no equation reads '{signal}', so that none tells of its gain."
+        return self._with_equations(terms, unread=unread)
+
+    def _with_equations(
+        self,
+        terms: Callable[[Equation], Sequence[AbstractTerm]],
+        meanings: Mapping[str, str] = FrozenDict(),
+        unread: str = "",
+    ) -> "Model":
+        """Equations of other terms in their place; `meanings` of what that adds, by default of a
+        sensor; `unread`, an error where it adds nothing."""
+
+        def other(equation: Equation) -> Equation:
+            return eqx.tree_at(lambda e: e.terms, equation, tuple(terms(equation)))
+
+        stages = tuple(tuple(map(other, stage)) for stage in self.stages)
+        after = self._simulated_by_equations(stages=stages)
+        said = "of a sensor" if unread else ""
+        before = len(self.parameters)
+        if unread and len(after.parameters) == before:
+            raise ModelError(unread)
+        added = (q._replace(meaning=meanings.get(q.name, said)) for q in after.parameters[before:])
+        return replace(after, parameters=(*self.parameters, *added))
+
+    def _simulated_by_equations(self, **changes: Any) -> "Model":
+        return replace(self, system=None, own_simulation_parameters=(), **changes)
+
+    def with_elements(self, elements: "Elements") -> "Model":
+        """The same model with what it leaves out, and with what its sensors get wrong.
+
+        **Raises:** `ModelError` as the methods that add each, and for an unknown kind.
+        """
+        added: dict[str, list[Any]] = {"mode": [*elements.modes], "spring": [*elements.springs]}
+        added |= {"offset": [*elements.offsets_of], "gain": [*elements.gains_of]}
+        others = []
+        for kind, signal, hertz in elements.added:
+            if kind not in added:
+                from riecjax.extensions import element
+
+                others.append((kind, element(kind, [*added]), signal, hertz))
+            elif kind == "mode":
+                added[kind].append((signal, hertz))
+            elif hertz is not None:
+                raise ModelError(f"{kind}:{signal} is near no frequency: leave out ={hertz:g}.")
+            else:
+                added[kind].append(signal)
+        offsets, gains = (tuple(dict.fromkeys(added[kind])) for kind in ("offset", "gain"))
+        model = self.with_sensor_errors(offsets, gains)
+        for kind, add, signal, hertz in others:
+            with users_code(f"the element '{kind}'"):
+                model = add(model, signal, hertz)
+            write = "a function that returns the model with it"
+            require(f"what the element '{kind}' returned", model, Model, write)
+        if added["mode"]:
+            model = model.with_modes(*(HiddenMode(*each) for each in added["mode"]))
+        if added["spring"]:
+            model = model.with_series_springs(*map(SeriesSpring, added["spring"]))
+        return model
+
+    @property
+    def simulation_parameters(self) -> tuple[Quantity, ...]:
+        """Parameters of the simulated system, with defaults."""
+        return self.own_simulation_parameters or self.parameters
+
+    def build_system(self, settings: Mapping[str, Leaf | float]) -> "AbstractSystem":
+        """The system to simulate, with its defaults replaced by `settings`.
+
+        **Raises:** `ModelError` if its equations cannot be simulated; for a setting that is unknown
+        or has neither value nor default.
+        """
+        if self.system is None and not self.stages:
+            raise ModelError(f"model '{self.name}' has neither equations nor a system.")
+        names = [parameter.name for parameter in self.simulation_parameters]
+        for name in settings:
+            if name not in names:
+                raise ModelError(
+                    f"unknown parameter '{name}'; {self.name} has: {', '.join(names)}."
+                )
+        values = {p.name: settings.get(p.name, p.default) for p in self.simulation_parameters}
+        if missing := [name for name, value in values.items() if value is None]:
+            raise ModelError(
+                f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
+            )
+        if self.system is None:
+            return _simulation().equation_system(self, values)
+        return self.system({name: jnp.asarray(value, float) for name, value in values.items()})
+
+    def identified_system(self, values: Mapping[str, Any], record: Record) -> "AbstractSystem":
+        """The system to validate identified values with on a record.
+
+        What the model simulates if the record holds its inputs, else one made of its equations.
+
+        **Raises:** `ModelError` if the equations cannot be simulated.
+        """
+        if self.has_own_system(record):
+            return self.build_system({name: float(value) for name, value in values.items()})
+        return _simulation().equation_system(self, values, rates=self.driven_rates(record))
+
+    def has_own_system(self, record: Record) -> bool:
+        """Whether a record drives a system of the model's own that its parameters are those of."""
+        names = {parameter.name for parameter in self.simulation_parameters}
+        own = names == {parameter.name for parameter in self.parameters} or not self.stages
+        return self.system is not None and own and self.is_driven_by(record)
+
+    def driven_rates(self, record: Record) -> Mapping[str, Expression]:
+        """Rates of further states in a simulation along a record, which may have them measured."""
+        return self.rates if self.is_driven_by(record) else {}
+
+    def is_driven_by(self, record: Record) -> bool:
+        """Whether a record holds the inputs, of which there are some."""
+        return bool(self.inputs) and all(q.name in record.signals for q in self.inputs)
+
+    @property
+    def equations(self) -> tuple[Equation, ...]:
+        """Of all stages, in order."""
+        return tuple(equation for stage in self.stages for equation in stage)
+
+    @property
+    def has_hidden(self) -> bool:
+        """Whether equations leave out modes or springs."""
+        return bool(self.modes or self.springs)
+
+    def mode_named(self, names: ModeParameters) -> HiddenMode:
+        """The mode whose parameters these are."""
+        number = [ModeParameters.of(i) for i, _ in enumerate(self.modes)].index(names)
+        return self.modes[number]
+
+    @property
+    def expanded(self) -> tuple[tuple[Expanded, ...], ...]:
+        """Each equation with modes and springs, linear in more columns than it has parameters."""
+        return tuple(
+            tuple(Expanded.of(e, self.modes, self.springs) for e in stage) for stage in self.stages
+        )
+
+    @property
+    def linear(self) -> "Model":
+        """Equations without hidden elements, whose sums tell of these with any.
+
+        They are without what a catalogue says too: nothing is compiled anew for other words.
+        """
+        if not self.has_hidden:
+            return Model(stages=self.stages, at_rest=self.at_rest)
+        stages = tuple(tuple(e.equation for e in stage) for stage in self.expanded)
+        # Their derivatives are of more than one body, which do not rest together.
+        return Model(stages=stages, at_rest="keep")
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of all coefficients, in order of first appearance."""
+        return tuple(dict.fromkeys(name for names in self.stage_parameters for name in names))
+
+    @property
+    def stage_parameters(self) -> list[tuple[str, ...]]:
+        """Names of the coefficients of each stage, in order of first appearance."""
+        if not self.has_hidden:
+            every = [[e.parameters for e in stage] for stage in self.stages]
+        else:
+            every = [[e.all_parameters for e in stage] for stage in self.expanded]
+        # A spring in series with a map is in no expanded equation.
+        for i, spring in enumerate(self.springs):
+            for of, equations in zip(every, self.stages):
+                if any(spring.element(e) is not None for e in equations):
+                    of.append((stiffness_name(i),))
+        return [tuple(dict.fromkeys(name for of in stage for name in of)) for stage in every]
+
+    @property
+    def equation_names(self) -> list[tuple[str, ...]]:
+        """Names of the equations of each stage, numbered where several are called the same."""
+        names = iter(told_apart([equation.name for equation in self.equations]))
+        return [tuple(next(names) for _ in stage) for stage in self.stages]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each coefficient."""
+        units: dict[str, str] = {}
+        for equation in self.equations:
+            units |= {k: v for k, v in equation.units.items() if v or k not in units}
+        for number, mode in enumerate(self.modes):
+            units |= mode.units(number, self.equations)
+        for number, spring in enumerate(self.springs):
+            units[stiffness_name(number)] = spring.unit(self.equations)
+        return units
+
+    @property
+    def known(self) -> Mapping[str, Leaf]:
+        """Values that the equations themselves call known."""
+        return {
+            name: value for equation in self.equations for name, value in equation.known.items()
+        }
+
+    def plan(self, known: set[str]) -> list[tuple[str, tuple[str, ...]]]:
+        """(stage name, parameters it finds) for each stage, given what is known beforehand.
+
+        **Raises:** `ModelError` if a stage has nothing to set its scale: every coefficient in it
+        is unknown and no term is known, so that zero would solve it.
+        """
+        found: set[str] = set(known)
+        plan = []
+        for stage, names in zip(self.stages, self.stage_parameters):
+            unknown = tuple(name for name in names if name not in found)
+            label = " + ".join(equation.name for equation in stage)
+            # A known term sets an equation's scale, if through parameters that it shares.
+            reached, size = set(found), -1
+            while len(reached) > size:
+                size = len(reached)
+                for equation in stage:
+                    if equation.has_target or set(equation.parameters) & reached:
+                        reached |= set(equation.parameters)
+            if unknown and not all(reached & set(equation.parameters) for equation in stage):
+                coefficients = {name for equation in stage for name in equation.parameters}
+                own = [name for name in unknown if name in coefficients]
+                raise ModelError(
+                    f"{label}: every coefficient is unknown, so all of them zero would fit. "
+                    f"Fix one of {', '.join(own)} (on the command line: --set NAME=VALUE)."
+                )
+            plan.append((label, unknown))
+            found |= set(unknown)
+        return plan
+
+
+def _simulation() -> Any:
+    """What simulates equations: it knows models, and is imported when it is asked for."""
+    return importlib.import_module("riecjax.simulation.equation_system")
+
+
+def as_model(model: Equation | Model) -> Model:
+    """The model itself, or one of an equation, named as that is.
+
+    **Raises:** `ModelError` for anything else, saying what to write, and for a model that has no
+    equations.
+    """
+    require_no_slip(model)
+    require("the model", model, (Equation, Model), SOME_MODEL)
+    made = staged(model) if isinstance(model, Equation) else model
+    if not made.stages:
+        raise ModelError(f"model '{made.name}' can be simulated but not identified.")
+    return made
+
+
+SOME_MODEL = "an rx.Equation(...), rx.staged(...) of several, or rx.find_model('quarter-car')"
+
+
+def require_no_slip(model: object) -> None:
+    """Raise `ModelError` for what is often taken for a model, saying what to write."""
+    if isinstance(model, str):
+        write = f"rx.find_model('{model}') for a built-in model or one of a file"
+    elif isinstance(model, list | tuple):
+        write = "rx.staged(*equations), or rx.simultaneous(*equations) to solve them together"
+    elif isinstance(model, Record):
+        write = "the model first, then its records"
+    elif isinstance(model, type) and issubclass(model, Equation | Model):
+        write = SOME_MODEL
+    else:
+        return
+    require("the model", model, (), write)
+
+
+def with_rests(model: Model, at_rest: AtRest | None) -> Model:
+    """The model, with this done at rest, or what it says itself.
+
+    **Raises:** `ModelError` for a word that says nothing of it.
+    """
+    if at_rest not in ("mask", "keep", None):
+        raise ModelError(f"at_rest must be 'mask' or 'keep'; got {at_rest!r}.")
+    return model if at_rest is None else replace(model, at_rest=at_rest)
+
+
+def staged(*equations: Equation) -> Model:
+    """Solve equations one after the other; each takes what came before as known.
+
+    **Raises:** `ModelError` for what is no `Equation`.
+    """
+    _require_equations(equations, "staged")
+    name = " + ".join(equation.name for equation in equations)
+    return Model(name, stages=tuple((equation,) for equation in equations))
+
+
+def simultaneous(*equations: Equation) -> Model:
+    """Solve equations together for all their parameters: one Gram matrix, summed over them.
+
+    The equations' residuals are weighted alike, so they should be in the same unit. An equation
+    all of whose terms are unknown pulls its coefficients towards zero, where its residual vanishes:
+    by how much is a finding, `no_known_term`, and solving it after the others by [`staged`][]
+    avoids it.
+
+    **Raises:** `ModelError` for what is no `Equation`.
+    """
+    _require_equations(equations, "simultaneous")
+    return Model(" + ".join(equation.name for equation in equations), stages=(equations,))
+
+
+def _require_equations(equations: tuple[object, ...], name: str) -> None:
+    for equation in equations:
+        require(
+            f"an equation of {name}(...)",
+            equation,
+            Equation,
+            f"rx.{name}(first, second): equations one by one, rx.{name}(*equations) of a list",
+        )
+    if not equations:
+        raise ModelError(f"{name}(...) needs at least one equation.")
+
+
+def told_apart(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, numbered where several are equal: `spring (1)`, `spring (2)`."""
+    return tuple(
+        f"{name} ({1 + names[:i].count(name)})" if names.count(name) > 1 else name
+        for i, name in enumerate(names)
+    )

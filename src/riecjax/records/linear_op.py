@@ -1,0 +1,186 @@
+"""Linear operations on signals: what one makes of samples, gaps, noise and unit, and its words.
+
+An operation works within unbroken stretches and never reaches across a missing sample or a pause.
+What it cannot compute near a gap becomes missing there, in the signal that it makes; what it cannot
+compute near the record's two ends is cut off, for all signals. A signal of which nothing is left is
+a `DataError`.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from riecjax.errors import DataError
+from riecjax.records.noise import SignalNoise
+from riecjax.records.noise_judgement import judged
+from riecjax.records.record import Record, runs
+from riecjax.records.signal import Signal
+
+Samples = Float[np.ndarray, " n"]
+Places = Float[np.ndarray, " m"]
+Taps = Float[np.ndarray, " taps"]
+SAME_TIME = 1e-6
+"""Share of a step within which a new time is a sample's time."""
+
+
+@dataclass(frozen=True)
+class LinearOp:
+    """What makes a signal of a record's signal: of its values, gaps, noise and unit.
+
+    **Fields:**
+
+    - `words`: what it does, with `{}` for the signal that it makes.
+    - `at`: of samples, shape `(n,)` and NaN where they are missing, the values at places, shape
+      `(m,)` and counted in samples; NaN where they reach beyond an unbroken stretch.
+    - `lost`: samples cut off at the record's start and at its end.
+    - `noise`: of a signal's noise that of what is made, to be judged before; `None` where it stays,
+      as what is taken off is none of it.
+    - `source`: the signal that it reads, where that is another than it makes.
+    - `unit`: what is put behind the source's unit.
+    - `shortest`: samples in succession that it takes.
+    - `spacing`: of samples of the new time base, in terms of the old, where it makes one, for all
+      signals.
+    """
+
+    words: str
+    at: Callable[[Samples, Places], Samples]
+    lost: tuple[int, int] = (0, 0)
+    noise: Callable[[SignalNoise], SignalNoise] | None = None
+    source: str = ""
+    unit: str = ""
+    shortest: int = 1
+    spacing: float | None = None
+
+    @classmethod
+    def of_taps(cls, words: str, taps: Taps, first: int, **fields: Any) -> "LinearOp":
+        """Weighted sums of samples, the first of which lies so many samples on.
+
+        Where the middle one is at the place itself, noise goes through the same sums.
+        """
+
+        def sums(samples: Samples, *_: Any) -> Samples:
+            valid = np.convolve(samples, taps[::-1], "valid")
+            places = np.arange(valid.size) - first
+            there = (places >= 0) & (places < samples.size)
+            made = np.full(samples.size, np.nan)
+            made[places[there]] = valid[there]
+            return made
+
+        fields = {"noise": convolved_with(*taps[::-1]), "shortest": taps.size, **fields}
+        lost = max(-first, 0), max(first + taps.size - 1, 0)
+        return cls.of_stretches(words, sums, lost=lost, **fields)
+
+    @classmethod
+    def of_stretches(
+        cls, words: str, function: Callable[[Samples, Places, int], Samples], **fields: Any
+    ) -> "LinearOp":
+        """What a function makes of each unbroken stretch that is long enough for it.
+
+        **Arguments:** `function` of a stretch's samples, of the places in it as counted from the
+        record's first sample, and of the stretch's first sample.
+        """
+
+        def at(samples: Samples, places: Places) -> Samples:
+            made = np.full(places.size, np.nan)
+            for first, stop in runs(~np.isnan(samples)).T.tolist():
+                rows = slice(*np.searchsorted(places, [first - SAME_TIME, stop]))
+                if stop - first >= fields.get("shortest", 1):
+                    made[rows] = function(samples[first:stop], places[rows], first)
+            return made
+
+        return cls(words, at, **fields)
+
+    @classmethod
+    def of_values(cls, words: str, values: Samples) -> "LinearOp":
+        """Values that differ from the samples by what is none of their noise: a mean, a line, a
+        spike; NaN where they are left out."""
+        return cls(words, lambda *_: values)
+
+    def carry_out(self, ops: "Mapping[str, LinearOp]", record: Record) -> Record:
+        """What [`Record.through`][] does with operations of this one's time base."""
+        sources = {name: op.source or name for name, op in ops.items()}
+        filtered = [sources[name] for name, op in ops.items() if op.noise is not None]
+        record = judged(record, "auto", *filtered) if filtered else record
+        signals = {name: record.signal(source) for name, source in sources.items()}
+        samples, times = {name: signal.with_nan for name, signal in signals.items()}, []
+        if self.spacing is None:
+            rows = np.arange(record.sample_count)
+            columns = {name: op.at(samples[name], rows) for name, op in ops.items()}
+        else:
+            times, columns = _on_new_times(record, samples, ops, self.spacing)
+        first, after = (max(lost) for lost in zip(*(op.lost for op in ops.values())))
+        for name, op in ops.items():
+            if np.isnan(columns[name][first : columns[name].size - after]).all():
+                longest = longest_stretch(record, sources[name])
+                raise DataError(
+                    f"no stretch of '{sources[name]}' without a gap is long enough for a step of "
+                    f"preparation ({op.words.format(name)}): it takes {op.shortest} samples, and "
+                    f"the longest has {longest}. Repair the gaps, or change or leave out this step."
+                )
+            known = signals[name]
+            noise = op.noise(known.noise) if op.noise and known.noise else known.noise
+            unit = f"{known.unit}{op.unit}" if known.unit else dict(record.units).get(name, "")
+            signals[name] = Signal.of(columns[name], unit, noise)
+        if self.spacing is None:
+            made = record.with_signals(signals)
+            return made.part(first, made.sample_count - after) if first or after else made
+        stamps = np.concatenate(times)[:-1]
+        step, skipped = self.spacing * record.time_step, stamps[0] - record.time[0]
+        paused = stamps if len(times) > 1 else None
+        return Record(signals, step, stamps[0], paused, record.skipped + skipped)
+
+
+def convolved_with(*taps: float) -> Callable[[SignalNoise], SignalNoise]:
+    """Of a signal's noise that behind a filter, the middle tap for the same sample."""
+    return lambda noise: noise.convolved(np.array(taps))
+
+
+def words_of(ops: Mapping[str, LinearOp]) -> Iterator[str]:
+    """What operations do, those in one sentence whose words begin alike before the signal."""
+    signals: dict[str, list[str]] = {}
+    for name, op in ops.items():
+        before, signal, after = op.words.partition("{}")
+        alone = not before or not signal
+        said = signals.setdefault(op.words.format(name) if alone else before, [])
+        said += [] if alone else [f"{name}{after}"]
+    return (before + ", ".join(each) for before, each in signals.items())
+
+
+def _on_new_times(
+    record: Record,
+    samples: Mapping[str, Samples],
+    ops: Mapping[str, LinearOp],
+    spacing: float,
+) -> tuple[list[Samples], dict[str, Samples]]:
+    """Times of each stretch of the new time base and of the pause behind it, and signals.
+
+    Stretches of one even grid lie between pauses, which no signal spans. Of each, rows at its ends
+    where nothing could be computed are left out.
+    """
+    old_time, step = np.asarray(record.time), float(record.time_step)
+    missing = np.all([np.isnan(values) for values in samples.values()], axis=0)
+    times, pieces = [], [np.zeros((len(ops), 0))]
+    for begin, end in runs(~missing | (record.stamps is None)).T.tolist():
+        size = end - begin
+        # Stamps may be rounded; together they tell the run's start more precisely than its first.
+        start = np.mean(old_time[begin:end] - step * np.arange(size))
+        places = spacing * np.arange(int((size - 1) / spacing + SAME_TIME) + 1)
+        rows = np.array([op.at(samples[n][begin:end], places) for n, op in ops.items()])
+        some = np.flatnonzero(~np.isnan(rows).all(0))
+        if some.size:
+            # One missing sample between each two is the pause, and its time the middle of it.
+            rows = np.pad(rows[:, : some[-1] + 1], [(0, 0), (0, 1)], constant_values=np.nan)
+            pieces.append(rows[:, some[0] :])
+            times.append(start + spacing * step * np.arange(some[0], some[-1] + 2))
+    for stretch, following in itertools.pairwise(times):
+        stretch[-1] = 0.5 * (stretch[-2] + following[0])
+    return times, {name: column[:-1] for name, column in zip(ops, np.hstack(pieces))}
+
+
+def longest_stretch(record: Record, signal: str) -> int:
+    """Samples in the longest unbroken stretch of a signal."""
+    return max((part.stop - part.start for part in record.segments([signal])), default=0)
