@@ -235,9 +235,9 @@ class Answering(NamedTuple):
     by_refinement: dict[str, float] | None
 
     @property
-    def answerable(self) -> bool:
-        """Whether there is an answer, by windows or by refinement."""
-        return self.checked.answerable or self.by_refinement is not None
+    def refusal(self) -> Finding | None:
+        """What rules out an answer both by windows and by refinement."""
+        return self.checked.refusal if self.by_refinement is None else None
 
 
 def check_answering(

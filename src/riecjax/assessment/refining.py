@@ -243,17 +243,13 @@ def _warranted(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> Ref
 
 def _flaw(refined: Refined) -> str:
     """Why a refinement is no answer, whatever it leaves; empty if it may be one."""
-
     if not bool(refined.converged):
         return f"the search did not converge: {refined.reason.rstrip('.')}"
-    untold = ~np.isfinite(np.asarray(refined.standard_errors))
+    untold = "simulated motion does not tell {} alone; --set holds one at a known value (known=)"
     for which, words in (
         (refined.at_bound, "{} would sit on a bound"),
         (refined.coarse, "the steps of the simulation are part of its {}"),
-        (
-            untold,
-            "simulated motion does not tell {} alone; --set holds one at a known value (known=)",
-        ),
+        (~np.isfinite(np.asarray(refined.standard_errors)), untold),
     ):
         if names := [n for n, there in zip(refined.parameters, np.asarray(which)) if there]:
             return words.format(", ".join(names))
@@ -336,10 +332,10 @@ INSIDE = 0.1
 
 def against_priors(estimate: Estimate, priors: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """Priors from which what the data tell without them lies further than chance explains."""
-    errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors)))
     findings = []
-    for name in priors.keys() & errors.keys():
-        (mean, std), value, error = priors[name], float(estimate[name]), float(errors[name])
+    for name in priors.keys() & {*estimate.parameters}:
+        (mean, std), value = priors[name], float(estimate[name])
+        error = float(estimate.standard_error(name))
         if abs(value - mean) > STRANGE * np.hypot(std, error):
             message = (
                 f"the prior of {name}, {mean:.4g} +- {std:.2g}, and the estimate without it, "

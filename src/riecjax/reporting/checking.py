@@ -1,12 +1,12 @@
 """Results of a check before a fit: JSON document and tables on a terminal."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.assessment.assess import Answering
 from riecjax.errors import printable
 from riecjax.estimation.check import Check
 from riecjax.records.noise_judgement import judged
@@ -15,22 +15,16 @@ from riecjax.reporting.document import SCHEMA, Document, finite, number, told, v
 from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 
-def check_document(
-    checked: Check,
-    model: str,
-    criterion: AbstractCriterion,
-    recordings: Sequence[Recording],
-    by_refinement: Mapping[str, float] | None = None,
-) -> Document:
+def check_document(answering: Answering, model: str, recordings: Sequence[Recording]) -> Document:
     """The document that `riecjax check --json` prints, with an `error` if that exits with 1."""
-    refusal = checked.refusal if by_refinement is None else None
+    checked, refusal = answering.checked, answering.refusal
     return {
         "schema": SCHEMA,
         **({} if refusal is None else {"error": told(refusal, "code", "message")}),
         "model": model,
-        "criterion": criterion.describe(),
+        "criterion": answering.criterion.describe(),
         "answerable": refusal is None,
-        "by_refinement": by_refinement,
+        "by_refinement": answering.by_refinement,
         "records": [
             {
                 **recording_entry(recording),

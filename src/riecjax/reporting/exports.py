@@ -14,7 +14,7 @@ from riecjax.records.record import Record
 from riecjax.reporting.document import Document
 from riecjax.reporting.estimate import estimate_entries, known_entries, parameter_entries
 from riecjax.reporting.identification import identification_document
-from riecjax.reporting.tables import Table, in_latex, in_markdown, with_error
+from riecjax.reporting.tables import Table, in_latex, in_markdown, rounded
 
 COLUMNS = ("value", "std_error", "low95", "high95")
 """Numbers of each parameter in a frame."""
@@ -134,9 +134,7 @@ def paper_table(source: Any) -> Table:
         )
     rows = []
     for name, entry in to_dict(source).items():
-        said = with_error(entry["value"], entry["std_error"])
-        power = said[said.index(")") + 1 :] if said.startswith("(") else ""
-        value, _, error = said.removesuffix(power).strip("()").partition(" ± ")
+        value, error, power = rounded(entry["value"], entry["std_error"])
         error = "known" if entry["known"] else f"{error}{power}"
         rows.append((name, f"{value}{power}", error, entry["unit"]))
     return Table(("parameter", "value", "±", "unit"), rows)

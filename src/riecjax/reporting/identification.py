@@ -200,18 +200,13 @@ def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
         lengths = f"{low:.3g} s" if low == high else f"{low:.3g} to {high:.3g} s"
         held = mode["held_out"]
         left = max(held["with"], 0.0)  # less than nothing, where noise was taken off
-        frequency, ratio = (
-            f"{number(mode[key], 4)} +- {number(mode[error], 2)}"
-            for key, error in (
-                ("frequency_hz", "frequency_std_error_hz"),
-                ("damping_ratio", "damping_ratio_std_error"),
-            )
-        )
+        frequency = number(mode["frequency_hz"], 4), number(mode["frequency_std_error_hz"], 2)
+        ratio = number(mode["damping_ratio"], 4), number(mode["damping_ratio_std_error"], 2)
         yield (
-            f"hidden mode on {mode['on']}: {frequency} Hz with the body at rest, damping ratio "
-            f"{ratio}, in windows of {lengths}, which tell most of it. On time that it was not "
-            f"found from {100 * left:.2g} % of {mode['equation']} is left with it and "
-            f"{100 * held['without']:.2g} % without."
+            f"hidden mode on {mode['on']}: {' +- '.join(frequency)} Hz with the body at rest, "
+            f"damping ratio {' +- '.join(ratio)}, in windows of {lengths}, which tell most of it. "
+            f"On time that it was not found from {100 * left:.2g} % of {mode['equation']} is left "
+            f"with it and {100 * held['without']:.2g} % without."
         )
         for stray in mode["strays"]:
             yield (

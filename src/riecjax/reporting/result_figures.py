@@ -204,7 +204,8 @@ def _fit_figure(result: Assessment) -> Chart:
             explained = sum((values[n] * x for n, x in held.items()), np.zeros(target.size))
             of_stage = rows.setdefault(place, [])
             of_stage.append((target, explained, np.asarray(equation.survey.start)))
-    above, beneath, cloud = [], [], {"size": SMALL, "opacity": 0.5}
+    above, beneath = [], []
+    cloud: dict[str, Any] = {"size": SMALL, "opacity": 0.5}
     for stage, name in zip(estimate.stages, estimate.stage_names):
         held = estimate.criterion.row_unit(model.stages[stage.stage][0].unit)
         unit = f" / ({held})" if held else ""

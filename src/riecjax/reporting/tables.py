@@ -200,14 +200,22 @@ def _latex_text(text: str) -> str:
     return re.sub(r"([_%&#])", r"\\\1", text)
 
 
-def with_error(value: float | None, error: float | None) -> str:
-    """A value and its standard error, both rounded to the error's second digit."""
+def rounded(value: float | None, error: float | None) -> tuple[str, str, str]:
+    """A value and its standard error, both rounded to the error's second digit, and the power of
+    ten that they are of, if it is far from none."""
     value = math.nan if value is None else value
     if error is None or not (math.isfinite(value) and math.isfinite(error) and error > 0):
-        return f"{value:.6g}" + ("" if error is None else f" ± {error:.2g}")
+        return f"{value:.6g}", "" if error is None else f"{error:.2g}", ""
     size = math.floor(math.log10(max(abs(value), error)))
     power = size if size >= LARGE or size <= SMALL else 0
     value, error = value / 10.0**power, error / 10.0**power
     places = 1 - int(f"{error:.1e}".partition("e")[2])
-    said = " ± ".join(f"{round(x, places):.{max(places, 0)}f}" for x in (value, error))
-    return f"({said}) × 10^{power}" if power else said
+    digits, wide = (f"{round(x, places):.{max(places, 0)}f}" for x in (value, error))
+    return digits, wide, f" × 10^{power}" if power else ""
+
+
+def with_error(value: float | None, error: float | None) -> str:
+    """A value and its standard error, rounded, in one text."""
+    digits, wide, power = rounded(value, error)
+    both = " ± ".join(filter(None, (digits, wide)))
+    return f"({both}){power}" if power else both
