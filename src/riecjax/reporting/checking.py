@@ -90,7 +90,19 @@ def excitation_table(entries: Document, caption: str = "") -> Table:
 
 def print_check(document: Document, console: Console) -> None:
     """The answer, and tables for a reader."""
-    say(console, _answer(document), style="bold")
+    # Whether the recordings can answer, in a sentence.
+    doubts = len(document["warnings"])
+    warned = f", with {doubts} warning{'s' * (doubts > 1)}" if doubts else ""
+    answer = f"These recordings can answer what the model asks{warned}."
+    if not document["answerable"]:
+        answer = "These recordings cannot answer what the model asks; see the warnings."
+    elif (errors := document["by_refinement"]) is not None:
+        shares = (f"{name} to about {number(100 * e, 2)} %" for name, e in errors.items())
+        answer = (
+            f"Windows cannot tell these parameters from noise, and identify refines them by "
+            f"itself: {', '.join(shares)}."
+        )
+    say(console, answer, style="bold")
     say(console, "")
     for record in document["records"]:
         stretches = record["stretches"]
@@ -109,22 +121,6 @@ def print_check(document: Document, console: Console) -> None:
         "noise: share of the sensors' noise in what multiplies the parameter",
         style="dim",
     )
-
-
-def _answer(document: Document) -> str:
-    """Whether the recordings can answer, in a sentence."""
-    doubts = len(document["warnings"])
-    if not document["answerable"]:
-        return "These recordings cannot answer what the model asks; see the warnings."
-    if document["by_refinement"] is not None:
-        errors = document["by_refinement"].items()
-        return (
-            "Windows cannot tell these parameters from noise, and identify refines them by itself: "
-            + ", ".join(f"{name} to about {number(100 * share, 2)} %" for name, share in errors)
-            + "."
-        )
-    warned = f", with {doubts} warning{'s' * (doubts > 1)}" if doubts else ""
-    return f"These recordings can answer what the model asks{warned}."
 
 
 def share_in_words(share: float | None, digits: int = 3) -> str:

@@ -101,8 +101,7 @@ def print_identification(document: Document, console: Console) -> None:
     if "alpha" in criterion:
         how += f" in windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s"
     if refinement is not None and refinement["chosen"]:
-        left = refinement["whiteness"]
-        white = left is not None and left["white"]
+        white = (refinement["whiteness"] or {}).get("white")
         how = f"refined by simulation{', which leaves white noise' if white else ''}"
     said = len(document["warnings"])
     more = f" {said} finding{'s' if said != 1 else ''} and" if said else ""
@@ -111,32 +110,23 @@ def print_identification(document: Document, console: Console) -> None:
     if converted := document["provenance"]["converted"]:
         units = ", ".join(f"{name} from {unit}" for name, unit in converted.items())
         say(console, f"Converted to SI: {units}.")
-    say(
-        console,
-        f"Values: {how}. Add --verbose for{more} how they were found.",
-        *modes_in_words(document["modes"]),
-        *_validations_in_words(document),
-    )
+    say(console, f"Values: {how}. Add --verbose for{more} how they were found.")
+    say(console, *modes_in_words(document["modes"]), *_validations_in_words(document))
 
 
 def print_everything(document: Document, console: Console) -> None:
     """The verdict, and all there is to say of how it came about."""
+    refinement, prepared = document["refinement"], document["provenance"]["preparation"]
     print_verdict(document, console)
     say(console, "", *document["equations"])
     print_estimate(document, console)
-    refinement = document["refinement"]
-    say(console, *modes_in_words(document["modes"]))
+    lines = [*modes_in_words(document["modes"])]
     if refinement is not None:
-        say(console, choice_in_words(refinement))
+        lines.append(choice_in_words(refinement))
         # What became of the search, if its values are the answer.
-        if refinement["refined"] is not None and refinement["chosen"]:
-            say(console, *search_in_words(refinement))
-    say(
-        console,
-        *windows_in_words(document),
-        *_validations_in_words(document),
-        *(f"prepared: {step}" for step in document["provenance"]["preparation"]),
-    )
+        lines += search_in_words(refinement) if refinement["chosen"] else ()
+    lines += [*windows_in_words(document), *_validations_in_words(document)]
+    say(console, *lines, *(f"prepared: {step}" for step in prepared))
 
 
 def _validations_in_words(document: Document) -> Iterator[str]:

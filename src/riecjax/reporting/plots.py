@@ -4,7 +4,7 @@ import functools
 import math
 import tempfile
 import webbrowser
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -128,16 +128,19 @@ def _(thing: Assessment) -> Chart:
 
 def _batch(batch: AbstractEstimate) -> Chart:
     """Each member as a dot, relative to the mean over the batch."""
-    labels, marks = [], []
+    labels, marks = [], [Level(axis="x")]
     for i, name in enumerate(batch.parameters):
         values = np.ravel(np.asarray(batch[name], float))
         mean = float(np.nanmean(values))
         labels.append(f"{name} = {mean:.4g} {batch.table[name].unit}".rstrip())
         marks.append(Dots(_percent(values, mean), np.full(values.size, i), opacity=0.4, size=LARGE))
-    axis = Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
-    caption = "Members of a batch, relative to their mean."
-    x = Axis("deviation from the mean / %")
-    return single([Level(axis="x"), *marks], x, axis, caption)
+    x, y = Axis("deviation from the mean / %"), _names(labels)
+    return single(marks, x, y, "Members of a batch, relative to their mean.")
+
+
+def _names(labels: Sequence[str]) -> Axis:
+    """An axis of parameters, the first one above."""
+    return Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
 
 
 def relative_figure(documents: Mapping[str, Document]) -> Chart:
@@ -172,8 +175,7 @@ def relative_figure(documents: Mapping[str, Document]) -> Chart:
         values = {n: with_error(e["value"], e["std_error"]) for n, e in first.items()}
         labels = tuple(f"{n} = {values[n]} {first[n]['unit']}".rstrip() for n in names)
     x = Axis(f"95 % interval, from {of} / %", low=None if limit is None else -limit, high=limit)
-    y = Axis(categories=labels, low=-0.5, high=len(names) - 0.5, reverse=True)
-    return single(marks, x, y, "Parameters with their 95 % intervals.")
+    return single(marks, x, _names(labels), "Parameters with their 95 % intervals.")
 
 
 def _percent(values: Iterable[Any], reference: Any) -> list[float]:

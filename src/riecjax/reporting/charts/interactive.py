@@ -226,27 +226,23 @@ def _line(line: Line) -> list[dict[str, Any]]:
         trace["error_y"] = {"array": plain_values(line.error), "thickness": 1, "width": 3}
     if line.low is None or line.high is None:
         return [trace]
-    trace["customdata"] = [plain_values(pair) for pair in np.column_stack((line.low, line.high))]
+    x, low, high = (np.asarray(values, float) for values in (line.x, line.low, line.high))
+    trace["customdata"] = [plain_values(pair) for pair in np.column_stack((low, high))]
     trace["hovertemplate"] = "(%{x}, %{y})<br>%{customdata[0]} to %{customdata[1]}"
-    return [_band(line, line.low, line.high), trace]
-
-
-def _band(line: Line, low: ArrayLike, high: ArrayLike) -> dict[str, Any]:
-    """One closed outline for each unbroken stretch of a band."""
-    x, low, high = (np.asarray(values, float) for values in (line.x, low, high))
+    # The band: one closed outline for each unbroken stretch.
     whole = np.flatnonzero(np.isfinite(x) & np.isfinite(low) & np.isfinite(high))
     around: list[np.ndarray] = []
     for part in np.split(whole, np.flatnonzero(np.diff(whole) > 1) + 1):
         there = np.column_stack((x[part], high[part]))
         back = np.column_stack((x[part], low[part]))[::-1]
         around += [there, back, np.full((1, 2), np.nan)]
-    x, y = np.concatenate(around).T
+    across, along = np.concatenate(around).T
     red, green, blue = (int(line.color[i : i + 2], 16) for i in (1, 3, 5))
-    return {
+    band = {
         "type": "scatter",
         "mode": "lines",
-        "x": plain_values(x),
-        "y": plain_values(y),
+        "x": plain_values(across),
+        "y": plain_values(along),
         "line": {"width": 0},
         "fill": "toself",
         "fillcolor": f"rgba({red},{green},{blue},0.18)",
@@ -254,6 +250,7 @@ def _band(line: Line, low: ArrayLike, high: ArrayLike) -> dict[str, Any]:
         "showlegend": False,
         "legendgroup": plain_text(line.label) or None,
     }
+    return [band, trace]
 
 
 def _level_style(level: Level) -> dict[str, Any]:
