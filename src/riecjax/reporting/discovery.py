@@ -110,8 +110,8 @@ def sentence(found: Discovery) -> str:
     names = [f"{name} ({meaning})" if meaning else name for name, meaning in chosen]
     if found.mode is not None:
         names.append(f"mode ({_mode_in_words(found.mode)})")
-    first = next(iter(found.paths.values()))[0]
     if not names:
+        first = next(iter(found.paths.values()))[0]
         what = "No candidate is missing" if found.leaves_more else "No term is missing"
         what = what if found.leaves_more or found.delays else "Nothing is missing"
         return (
@@ -217,7 +217,7 @@ def rejected_table(document: Document) -> Table:
         "would explain, of what is left": lambda one: percent(one["gain"]),
         "chance": lambda one: probability(one["chance"]),
     }
-    rejected = {one["name"]: one for one in document["rejected"]}
+    rejected = [(one["name"], one) for one in document["rejected"]]
     return Table.of("candidate", rejected, cells, "Not taken")
 
 

@@ -111,17 +111,16 @@ def _refinement(entries: Document) -> Section:
             f"noise power"
         )
     left = {name: each | channels.get(name, {}) for name, each in entries["left"].items()}
-    fits = {
-        f"{run['on']}{' (fitted)' if run['fitted'] else ''}: {name}": {
-            when: run[when]["signals"].get(name, {}) for when in ("before", "after")
-        }
+    fits = [
+        (f"{run['on']}{' (fitted)' if run['fitted'] else ''}: {name}", (run, name))
         for run in entries["simulations"]
         for name in run["after"]["signals"]
-    }
-    simulated = {
-        "before / %": lambda fit: _fixed(fit["before"].get("fit_percent")),
-        "after / %": lambda fit: _fixed(fit["after"].get("fit_percent")),
-    }
+    ]
+
+    def fit(when: str) -> Callable[[tuple[Document, str]], str]:
+        return lambda pair: _fixed(pair[0][when]["signals"].get(pair[1], {}).get("fit_percent"))
+
+    simulated = {"before / %": fit("before"), "after / %": fit("after")}
     at_bound = entries["at_bound"]
     text = [
         _sentence(by),
@@ -138,10 +137,10 @@ def _refinement(entries: Document) -> Section:
 
 
 def _fit(residual: Document) -> Section:
-    fits = {}
+    fits = []
     for stage in residual["stages"]:
-        fits[stage["equation"]] = stage
-        fits |= {name: residual["equations"][name] for name in several(stage)}
+        fits.append((stage["equation"], stage))
+        fits += [(name, residual["equations"][name]) for name in several(stage)]
     cells = {
         "estimates": lambda fit: ", ".join(fit.get("parameters", ())),
         "relative residual / %": lambda fit: _percent(fit["relative_rms"]),
@@ -163,7 +162,7 @@ def _validation(runs: Sequence[Document]) -> Section:
     tables = []
     for run in runs:
         some = run["signals"].items()
-        signals = {n if one["judged"] else f"{n} (not judged)": one for n, one in some}
+        signals = [(n if one["judged"] else f"{n} (not judged)", one) for n, one in some]
         tables.append(Table.of("signal", signals, cells, run["on"]))
     text = [f"The model was validated on {run['on']}. {run['verdict']}" for run in runs]
     charts = [f"validation_{i + 1}" for i in range(len(runs))]
@@ -220,18 +219,17 @@ def _choice(choice: Document) -> Section:
 
 
 def _recordings(provenance: Document) -> Section:
-    rows = [
-        (
-            named({**record, "file": _name(record["file"])}),
-            str(record["samples"]),
-            number(1 / record["time_step"]),
-            number(record["samples"] * record["time_step"], 4),
-        )
+    records = [
+        (named({**record, "file": _name(record["file"])}), record)
         for record in provenance["records"]
     ]
-    header = ("file", "samples identified from", "rate / Hz", "duration / s")
+    cells = {
+        "samples identified from": lambda record: str(record["samples"]),
+        "rate / Hz": lambda record: number(1 / record["time_step"]),
+        "duration / s": lambda record: number(record["samples"] * record["time_step"], 4),
+    }
     text = [f"Prepared: {step}" for step in provenance["preparation"]]
-    return Section("Recordings", text, [Table(header, rows)])
+    return Section("Recordings", text, [Table.of("file", records, cells)])
 
 
 def _sentence(line: str) -> str:

@@ -4,7 +4,7 @@ import html
 import math
 import re
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -38,15 +38,14 @@ class Table:
     def of(
         cls,
         kind: str,
-        entries: Mapping[str, Any],
+        entries: Mapping[str, Any] | Iterable[tuple[str, Any]],
         cells: Mapping[str, Callable[[Any], str]],
         caption: str = "",
     ) -> Self:
         """A row for each entry: its name, under the `kind` of thing that it is, and what `cells`
         say of it, each under its header."""
-        rows = [
-            (name, *(cell(entry) for cell in cells.values())) for name, entry in entries.items()
-        ]
+        pairs = entries.items() if isinstance(entries, Mapping) else entries
+        rows = [(name, *(cell(entry) for cell in cells.values())) for name, entry in pairs]
         return cls((kind, *cells), rows, caption)
 
     @property

@@ -285,7 +285,7 @@ def _(thing: ResidualTests) -> View:
             f"{other.signal} ({other.largest:.2f})" for other in test.follows[:1]
         ),
     }
-    tests = {test.name: test for test in thing.equations}
+    tests = [(test.name, test) for test in thing.equations]
     table = Table.of("equation", tests, cells)
     return View("what each equation leaves", [table], _warnings(thing.findings()))
 
