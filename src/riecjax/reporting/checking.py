@@ -85,7 +85,7 @@ def excitation_table(entries: Document, caption: str = "") -> Table:
         "own share": lambda entry: share_in_words(entry["own_share"]),
         "noise": lambda entry: share_in_words(entry["noise_share"], 2),
     }
-    return Table.of("parameter", entries, cells, caption)
+    return Table.of("parameter", entries.items(), cells, caption)
 
 
 def print_check(document: Document, console: Console) -> None:

@@ -136,7 +136,7 @@ def parameter_table(
         }
         for name, entry in (document["parameters"] | document["known"]).items()
     }
-    return Table.of("parameter", entries, {header: cells[header] for header in columns})
+    return Table.of("parameter", entries.items(), {header: cells[header] for header in columns})
 
 
 def doubt_in_words(share: float | None) -> str:

@@ -128,7 +128,8 @@ def _(thing: Assessment) -> Chart:
 
 def _batch(batch: AbstractEstimate) -> Chart:
     """Each member as a dot, relative to the mean over the batch."""
-    labels, marks = [], [Level(axis="x")]
+    labels: list[str] = []
+    marks: list[Mark] = [Level(axis="x")]
     for i, name in enumerate(batch.parameters):
         values = np.ravel(np.asarray(batch[name], float))
         mean = float(np.nanmean(values))

@@ -130,7 +130,7 @@ def _refinement(entries: Document) -> Section:
         _sentence(intervals.split("; ")[0]),
     ]
     tables = [
-        Table.of("left, r.m.s.", left, cells, caption),
+        Table.of("left, r.m.s.", left.items(), cells, caption),
         Table.of("simulated, fit", fits, simulated),
     ]
     return Section("Refinement", text, tables)
@@ -182,7 +182,7 @@ def _residuals(tests: Mapping[str, Document]) -> Table:
         "later by / s": followed(lambda first: number(first["lag_s"], 3)),
         "alike for / s": lambda test: number(test["correlation_time_s"], 2),
     }
-    return Table.of("equation", tests, cells)
+    return Table.of("equation", tests.items(), cells)
 
 
 def _residual_in_words(name: str, tests: Document) -> str:
@@ -214,7 +214,7 @@ def _choice(choice: Document) -> Section:
         "least error / %": lambda one: _percent(one["least_error_share"]),
         "at length / s": lambda one: number(one["best_length_s"], 3),
     }
-    table = Table.of("equation", choice["equations"], cells)
+    table = Table.of("equation", choice["equations"].items(), cells)
     return Section("Choice of windows", [choice["reason"]], [table], ("window_choice",))
 
 

@@ -38,14 +38,13 @@ class Table:
     def of(
         cls,
         kind: str,
-        entries: Mapping[str, Any] | Iterable[tuple[str, Any]],
+        entries: Iterable[tuple[str, Any]],
         cells: Mapping[str, Callable[[Any], str]],
         caption: str = "",
     ) -> Self:
-        """A row for each entry: its name, under the `kind` of thing that it is, and what `cells`
-        say of it, each under its header."""
-        pairs = entries.items() if isinstance(entries, Mapping) else entries
-        rows = [(name, *(cell(entry) for cell in cells.values())) for name, entry in pairs]
+        """A row for each name and entry: the name, under the `kind` of thing that it is, and what
+        `cells` say of the entry, each under its header."""
+        rows = [(name, *(cell(entry) for cell in cells.values())) for name, entry in entries]
         return cls((kind, *cells), rows, caption)
 
     @property

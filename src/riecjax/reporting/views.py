@@ -273,7 +273,7 @@ def _(thing: HeldOut) -> View:
         "p": lambda signal: f"{float(signal.p):.1f} %",
         "predicted": lambda signal: signal.grade,
     }
-    return View(thing.verdict, [Table.of("signal", thing.signals, cells)])
+    return View(thing.verdict, [Table.of("signal", thing.signals.items(), cells)])
 
 
 @view_of.register
