@@ -29,18 +29,18 @@ MOST_PARAMETERS = 7
 MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
-    "riecjax.assessment.assess": 28,
+    "riecjax.assessment.assess": 26,
     "riecjax.assessment.refining": 21,
-    "riecjax.assessment.trust": 21,
-    "riecjax.discovery.discover": 23,
+    "riecjax.assessment.trust": 20,
+    "riecjax.discovery.discover": 22,
     "riecjax.estimation.check": 21,
     "riecjax.estimation.identify": 24,
     "riecjax.records.recording": 17,
     "riecjax.refinement.output_error": 14,
-    "riecjax.reporting.result_figures": 16,
+    "riecjax.reporting.result_figures": 15,
     "riecjax.reporting.plots": 16,
     "riecjax.reporting.result_files": 18,
-    "riecjax.reporting.views": 26,
+    "riecjax.reporting.views": 24,
     "riecjax.summaries.one_pass": 18,
     "riecjax.summaries.summarise": 17,
     "riecjax.validation.equation_errors": 13,
