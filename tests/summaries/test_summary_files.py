@@ -121,7 +121,7 @@ def test_a_name_stays_as_it_is_and_nothing_else_is_left_behind(tmp_path):
         np.testing.assert_array_equal(
             arrays["0/stages/0/0/moments"], summary.recordings[0].stages[0][0].moments
         )
-        assert json.loads(arrays["summary"].tobytes())["schema"] == 4
+        assert json.loads(arrays["summary"].tobytes())["schema"] == 5
 
 
 def refused(path: Any, words: str) -> None:
@@ -164,7 +164,7 @@ def rewritten(file: Path, change, seal: bool = True) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 4: .* 9.1"),
+        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 5: .* 9.1"),
         (
             lambda d, _: d["criterion"].update({"class": "Tent", "from": "rig"}),
             "Tent of 'rig'.*imp",

@@ -82,7 +82,7 @@ def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "A
     model = with_rests(as_model(model), settings.at_rest)
     recordings = ready(model, recordings, settings.noise)
     plain = [each.record for each in recordings]
-    criterion = criterion_for(settings, model, model.band, plain)
+    criterion = criterion_for(settings, model, plain)
 
     def concerned(some: Sequence[Recording]) -> list[Recording]:
         """The recordings with what is said of signals that the criterion reads."""
@@ -261,7 +261,7 @@ def check_answering(
     """
     model, recordings = as_model(model), as_recordings(records)
     plain, key = [each.record for each in recordings], settings.key
-    criterion = criterion_for(settings, model, model.band, plain)
+    criterion = criterion_for(settings, model, plain)
     require_memory_to_assess(model, plain, criterion, checking=True)
     plan = {"known": settings.known, "per_record": settings.per_record}
     summary = summarise(model, recordings, criterion, key=key, survey=True)

@@ -236,13 +236,12 @@ class _Averaged:
         # Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them.
         rows = []
         noise = []
-        band = slice(*summary.band)
-        for one in recordings:
+        for one in (sums.of_bins(*summary.band) for sums in recordings):
             gram, added = np.zeros((2, *(2 + len(one.parameters),) * 2))
-            gram[0] = gram[:, 0] = np.asarray(one.constant)[band].sum((0, 1))
-            gram[1:, 1:] = np.asarray(one.moments)[band].sum((0, 1))
+            gram[0] = gram[:, 0] = np.asarray(one.constant).sum((0, 1))
+            gram[1:, 1:] = np.asarray(one.moments).sum((0, 1))
             if one.noise is not None:
-                added[1:, 1:] = np.asarray(one.noise)[band].sum((0, 1))
+                added[1:, 1:] = np.asarray(one.noise).sum((0, 1))
             rows.append(factor_of_gram(gram))
             noise.append(factor_of_gram(added))
         self.target, self.columns = _columns(rows, names, self.names, table.known)
