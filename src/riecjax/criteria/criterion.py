@@ -32,7 +32,7 @@ from riecjax.equations.noisy_columns import (
     without_noise,
 )
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 
 SHORT_BLOCKS_OF_ROWS = 512
@@ -70,10 +70,9 @@ class Rows(eqx.Module):
         """The rows left when these parameters take these values: their columns join the target."""
         own = dict(zip(self.parameters, self.columns[1:]))
         given = [known[name] * column for name, column in own.items() if name in known]
-        unknown = tuple(name for name in self.parameters if name not in known)
-        target = self.target - sum(given, start=jnp.zeros_like(self.target))
-        columns = jnp.stack([target, *(own[name] for name in unknown)])
-        return Rows(columns, self.position, unknown, self.valid)
+        unknown = {name: column for name, column in own.items() if name not in known}
+        columns = jnp.stack([self.target - sum(given), *unknown.values()])
+        return Rows(columns, self.position, tuple(unknown), self.valid)
 
     def count(self) -> Float[Array, ""]:
         """Number of valid rows."""
@@ -117,14 +116,6 @@ class AbstractCriterion(eqx.Module):
     def block_length(self) -> Leaf:
         """Seconds after which two rows share no data: their errors are not locked together."""
         return np.zeros(()) if self.windows is None else self.windows.beta
-
-    @property
-    def typical_length(self) -> Leaf:
-        """Seconds that a typical window lasts, the geometric mean; 0 without windows."""
-        if self.windows is None:
-            return np.zeros(())
-        alpha, beta = self.windows.alpha, self.windows.beta
-        return namespace(alpha, beta).sqrt(alpha * beta)
 
     def in_chunks(self, record: Record) -> bool:
         """Whether a record is so long that it is worked through in chunks."""

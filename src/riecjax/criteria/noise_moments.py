@@ -268,15 +268,17 @@ def noise_moments(
     products of the rows that columns make, for blocks of starts.
     """
     columns, noise = noisy.columns, noisy.noise
-    size = columns.values.shape[1]
+    width = columns.values.shape[1]
 
     def in_closed_form(law: LagBins | WindowSet) -> list[Array] | None:
         """What each white source adds, and at last what is added where columns are curved."""
         if (weights := weights_of(law)) is None:
             return None
-        of_white = [_weighted(movement, weights, blocks, size) for movement in noisy.white.values()]
-        nothing = jnp.zeros((blocks.number, size, size), columns.values.dtype)
-        every = (times * _weighted(m, weights, blocks, size) for times, m in noisy.curved)
+        of_white = [
+            _weighted(movement, weights, blocks, width) for movement in noisy.white.values()
+        ]
+        nothing = jnp.zeros((blocks.number, width, width), columns.values.dtype)
+        every = (times * _weighted(m, weights, blocks, width) for times, m in noisy.curved)
         return [*of_white, sum(every, start=nothing)]
 
     closed = None
@@ -299,7 +301,7 @@ def noise_moments(
         }
         size = jnp.sqrt(sum(jnp.sum(jnp.asarray(t) ** 2) for t in own.values()))
         for source, taps in own.items():
-            unit = taps / jnp.where(size > 0, size, 1.0)
+            unit = jnp.asarray(taps) / jnp.where(size > 0, size, 1.0)
             coloured.setdefault(source, []).append((movement, unit))
     for source, parts in sorted(coloured.items()):
         found[source] = _probed(parts, columns, products)

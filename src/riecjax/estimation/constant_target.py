@@ -225,7 +225,9 @@ class _Averaged:
     ):
         self.equation, self.table = equation, table
         self.names = {*table.everywhere(equation.parameters)}.intersection(unknown)
-        length = float(summary.criterion.typical_length)
+        # Seconds that a typical window lasts, the geometric mean; 0 without windows.
+        windows = summary.criterion.windows
+        length = float(np.sqrt(windows.alpha * windows.beta)) if windows is not None else 0.0
         self.independent = sum(
             float(one.samples) * (min(float(one.time_step) / length, 1.0) if length else 1.0)
             for one in summary.recordings

@@ -207,14 +207,15 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
     raise_if_nothing_to_fit(table, totals)
 
     def with_surveyed_noise(i: int, j: int) -> NormalEquations:
-        records = equations[i][j].of_records()
+        blocks = equations[i][j]
+        records = blocks.in_blocks(lambda values: values.sum(1))
         if records.noise is not None:
-            return records
+            return records.with_noise(records.noise, blocks.noise_of_source)
         found = [one.stages[i][j].survey for one in summary.recordings]
         # Sums without a survey say nothing of the noise in their rows.
         nothing = np.zeros(np.shape(records.moments)[-2:])
         each: Any = np.stack([nothing if s is None else np.asarray(s.noise) for s in found])
-        return records.with_noise(each * records.count[:, None, None], records.noise_of_source)
+        return records.with_noise(each * records.count[:, None, None], blocks.noise_of_source)
 
     of_records = [
         [with_surveyed_noise(i, j) for j, _ in enumerate(stage)]

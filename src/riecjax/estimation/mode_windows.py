@@ -297,7 +297,7 @@ def _mixed_sums(
 ) -> EquationSums:
     """The sums of some bins, of combinations of their columns."""
 
-    def of(matrices: Leaf) -> Leaf:
+    def of(matrices: Any) -> Any:
         return mix @ np.asarray(matrices) @ mix.T
 
     survey = sums.survey

@@ -62,7 +62,12 @@ def level_covariance(
     **Arguments:** `freedom` of the variances of each source.
     """
     totals = [stage.total() for stage in statistics.blocks]
-    of_source = [stage.by_source() for stage in statistics.short_blocks]
+    # Sources of all records, one after the other, in place of blocks.
+    of_source = []
+    for stage in statistics.short_blocks:
+        assert stage.noise_of_source is not None
+        moments = stage.noise_of_source.reshape(-1, *stage.moments.shape[-2:])
+        of_source.append(NormalEquations(moments, jnp.zeros(len(moments)), stage.parameters))
     moved = scores(of_source, statistics.unknowns, statistics.values)
     moved = solve_scaled(slope(totals, statistics.unknowns), moved.T)
     spread = moved * jnp.sqrt(2 / jnp.asarray(freedom)).ravel()[None, :]

@@ -82,12 +82,6 @@ class NormalEquations(eqx.Module):
         """The same moments, of which this is noise."""
         return replace(self, noise=noise, noise_of_source=of_source)
 
-    def by_source(self) -> "NormalEquations":
-        """What each source of noise adds, all records' one after the other along the first axis."""
-        assert self.noise_of_source is not None
-        moments = self.noise_of_source.reshape(-1, *self.noise_of_source.shape[2:])
-        return NormalEquations(moments, jnp.zeros(len(moments)), self.parameters)
-
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
         if self.parameters != other.parameters:
             raise ModelError(
@@ -105,11 +99,6 @@ class NormalEquations(eqx.Module):
     def total(self) -> "NormalEquations":
         """The sum over the axis of blocks."""
         return self.in_blocks(lambda blocks: blocks.sum(0))
-
-    def of_records(self) -> "NormalEquations":
-        """Of leading axes `(records, blocks)`, the sum over the second."""
-        summed = self.in_blocks(lambda blocks: blocks.sum(1))
-        return summed.with_noise(summed.noise, self.noise_of_source)
 
     def flattened(self) -> "NormalEquations":
         """The same with one leading axis for all that there are."""

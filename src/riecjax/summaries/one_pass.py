@@ -124,7 +124,7 @@ def of_all_windows(
                 wider *= 2
             blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
 
-        def spread(sums: Array) -> Array:
+        def spread(sums: Leaf) -> Leaf:
             apart = jnp.swapaxes(sums, 0, 1)[:, None]
             behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
             return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -87,12 +88,12 @@ class Summary(Shown, eqx.Module):
         every: dict[str, RecordingSums] = {}
         for one in (self, *others):
             require("what is merged", one, Summary, "summary.merge(other): one after the other")
+            mine, theirs = (() if s.edges is None else np.asarray(s.edges) for s in (self, one))
             differs = {
                 "other equations or parameters": not self.outline.is_of(one.outline),
                 "another criterion": one.criterion.describe() != self.criterion.describe(),
                 "other bins of window lengths": (one.in_law, one.band) != (self.in_law, self.band)
-                or (one.edges is None) != (self.edges is None)
-                or not (one.edges is None or np.array_equal(one.edges, self.edges)),
+                or not np.array_equal(mine, theirs),
             }
             if why := [words for words, differ in differs.items() if differ]:
                 raise ModelError(f"summaries cannot be merged that were made for {why[0]}.")
@@ -217,12 +218,14 @@ class Summary(Shown, eqx.Module):
                 factor = joined_factor(
                     [factor_of_gram(g) if f is None else f for g, f in zip(grams, factors)]
                 )
+            every_sum: Any = np.concatenate([equation.moments for equation in sums], axis=1)
+            counts: Any = np.concatenate([equation.count for equation in sums], axis=1)
+            noises: Any = (np.concatenate(added, axis=1), by_source) if known else (None, None)
             return EquationSums(
-                np.concatenate([equation.moments for equation in sums], axis=1),
-                np.concatenate([equation.count for equation in sums], axis=1),
+                every_sum,
+                counts,
                 sums[0].parameters,
-                np.concatenate(added, axis=1) if known else None,
-                by_source if known else None,
+                *noises,
                 factor=factor,
                 constant=np.concatenate(constant, axis=1) if len(constant) == len(sums) else None,
             )
