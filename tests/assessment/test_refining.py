@@ -132,14 +132,12 @@ def test_check_names_the_refinement_that_answers_where_windows_cannot():
     short = rx.RIEC(rx.AllWindows(0.03, 0.1))
     found = check_answering(DRAG, record, Check(short))
     assert found.checked.refusal is not None
-    assert found.answerable
+    assert found.refusal is None
     assert found.by_refinement is not None
     bounds = {"m": 0.00181, "r": 0.0293, "r2": 0.0144, "k": 0.00153}
     for name, share in found.by_refinement.items():
         assert share == pytest.approx(bounds[name], rel=0.35)
-    document = check_document(
-        found.checked, "drag", short, as_recordings(record), found.by_refinement
-    )
+    document = check_document(found, "drag", as_recordings(record))
     assert document["answerable"]
     assert "error" not in document
     answer = rx.assess(DRAG, record, short, **QUICK).answer

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from jaxtyping import Array
 
 from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
-from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model, with_rests
@@ -19,6 +19,7 @@ from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import (
     Check,
     check_sums,
+    linear_sums,
     naming_copies,
     raise_if_not_carried,
     raise_if_refused,
@@ -27,7 +28,7 @@ from riecjax.estimation.check import (
 )
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
-from riecjax.estimation.identify import estimate as estimate_of
+from riecjax.estimation.identify import estimated
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
@@ -40,7 +41,7 @@ from riecjax.summaries.summarise import summarise
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich, intervals_of
-from riecjax.validation.sweep import sweep_edges, window_sweep
+from riecjax.validation.sweep import sweep_edges, sweep_of_sums
 
 if TYPE_CHECKING:
     from riecjax.assessment.assessment import Assessment
@@ -93,18 +94,18 @@ def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "A
         fitted, held = map(list, zip(*(each.split(settings.hold_out) for each in fitted)))
     further: Any = settings.validate_on
     further = concerned(ready(model, further)) if further else []
-    plan = {"known": settings.known, "per_record": settings.per_record}
-    intervals = intervals_of(settings.intervals)
-    parts = model, criterion, fitted, held, further, settings.key, plan, intervals
-    with naming_copies(model, fitted, criterion):
-        return _answer(Asked(*parts), settings)
-
-
-def _answer(asked: Asked, settings: Assess) -> "Assessment":
-    model, records, criterion = asked.model, asked.records, asked.criterion
-    require_memory_to_assess(model, records, criterion)
     # What is refused without arithmetic is refused before a sample is read.
-    table = plan_parameters(model, len(records), **asked.settings)
+    table = plan_parameters(model, len(fitted), settings.known, settings.per_record)
+    parts = model, criterion, fitted, held, further, table
+    asked = Asked(*parts, intervals_of(settings.intervals), settings)
+    with naming_copies(model, fitted, criterion):
+        return _answer(asked)
+
+
+def _answer(asked: Asked) -> "Assessment":
+    model, records, criterion = asked.model, asked.records, asked.criterion
+    table, settings, key = asked.table, asked.settings, asked.settings.key
+    require_memory_to_assess(model, records, criterion)
     # Read once: all that follows is made from these sums.
     sweep = settings.sweep and not model.has_hidden
     bins = None
@@ -112,9 +113,9 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
         with contextlib.suppress(DataError):  # too short a record, which the check says
             bins = sweep_edges(records, criterion)
     with explaining_errors(asked.fitted):
-        summary = summarise(model, records, criterion, key=asked.key, bins=bins, survey=True)
-    estimate = on_host(estimate_of(model, summary, **asked.settings, intervals=asked.intervals))
-    evidence, ordinary = _about_hidden(model, estimate, summary, table.known)
+        summary = summarise(model, records, criterion, key=key, bins=bins, survey=True)
+    estimate = on_host(estimated(model, summary, table, asked.intervals))
+    evidence, ordinary = _about_hidden(model, estimate, summary)
     excited = excitations(ordinary, table)
     # What windows cannot tell from noise, output error may: it needs no derivative.
     raise_if_not_carried(evidence, excited)
@@ -128,33 +129,22 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
     from riecjax.assessment import refining, trust
     from riecjax.assessment.assessment import Assessment
 
-    checked = check_sums(
-        model,
-        ready(model, records),
-        criterion,
-        key=asked.key,
-        **asked.settings,
-        summary=ordinary,
-        excited=excited,
-    )
+    checked = check_sums(model, ready(model, records), table, ordinary, excited)
     checked = trust.with_doubts(asked, estimate, checked)
     refused = doubted is not None
-    refinement, validations, failed = refining.answered(asked, estimate, refused, settings)
+    refinement, validations, failed = refining.answered(asked, estimate, refused)
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
         failed = [*failed, *refining.outside_bounds(estimate, settings.bounds)]
     residuals, choice, untested = trust.what_is_left(model, records, estimate, asked.again)
-
-    def estimated_otherwise(model: Model) -> Estimate:
-        summary = summarise(model, records, criterion, key=asked.key)
-        return estimate_of(model, summary, **asked.settings, intervals=asked.intervals)
-
-    resting = at_rest_findings(model, records, estimate, estimated_otherwise)
+    resting = at_rest_findings(model, records, estimate, asked.otherwise)
     over_lengths = None
     if sweep and summary.criterion.windows is not None:
-        swept = records if summary.bins is None else summary
         with contextlib.suppress(DataError):  # too short for any other length
-            over_lengths = on_host(window_sweep(model, swept, summary.criterion, **asked.settings))
+            if summary.bins is None and isinstance(summary.criterion, RIEC):
+                edges = sweep_edges(records, summary.criterion)
+                summary = summarise(model, records, summary.criterion.every, bins=edges)
+            over_lengths = on_host(sweep_of_sums(summary, table))
     return Assessment(
         model=model,
         recordings=asked.fitted,
@@ -167,7 +157,7 @@ def _answer(asked: Asked, settings: Assess) -> "Assessment":
         validations=validations,
         refinement=refinement,
         failures=[*failed, *resting, *untested, *trust.validated_on_fitted(asked)],
-        key=asked.key,
+        key=key,
         modes=evidence,
     )
 
@@ -197,38 +187,40 @@ def assess_summary(
     from riecjax.assessment.assessment import Assessment
 
     model = as_model(model)
-    found = on_host(estimate_of(model, summary, known=known, intervals=intervals))
+    summary.require_model(model)
     table = plan_parameters(model, len(summary.recordings), known, ())
-    evidence, ordinary = _about_hidden(model, found, summary, table.known)
+    estimate = on_host(estimated(model, summary, table, intervals_of(intervals)))
+    evidence, ordinary = _about_hidden(model, estimate, summary)
     excited = excitations(ordinary, table)
     raise_if_refused(excited)
-    told = [*findings, *(finding for stage in excited for finding in stage.findings())]
     sweep = None
     if lengths is not None and not model.has_hidden:
         with contextlib.suppress(DataError):  # too short for any
-            sweep = on_host(window_sweep(model, lengths, known=known))
+            lengths.require_model(model)
+            sweep = on_host(sweep_of_sums(lengths, table))
     return Assessment(
         model=model,
         recordings=(),
         validated_on=(),
-        checked=Check(told, excited, ()),
-        estimate=found,
+        checked=Check(
+            [*findings, *(f for stage in excited for f in stage.findings())], excited, ()
+        ),
+        estimate=estimate,
         sweep=sweep,
         modes=evidence,
     )
 
 
 def _about_hidden(
-    model: Model, estimate: Estimate, summary: Summary, known: Mapping[str, Array]
+    model: Model, estimate: Estimate, summary: Summary
 ) -> tuple[list["ModeEvidence"], Summary]:
     """What speaks for hidden modes, and the sums, linearised about hidden elements."""
-    if not model.has_hidden:
-        return [], summary
-    from riecjax.estimation.evidence import mode_evidence
-    from riecjax.estimation.mode_windows import linearised
+    evidence = []
+    if model.modes:
+        from riecjax.estimation.evidence import mode_evidence
 
-    evidence = mode_evidence(model, estimate) if model.modes else []
-    return evidence, linearised(model, summary, known)
+        evidence = mode_evidence(model, estimate)
+    return evidence, linear_sums(model, summary, estimate.table)
 
 
 class Answering(NamedTuple):
@@ -243,9 +235,9 @@ class Answering(NamedTuple):
     by_refinement: dict[str, float] | None
 
     @property
-    def answerable(self) -> bool:
-        """Whether there is an answer, by windows or by refinement."""
-        return self.checked.answerable or self.by_refinement is not None
+    def refusal(self) -> Finding | None:
+        """What rules out an answer both by windows and by refinement."""
+        return self.checked.refusal if self.by_refinement is None else None
 
 
 def check_answering(
@@ -263,23 +255,23 @@ def check_answering(
     plain, key = [each.record for each in recordings], settings.key
     criterion = criterion_for(settings, model, plain)
     require_memory_to_assess(model, plain, criterion, checking=True)
-    plan = {"known": settings.known, "per_record": settings.per_record}
     summary = summarise(model, recordings, criterion, key=key, survey=True)
-    looked = ready(model, recordings)
-    checked = check_sums(model, looked, criterion, key=key, summary=summary, **plan)
-    if checked.refusal is None or checked.refusal.code != "unidentifiable":
-        return Answering(checked, criterion, None)
-    # Not earlier: to import all that simulates takes seconds.
-    from riecjax.assessment.refining import answered
+    table = plan_parameters(model, len(recordings), settings.known, settings.per_record)
+    linear = linear_sums(model, summary, table)
+    excited = excitations(linear, table)
+    checked = check_sums(model, ready(model, recordings), table, linear, excited)
+    by_refinement = None
+    if checked.refusal is not None and checked.refusal.code == "unidentifiable":
+        # Not earlier: to import all that simulates takes seconds.
+        from riecjax.assessment.refining import answered
 
-    parts = (model, criterion, recordings, [], [], key, plan, Sandwich())
-    try:
-        start = on_host(estimate_of(model, summary, **plan, intervals=Sandwich()))
-    except IdentifiabilityError:
-        return Answering(checked, criterion, None)
-    refinement, _, _ = answered(Asked(*parts), start, True, Assess())
-    if refinement is None or refinement.refined is None or not refinement.chosen:
-        return Answering(checked, criterion, None)
-    refined = refinement.refined
-    errors = zip(refined.parameters, refined.standard_errors)
-    return Answering(checked, criterion, {n: float(e) / size_of(refined[n]) for n, e in errors})
+        parts = model, criterion, recordings, [], [], table
+        asked = Asked(*parts, Sandwich(), Assess(key=key))
+        with contextlib.suppress(IdentifiabilityError):
+            start = on_host(estimated(model, summary, table, asked.intervals))
+            refinement, _, _ = answered(asked, start, True)
+            refined = None if refinement is None else refinement.answer
+            if refined is not None:
+                errors = zip(refined.parameters, refined.standard_errors)
+                by_refinement = {name: float(e) / size_of(refined[name]) for name, e in errors}
+    return Answering(checked, criterion, by_refinement)

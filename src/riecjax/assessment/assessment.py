@@ -16,7 +16,7 @@ from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.shows import Drawn, opened
 from riecjax.validation.choice import WindowChoice
-from riecjax.validation.residuals import ResidualTests
+from riecjax.validation.residuals import EquationResidual, ResidualTests
 from riecjax.validation.sweep import WindowSweep
 from riecjax.validation.whiteness import Whiteness
 
@@ -42,14 +42,12 @@ class BeforeAfter(NamedTuple):
     @property
     def worst_fits(self) -> tuple[float, float]:
         """The worst fit in percent of any signal before and after; -inf if a simulation failed."""
-        return _worst(self.before), _worst(self.after)
 
+        def worst(held: "HeldOut") -> float:
+            fits = [float(held.signals[n].fit) for n in held.judged] if held.ran else []
+            return min((fit for fit in fits if fit == fit), default=-float("inf"))
 
-def _worst(held: "HeldOut") -> float:
-    if not held.ran:
-        return -float("inf")
-    fits = [float(held.signals[name].fit) for name in held.judged]
-    return min((fit for fit in fits if fit == fit), default=-float("inf"))
+        return worst(self.before), worst(self.after)
 
 
 class Refinement(NamedTuple):
@@ -71,27 +69,28 @@ class Refinement(NamedTuple):
     on_fitted: bool = False
 
     @property
+    def answer(self) -> Refined | None:
+        """The refined values, where they are the answer."""
+        return None if self.declined else self.refined
+
+    @property
     def chosen(self) -> bool:
         """Whether the refined values are the answer."""
-        return self.refined is not None and not self.declined
+        return self.answer is not None
 
     def findings(self) -> list[Finding]:
         """What a user should know of refined values that are the answer."""
-        if self.refined is None or self.declined:
-            return []
-        findings = self.refined.findings()
-        for run in self.simulations:
+        findings = [] if self.answer is None else self.answer.findings()
+        for run in () if self.answer is None or self.on_fitted else self.simulations:
             before, after = run.worst_fits
-            if after < before - 1 and not self.on_fitted:
-                findings.append(
-                    Finding(
-                        "refined_predicts_worse",
-                        f"{run.recording.name}: the refined model predicts worse than the "
-                        f"identified one (worst fit {before:.1f} % before, {after:.1f} % after): "
-                        f"it was bent to the recording that it was fitted to. Use shorter windows "
-                        f"(--horizon), or keep the estimate.",
-                    )
+            if after < before - 1:
+                message = (
+                    f"{run.recording.name}: the refined model predicts worse than the identified "
+                    f"one (worst fit {before:.1f} % before, {after:.1f} % after): it was bent to "
+                    f"the recording that it was fitted to. Use shorter windows (--horizon), or "
+                    f"keep the estimate."
                 )
+                findings.append(Finding("refined_predicts_worse", message))
         return findings
 
 
@@ -133,10 +132,13 @@ class Assessment(Drawn):
     @property
     def answer(self) -> AbstractEstimate:
         """The refined values where those were asked for or chosen, else the linear estimate."""
-        refinement = self.refinement
-        if refinement is None or refinement.refined is None or refinement.declined:
-            return self.estimate
-        return refinement.refined
+        refined = None if self.refinement is None else self.refinement.answer
+        return self.estimate if refined is None else refined
+
+    @property
+    def equation_residuals(self) -> Sequence[EquationResidual]:
+        """What each equation leaves, where that can be tested."""
+        return () if self.residuals is None else self.residuals.equations
 
     @property
     def verdict(self) -> Verdict:

@@ -54,13 +54,14 @@ OF_THE_MODEL = ("unmodelled_mode", "hysteresis", "residual_follows_signal", "lar
 
 
 class Doubt(NamedTuple):
-    """How far one parameter may be off, in its unit.
+    """How far the `value` of one parameter may be off, in its unit.
 
     **Fields:** `low`, `high`: reach below and above the value by scatter; `drift` over window
     lengths; `left_out`, by what the model leaves; `sensors`, by what is amiss with the recordings;
     `finest`, what is never claimed.
     """
 
+    value: float
     low: float
     high: float
     drift: float = 0.0
@@ -83,15 +84,20 @@ class Doubt(NamedTuple):
         """The larger reach of all of it."""
         return self.scatter + self.known_wrong + self.finest
 
-    def by_kind(self, kind: str) -> float:
-        """What of it a kind of cause makes."""
-        parts = {"model": self.drift + self.left_out, "sensors": self.sensors}
-        return parts.get(kind, self.scatter)
+    def share(self, part: float) -> float:
+        """A part of it over the value."""
+        return part / size_of(self.value)
 
-    def around(self, value: float) -> tuple[float, float]:
-        """Ends of the interval that counts all of it."""
+    def by_kind(self, kind: str) -> float:
+        """What of it a kind of cause makes, over the value."""
+        parts = {"model": self.drift + self.left_out, "sensors": self.sensors}
+        return self.share(parts.get(kind, self.scatter))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Of the interval that counts all of it."""
         more = self.known_wrong + self.finest
-        return value - self.low - more, value + self.high + more
+        return self.value - self.low - more, self.value + self.high + more
 
 
 def doubts(assessment: "Assessment") -> dict[str, Doubt]:
@@ -108,7 +114,11 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
     # A fault that explains what is left moves these by a known amount.
     faults = () if assessment.residuals is None else assessment.residuals.faults
     known = {name for fault in faults for name in fault.doubts}
-    drift = {} if exact else drifts(assessment)
+    # How far estimates in windows of other lengths lie from the answer, beyond chance.
+    sweep, drift = assessment.sweep, {}
+    if sweep is not None and not exact:
+        names = {*sweep.parameters} & {*answer.parameters}
+        drift = {name: sweep.away(name, float(answer[name])) for name in names}
     left = {} if exact else left_out(assessment)
     # Of each kind of fault all of what is amiss with the recordings, of kinds the worst.
     amiss: dict[str, dict[str, float]] = {name: {} for name in answer.parameters}
@@ -118,40 +128,26 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
             if share > 0:
                 before = amiss[name].get(finding.code, 0.0)
                 amiss[name][finding.code] = before + share * abs(float(answer[name]))
-    found = {}
-    for i, name in enumerate(answer.parameters):
-        finest = FINEST * abs(float(answer[name]))
-        scatter = float((below * errors)[i]), float((above * errors)[i])
+    by_name = {}
+    for name, low, high in zip(answer.parameters, below * errors, above * errors):
+        scatter = float(low), float(high)
         drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, left))
-        if assessment.sweep is not None:
+        if sweep is not None:
             moved = min(moved, STEADIER * (drifted + max(scatter)))
         worst = max(amiss[name].values(), default=0.0)
-        found[name] = Doubt(*scatter, drifted, moved, worst, finest)
-    return found
-
-
-def drifts(assessment: "Assessment") -> dict[str, float]:
-    """How far estimates in windows of other lengths lie from the answer, beyond chance."""
-    sweep, answer = assessment.sweep, assessment.answer
-    if sweep is None:
-        return {}
-    return {
-        name: sweep.away(name, float(answer[name]))
-        for name in sweep.parameters
-        if name in answer.parameters
-    }
+        value = float(answer[name])
+        finest = FINEST * abs(value)
+        by_name[name] = Doubt(value, *scatter, drifted, moved, worst, finest)
+    return by_name
 
 
 def left_out(assessment: "Assessment") -> Mapping[str, float]:
     """How far each parameter may be moved by what its equations leave that is not noise."""
     estimate = assessment.estimate
-    own = {
-        name: float(share)
-        for stage in assessment.checked.excitations
-        for name, share in zip(stage.parameters, stage.own_share)
-    }
+    excited = assessment.checked.excitations
+    own = {n: float(share) for e in excited for n, share in zip(e.parameters, e.own_share)}
     # Equations of which some test says that what they leave is the model's.
-    tests = () if assessment.residuals is None else assessment.residuals.equations
+    tests = assessment.equation_residuals
     blamed = {t.name for t in tests if any(f.code in OF_THE_MODEL for f in t.findings())}
     if assessment.sweep is not None:
         drifting = {name for f in assessment.sweep.findings() for name in f.parameters}
@@ -164,7 +160,7 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
         for test in tests
         if test.windows is not None and test.windows.correlation > NOTABLE_SHARED
     }
-    found: dict[str, float] = {}
+    moved: dict[str, float] = {}
     for stage, equations in zip(estimate.stages, estimate.equation_names):
         left = float(stage.relative_rms)
         if not left > 0:
@@ -182,5 +178,5 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
         for name, size in zip(stage.parameters, stage.relative_size):
             reach = float(size) * own.get(name, 1.0)
             if reach > 0:
-                found[name] = along / reach
-    return found
+                moved[name] = along / reach
+    return moved

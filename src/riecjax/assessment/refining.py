@@ -17,7 +17,7 @@ import numpy as np
 
 from riecjax.assessment.asked import Asked, size_of
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
-from riecjax.assessment.trust import horizons, seen, system_of, unseen, validated
+from riecjax.assessment.trust import horizons, system_of, validated
 from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
@@ -37,7 +37,7 @@ from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
 
 if TYPE_CHECKING:
-    from riecjax.settings import Assess, Refine
+    from riecjax.settings import Refine
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
@@ -70,59 +70,52 @@ Answered = tuple[Refinement | None, list[ValidationRun], list[Finding]]
 """A refinement, simulations with the answer along what it was not fitted to, and what failed."""
 
 
-def answered(asked: Asked, estimate: Estimate, refused: bool, settings: "Assess") -> Answered:
+def answered(asked: Asked, estimate: Estimate, refused: bool) -> Answered:
     """The refinement and the validation of an estimate, which may be no more than a start (it was
     `refused`).
 
-    **Arguments:** `settings`, of whose `progress` a refinement by itself tells nothing: it takes
-    few seconds, and a program that calls Python back cannot be kept for the next time.
-
     **Raises:** as `refine`, for a refinement that was asked for.
     """
+    settings, recordings = asked.settings, asked.unseen
     by = objective_of(settings)
-    horizon = settings.horizon
-    recordings = unseen(asked)
-    windows = horizons(asked, estimate, recordings, horizon if by is None or by == "auto" else None)
+    horizon = settings.horizon if by is None or by == "auto" else None
+    windows = horizons(asked, estimate, recordings, horizon)
     before, failed = validated(asked.model, estimate.values, recordings, windows)
     if by is None:
         return None, before, failed
     if isinstance(by, str):
         flaw = "" if refused else _left_out(estimate)
-        found = (
-            Refinement(declined=flaw) if flaw else _by_itself(asked, estimate, settings, horizon)
-        )
+        refinement = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate)
     else:
         from riecjax.refinement.integral_error import IntegralError
 
         # Over the estimate's windows if no others are asked for; its values are the answer.
         if isinstance(by, IntegralError) and by.criterion is None:
             by = IntegralError(estimate.criterion)
-        refined, misfit = _search(asked, estimate, by, settings, MOST_STEPS, settings.progress)
-        found = Refinement(refined, whiteness=_left(misfit, refined, asked.records))
+        refined, _, left = _search(asked, estimate, by, MOST_STEPS, settings.progress)
+        refinement = Refinement(refined, whiteness=left)
         failed = [*failed, *against_priors(estimate, settings.priors)]
-    if found.refined is None:
-        return found, before, failed
-    after, failed_after = validated(asked.model, found.refined.values, recordings, windows)
+    if refinement.refined is None:
+        return refinement, before, failed
+    values = refinement.refined.values
+    after, failed_after = validated(asked.model, values, recordings, windows)
     pairs = _pairs(before, after)
     if not recordings and not isinstance(by, str):
-        fitted = seen(asked)
-        windows = horizons(asked, estimate, fitted, None)
-        runs = (
-            validated(asked.model, v, fitted, windows)[0]
-            for v in (estimate.values, found.refined.values)
-        )
-        found, pairs = found._replace(on_fitted=True), _pairs(*runs)
-    found = found._replace(simulations=pairs)
-    if isinstance(by, str) and found.chosen:
-        # Not where it predicts worse what neither answer was fitted to.
-        for name, (earlier, later) in ((r.recording.name, r.worst_fits) for r in pairs):
-            if later < earlier - WORSE and found.chosen:
-                found = found._replace(
-                    declined=f"it predicts {name} worse: a fit of {later:.1f} %, where the linear "
-                    f"estimate has {earlier:.1f} %"
-                )
-    failed_after = [*failed_after, *(f for f in failed if f.code == "prior_disagrees")]
-    return (found, after, failed_after) if found.chosen else (found, before, failed)
+        windows = horizons(asked, estimate, asked.seen, None)
+        runs = (validated(asked.model, v, asked.seen, windows) for v in (estimate.values, values))
+        refinement, pairs = refinement._replace(on_fitted=True), _pairs(*(run for run, _ in runs))
+    refinement = refinement._replace(simulations=pairs)
+    # By itself not where it predicts worse what neither answer was fitted to.
+    for run in pairs if isinstance(by, str) else ():
+        earlier, later = run.worst_fits
+        if later < earlier - WORSE and refinement.chosen:
+            refinement = refinement._replace(
+                declined=f"it predicts {run.recording.name} worse: a fit of {later:.1f} %, where "
+                f"the linear estimate has {earlier:.1f} %"
+            )
+    if not refinement.chosen:
+        return refinement, before, failed
+    return refinement, after, [*failed_after, *(f for f in failed if f.code == "prior_disagrees")]
 
 
 def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | None:
@@ -150,42 +143,40 @@ def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[Befo
     ]
 
 
-def _left(misfit: AbstractMisfit, refined: Refined, records: list[Record]) -> Whiteness | None:
-    if not isinstance(misfit, OutputMisfit):
-        return None
-    return whiteness(misfit, refined.theta, refined.initial_states, records)
-
-
 def _search(
     asked: Asked,
     estimate: AbstractEstimate,
     by: AbstractObjective,
-    settings: "Refine",
     max_steps: int,
     progress: Progress = None,
-) -> tuple[Refined, AbstractMisfit]:
+) -> tuple[Refined, AbstractMisfit, Whiteness | None]:
+    """A refinement, what it made small, and of output error whether it leaves white noise.
+
+    One that nobody asked for tells nothing of its `progress`: it takes few seconds, and a program
+    that calls Python back cannot be kept for the next time.
+    """
+    settings = asked.settings
     refined, misfit = refine_with_misfit(
         asked.model,
         asked.records,
         within(estimate, settings.bounds),
         by,
-        key=asked.key,
+        key=settings.key,
         intervals=asked.intervals,
         bounds=settings.bounds or None,
         priors=settings.priors or None,  # type: ignore[arg-type]
         max_steps=max_steps,
         progress=progress,
     )
-    return on_host(refined), misfit
+    refined, left = on_host(refined), None
+    if isinstance(misfit, OutputMisfit):
+        left = whiteness(misfit, refined.theta, refined.initial_states, asked.records)
+    return refined, misfit, left
 
 
-def _by_itself(
-    asked: Asked,
-    estimate: Estimate,
-    settings: "Refine",
-    horizon: float | None,
-) -> Refinement:
+def _by_itself(asked: Asked, estimate: Estimate) -> Refinement:
     """By output error where that is possible, quick and warranted."""
+    horizon = asked.settings.horizon
     try:
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             return Refinement(declined="the estimate that it would start from is not finite")
@@ -196,14 +187,14 @@ def _by_itself(
                 declined=f"a search would take {work:.2g} steps x states x tangents, more than "
                 f"{MOST_WORK:.0g}; {ASK}"
             )
-        found = _warranted(asked, estimate, by, settings)
-        if horizon is None and found.refined is not None and isinstance(by.shooting, Tiles):
+        refinement = _warranted(asked, estimate, by)
+        if horizon is None and refinement.refined is not None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
-            better = _objective(asked, found.refined, None)
+            better = _objective(asked, refinement.refined, None)
             if better.shooting != by.shooting:
-                again = _warranted(asked, found.refined, better, settings)
-                found = again if again.refined is not None else found
-        return found
+                further = _warranted(asked, refinement.refined, better)
+                refinement = refinement if further.refined is None else further
+        return refinement
     except EXPECTED as error:
         return Refinement(declined=f"no output error can be formed: {str(error).rstrip('.')}")
 
@@ -221,14 +212,8 @@ def _left_out(estimate: Estimate) -> str:
     return ""
 
 
-def _warranted(
-    asked: Asked,
-    estimate: AbstractEstimate,
-    by: OutputError,
-    settings: "Refine",
-) -> Refinement:
-    refined, misfit = _search(asked, estimate, by, settings, STEPS_BY_ITSELF)
-    left = _left(misfit, refined, asked.records)
+def _warranted(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> Refinement:
+    refined, misfit, left = _search(asked, estimate, by, STEPS_BY_ITSELF)
     if flaw := _flaw(refined):
         return Refinement(declined=flaw)
     if left is None or not (left.vanishing or left.largest == left.largest):
@@ -236,54 +221,44 @@ def _warranted(
     straight = {} if left.vanishing else straight_inputs(asked, estimate)
     lines = dataclasses.replace(by, intersample=straight)
     if straight and course_shows(asked, refined, misfit, lines):
-        again, misfit = _search(asked, estimate, lines, settings, STEPS_BY_ITSELF)
-        left_again = _left(misfit, again, asked.records)
-        surely = surely_likelier(again, refined, asked.records)
-        if left_again and not _flaw(again) and surely:
-            refined, left = again, left_again
-    return Refinement(refined, whiteness=left, declined="" if left.white else _coloured(left))
-
-
-def _coloured(left: Whiteness) -> str:
-    name = max(left.statistics, key=lambda n: left.statistics[n])
-    share = 100 * left.shares[name]
+        other, _, left_by_other = _search(asked, estimate, lines, STEPS_BY_ITSELF)
+        likelier = surely_likelier(other, refined, asked.records)
+        if left_by_other and not _flaw(other) and likelier:
+            refined, left = other, left_by_other
+    if left.white:
+        return Refinement(refined, whiteness=left)
+    name = max(left.statistics, key=lambda channel: left.statistics[channel])
     cause = (
         "so little is left by the input's noise or its course between samples, too"
         if max(left.shares.values()) < SMALL_SHARE
         else "so the model leaves out part of the motion, the noise is coloured, or a recorded "
         "input is noisy"
     )
-    return (
-        f"what it leaves of {name}, {share:.2g} % of it, is not white noise ({left.largest:.3g}, "
-        f"where noise stays below {left.threshold:.2g}), {cause}"
+    declined = (
+        f"what it leaves of {name}, {100 * left.shares[name]:.2g} % of it, is not white noise "
+        f"({left.largest:.3g}, where noise stays below {left.threshold:.2g}), {cause}"
     )
+    return Refinement(refined, declined, left)
 
 
 def _flaw(refined: Refined) -> str:
     """Why a refinement is no answer, whatever it leaves; empty if it may be one."""
-
-    def named(which: np.ndarray) -> str:
-        return ", ".join(name for name, there in zip(refined.parameters, which) if there)
-
     if not bool(refined.converged):
         return f"the search did not converge: {refined.reason.rstrip('.')}"
-    if np.any(refined.at_bound):
-        return f"{named(np.asarray(refined.at_bound))} would sit on a bound"
-    if np.any(refined.coarse):
-        return f"the steps of the simulation are part of its {named(np.asarray(refined.coarse))}"
-    errors = np.asarray(refined.standard_errors)
-    if not np.all(np.isfinite(errors)):
-        return (
-            f"simulated motion does not tell {named(~np.isfinite(errors))} alone; --set holds one "
-            f"at a known value (known=)"
-        )
+    untold = "simulated motion does not tell {} alone; --set holds one at a known value (known=)"
+    for which, words in (
+        (refined.at_bound, "{} would sit on a bound"),
+        (refined.coarse, "the steps of the simulation are part of its {}"),
+        (~np.isfinite(np.asarray(refined.standard_errors)), untold),
+    ):
+        if names := [n for n, there in zip(refined.parameters, np.asarray(which)) if there]:
+            return words.format(", ".join(names))
     return ""
 
 
 def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) -> OutputError:
     """Over whole recordings, or windows that an unstable motion, or the caller, asks for."""
-    fitted = seen(asked)
-    lengths = [one for one in horizons(asked, estimate, fitted, horizon) if one is not None]
+    lengths = [s for s in horizons(asked, estimate, asked.seen, horizon) if s is not None]
     shooting = Tiles(seconds=min(lengths)) if lengths else WholeRecord()
     specified = OutputError().specify(asked.model, asked.records, estimate)
     system = specified.model[0].build(specified.table.values_of(specified.values, 0))
@@ -293,13 +268,12 @@ def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) 
 
 def _noise(records: list[Record], channels: tuple[str, ...] | None) -> dict[str, Any] | None:
     """Noise that each channel is weighed by, in its unit; `None` where nothing tells it."""
-    found = {}
+    levels = {}
     for name in channels or ():
         own = [np.asarray(judged(record, "auto", name).noise.std(name)) for record in records]
-        level = np.sqrt(np.mean(np.square(own)))
         least = LEAST_NOISE * np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
-        found[name] = max(level, least)
-    return found if found and all(level > 0 for level in found.values()) else None
+        levels[name] = max(np.sqrt(np.mean(np.square(own))), least)
+    return levels if levels and all(level > 0 for level in levels.values()) else None
 
 
 def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] | None:
@@ -358,40 +332,33 @@ INSIDE = 0.1
 
 def against_priors(estimate: Estimate, priors: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """Priors from which what the data tell without them lies further than chance explains."""
-    errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors)))
-    found = []
-    for name in priors.keys() & errors.keys():
-        (mean, std), value, error = priors[name], float(estimate[name]), float(errors[name])
+    findings = []
+    for name in priors.keys() & {*estimate.parameters}:
+        (mean, std), value = priors[name], float(estimate[name])
+        error = float(estimate.standard_error(name))
         if abs(value - mean) > STRANGE * np.hypot(std, error):
-            found.append(
-                Finding(
-                    "prior_disagrees",
-                    f"the prior of {name}, {mean:.4g} +- {std:.2g}, and the estimate without it, "
-                    f"{value:.4g} +- {error:.2g}, contradict each other: what was answered lies "
-                    f"between two values of which one is wrong.",
-                    parameters=(name,),
-                    doubt=1.0,
-                )
+            message = (
+                f"the prior of {name}, {mean:.4g} +- {std:.2g}, and the estimate without it, "
+                f"{value:.4g} +- {error:.2g}, contradict each other: what was answered lies "
+                f"between two values of which one is wrong."
             )
-    return found
+            findings.append(Finding("prior_disagrees", message, parameters=(name,), doubt=1.0))
+    return findings
 
 
 def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> list[Finding]:
     """Values of a linear estimate, which knows of no bounds, that lie outside of them."""
-    found = []
+    findings = []
     for name, value, nearest, (low, high) in _strays(answer, bounds):
-        said = f"below {low:g}" if value < low else f"above {high:g}"
-        found.append(
-            Finding(
-                "outside_bound",
-                f"{name} is {value:.4g}, {said}, its bound: bounds apply to refined values, and "
-                f"these are linear estimates. Ask for refinement (--refine output-error), hold "
-                f"{name} at a value (--set), or check the bound.",
-                parameters=(name,),
-                doubt=abs(value - nearest) / size_of(value),
-            )
+        side = f"below {low:g}" if value < low else f"above {high:g}"
+        message = (
+            f"{name} is {value:.4g}, {side}, its bound: bounds apply to refined values, and these "
+            f"are linear estimates. Ask for refinement (--refine output-error), hold {name} at a "
+            f"value (--set), or check the bound."
         )
-    return found
+        doubt = abs(value - nearest) / size_of(value)
+        findings.append(Finding("outside_bound", message, parameters=(name,), doubt=doubt))
+    return findings
 
 
 def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEstimate:
@@ -401,7 +368,7 @@ def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEst
         way = high - low if np.isfinite(high - low) else max(abs(value - nearest), abs(nearest))
         moved[name] = nearest + INSIDE * way * (1 if nearest == low else -1)
     theta = [moved.get(name, start[name]) for name in start.parameters]
-    return eqx.tree_at(lambda one: one.theta, start, jnp.stack(theta)) if moved else start
+    return eqx.tree_at(lambda estimate: estimate.theta, start, jnp.stack(theta)) if moved else start
 
 
 def _strays(
@@ -410,15 +377,15 @@ def _strays(
     """Parameters out of bounds, with value, nearest bound and both."""
     # What makes no sense is refused by the search.
     given = {n: b for n, b in bounds.items() if is_pair(b, or_none=True)}
-    given, found = estimate.table.values(given), []
+    given, strays = estimate.table.values(given), []
     for name in (name for name in estimate.parameters if name in given):
         low, high = given[name]
         low = -np.inf if low is None else float(low)
         high = np.inf if high is None else float(high)
         value = float(estimate[name])
         if low < high and not low < value < high:
-            found.append((name, value, low if value <= low else high, (low, high)))
-    return found
+            strays.append((name, value, low if value <= low else high, (low, high)))
+    return strays
 
 
 LIKELIER = float(np.log(100))
@@ -435,11 +402,14 @@ def straight_inputs(asked: Asked, estimate: AbstractEstimate) -> dict[str, Cours
     Of a position x that is read as an input, lines lack h^2 / 12 of x'' in every interval. A mass
     that is too small by k h^2 / 12 makes up for that to the last digit, and nothing left shows it.
     """
-    system = system_of(asked.model, estimate.values, *seen(asked)[0])
+    system = system_of(asked.model, estimate.values, *asked.seen[0])
     record = asked.records[0]
     rates = [n for n in (*system.state_names, *system.input_names) if n in record.arrays]
-    others = {name: [one for one in rates if one != name] for name in system.input_names}
-    return {n: "lines" for n in system.input_names if not is_motion(record, n, others[n])}
+    return {
+        name: "lines"
+        for name in system.input_names
+        if not is_motion(record, name, [rate for rate in rates if rate != name])
+    }
 
 
 def course_shows(asked: Asked, refined: Refined, misfit: AbstractMisfit, by: OutputError) -> bool:
@@ -465,10 +435,9 @@ def surely_likelier(one: Refined, other: Refined, records: list[Record]) -> bool
 
     Of n residuals with white noise of unknown size, the largest likelihood is rms^-n.
     """
-    counts = []
-    for name in one.quantities:
-        masks = (record.present((name,)) for record in records)
-        sizes = zip(masks, (record.sample_count for record in records))
-        counts.append(sum(n if mask is None else int(np.sum(mask)) for mask, n in sizes))
+    counts = [
+        sum(int(np.isfinite(record.signal(name).with_nan).sum()) for record in records)
+        for name in one.quantities
+    ]
     gains = np.log(np.asarray(other.rms) / np.asarray(one.rms))
     return bool(np.sum(np.array(counts) * gains) > LIKELIER)

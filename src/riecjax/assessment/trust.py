@@ -4,13 +4,15 @@ Imported by [`assess`][riecjax.assess] once the estimate is there: to import all
 takes seconds, and a reader at a terminal should not wait for it.
 """
 
+import contextlib
+import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.assessment.asked import Asked
+from riecjax.assessment.asked import Asked, Numbered
 from riecjax.assessment.assessment import ValidationRun
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError, RiecjaxError
@@ -19,7 +21,7 @@ from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.parameters import values_in_recording
 from riecjax.findings import Finding
 from riecjax.records import leave_out, shift
-from riecjax.records.faults.derivative_pairs import Pair, Relation, compare, relations
+from riecjax.records.faults.derivative_pairs import Relation, compare, relations
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.simulation.linearisation import growth
@@ -55,20 +57,6 @@ def what_is_left(
     return residuals, choice, drifting
 
 
-Numbered = Sequence[tuple[int | None, Recording]]
-"""Recordings, each with the number of the one whose own parameters it takes, if it has some."""
-
-
-def seen(asked: Asked) -> Numbered:
-    """What the model was fitted to."""
-    return list(enumerate(asked.fitted))
-
-
-def unseen(asked: Asked) -> Numbered:
-    """What the model was not fitted to: last parts that were held out, and further recordings."""
-    return [*enumerate(asked.held), *((None, recording) for recording in asked.further)]
-
-
 def validated_on_fitted(asked: Asked) -> list[Finding]:
     """Recordings to validate on that the model was fitted to, which it follows in any case."""
     fitted = {(os.path.abspath(one.source), one.part) for one in asked.fitted if one.source}
@@ -93,16 +81,15 @@ def horizons(
     """
     if given is not None:
         return [given] * len(recordings)
-    found: list[float | None] = []
+    seconds: list[float | None] = []
     for number, recording in recordings:
-        try:
-            grows = growth(
-                system_of(asked.model, estimate.values, number, recording), recording.record
-            )
-        except RiecjaxError:
-            grows = None  # what cannot be simulated is said where it is
-        found.append(None if grows is None else grows.horizon)
-    return found
+        grows = None
+        # What cannot be simulated is said where it is.
+        with contextlib.suppress(RiecjaxError):
+            system = system_of(asked.model, estimate.values, number, recording)
+            grows = growth(system, recording.record)
+        seconds.append(None if grows is None else grows.horizon)
+    return seconds
 
 
 def validated(
@@ -112,11 +99,11 @@ def validated(
     windows: Sequence[float | None],
 ) -> tuple[list[ValidationRun], list[Finding]]:
     """Simulations with these values that could be made, and why the others could not."""
-    runs, failed = [], []
     if not recordings:
-        return runs, failed
+        return [], []
     from riecjax.validation.held_out import validate_held_out
 
+    runs, failed = [], []
     for (number, recording), horizon in zip(recordings, windows):
         # A fit is not lost because its model cannot be simulated.
         try:
@@ -146,57 +133,50 @@ IN_REACH = ("stuck_sensor", "clipped")
 def with_doubts(asked: Asked, estimate: Estimate, checked: Check) -> Check:
     """What was checked, with how far each fault moves each parameter as its `doubts`."""
     codes = {f.code for f in checked.findings} & {*IN_TIME, *IN_SIZE, *IN_ZERO, *IN_REACH}
-    if not codes:
-        return checked
-    doubts = {code: _moved(asked, estimate, code, checked.findings) for code in codes}
+    pairs = list(relations(asked.model.derivatives))
+    # Share by which each parameter moves once all records have no such fault.
+    doubts: dict[str, dict[str, float]] = {}
+    for code in codes:
+        signals = dict.fromkeys(n for f in checked.findings if f.code == code for n in f.signals)
+        with contextlib.suppress(DataError, IdentifiabilityError):
+            other = asked.again(
+                [
+                    leave_out(record, *signals)
+                    if code in IN_REACH
+                    else _mended(record, pairs, code)
+                    for record in asked.records
+                ]
+            )
+            doubts[code] = {
+                name: abs(float(other[name]) / float(estimate[name]) - 1)
+                for name in estimate.parameters
+                if name in other.parameters and float(estimate[name])
+            }
     findings = []
     for finding in checked.findings:
         if moved := doubts.get(finding.code):
             name, share = max(moved.items(), key=lambda entry: entry[1])
-            said = f" Without it {name} changes by {100 * share:.2g} %."
-            finding = finding._replace(message=finding.message + said, doubts=moved)
+            effect = f" Without it {name} changes by {100 * share:.2g} %."
+            finding = finding._replace(message=finding.message + effect, doubts=moved)
         findings.append(finding)
-    return Check(findings, checked.excitations, checked.signals)
+    return dataclasses.replace(checked, findings=findings)
 
 
-def _moved(
-    asked: Asked, estimate: Estimate, code: str, findings: Sequence[Finding]
-) -> dict[str, float]:
-    """Share by which each parameter moves once all records have no such fault."""
-    pairs = list(relations(asked.model.derivatives))
-    signals = list(dict.fromkeys(n for f in findings if f.code == code for n in f.signals))
-    try:
-        records = [
-            leave_out(record, *signals) if code in IN_REACH else _without(record, pairs, code)
-            for record in asked.records
-        ]
-        again = asked.again(records)
-    except (DataError, IdentifiabilityError):
-        return {}
-    return {
-        name: abs(float(again[name]) / float(estimate[name]) - 1)
-        for name in estimate.parameters
-        if name in again.parameters and float(estimate[name])
-    }
-
-
-def _without(record: Record, pairs: Sequence[Relation], code: str) -> Record:
-    for one in pairs:
-        if {*one.names} <= {*record.arrays} and (pair := compare(record, one)) is not None:
-            record = _mended(record, pair, code)
+def _mended(record: Record, pairs: Sequence[Relation], code: str) -> Record:
+    """The record without what pairs of a signal and its derivative show of one kind of fault."""
+    for relation in pairs:
+        if not {*relation.names} <= {*record.arrays} or (pair := compare(record, relation)) is None:
+            continue
+        if code in IN_TIME:
+            late = (pair.fit.delay + pair.fit.lag) * pair.step
+            which = relation.side(pair.suspect)[0 if late > 0 else 1]
+            record = shift(record, dict.fromkeys(which, abs(late))) if pair.is_late else record
+        elif code in IN_SIZE:
+            factor = pair.scaling if pair.gain_is_off else 1.0
+            record = record.with_signals({pair.suspect: factor * record.signal(pair.suspect)})
+        else:
+            name, size = pair.zeroed
+            course = np.arange(record.sample_count) / record.sample_count - 0.5
+            zero = size * (pair.offset + pair.drift * course)
+            record = record.with_signals({name: record.signal(name) - zero})
     return record
-
-
-def _mended(record: Record, pair: Pair, code: str) -> Record:
-    late = (pair.fit.delay + pair.fit.lag) * pair.step
-    if code in IN_TIME:
-        which = pair.relation.side(pair.suspect)[0 if late > 0 else 1]
-        return shift(record, dict.fromkeys(which, abs(late))) if pair.is_late else record
-    name, factor, zero = pair.suspect, 1.0, 0.0
-    if code in IN_SIZE:
-        factor = pair.scaling if pair.gain_is_off else 1.0
-    else:
-        name, size = pair.zeroed
-        course = np.arange(record.sample_count) / record.sample_count - 0.5
-        zero = size * (pair.offset + pair.drift * course)
-    return record.with_signals({name: factor * record.signal(name) - zero})

@@ -6,17 +6,15 @@ Each estimated parameter is `good`, `caution` or `do not use`, by the size of it
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from riecjax.assessment.asked import size_of
 from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
 from riecjax.equations.expressions import constant
 from riecjax.findings import CODES, KINDS, Finding, code_of, codes_of
 from riecjax.shows import Shown
-from riecjax.validation.residuals import EquationResidual
 from riecjax.validation.sweep import MOST
 
 if TYPE_CHECKING:
@@ -53,62 +51,53 @@ class Cause(NamedTuple):
         return self.kind == "sensors" and self.share >= 1
 
 
-def causes(assessment: "Assessment", found: Mapping[str, Doubt]) -> list[Cause]:
+def causes(
+    assessment: "Assessment", by_name: Mapping[str, Doubt], widened: Mapping[str, str]
+) -> list[Cause]:
     """Of all findings, first what does most to the parameters."""
-    answer = assessment.answer
-    size = {name: size_of(answer[name]) for name in found}
-    grouped, said = [], assessment.findings()
-    widened = widening(assessment, names=found)
+    grouped, findings, tests = [], assessment.findings(), assessment.equation_residuals
     for kind in KINDS:
-        own = [f for code in codes_of(kind) for f in said if f.code == code]
-        if not own:
+        evidence = [f for code in codes_of(kind) for f in findings if f.code == code]
+        if not evidence:
             continue
-        of = {name for f in own for name in assessment.parameters_of(f)}
-        names = tuple(name for name in found if name in of)
-        share = max((found[n].by_kind(kind) / size[n] for n in names), default=0.0)
-        phrase, step = _phrase(assessment, own[0]), next(_steps(assessment, own), None)
+        concerned = {name for f in evidence for name in assessment.parameters_of(f)}
+        some = {name: doubt for name, doubt in by_name.items() if name in concerned}
+        share = max((doubt.by_kind(kind) for doubt in some.values()), default=0.0)
+        first, step = evidence[0], next(_steps(assessment, evidence), None)
+        phrase = code_of(first.code).said(first.signals, first.parameters)
+        if first.code == "unmodelled_mode":
+            peaks = (test.peak for test in tests if test.peak is not None)
+            peak = max(peaks, key=lambda peak: peak.size)
+            phrase = f"the model leaves out a mode near {peak.frequency:.3g} Hz"
+        elif first.code in ("large_residual", "uneven_errors") and _with_constant_part(assessment):
+            phrase = CONSTANT
+        # A longer record mends neither a good value nor what a common error widens.
         if kind == "data" and all(
-            found[n].scatter <= TRUSTED * size[n] or n in widened for n in names
+            doubt.by_kind(kind) <= TRUSTED or name in widened for name, doubt in some.items()
         ):
-            # A longer record mends neither a good value nor what a common error widens.
             step = None
-        grouped.append(Cause(kind, phrase, tuple(own), names, share, step))
+        grouped.append(Cause(kind, phrase, tuple(evidence), tuple(some), share, step))
     return sorted(grouped, key=lambda c: (c.kind != "undetermined", not c.voids, -c.share))
 
 
-def _phrase(assessment: "Assessment", finding: Finding) -> str:
-    if finding.code == "unmodelled_mode":
-        peaks = (one.peak for one in _equations(assessment) if one.peak is not None)
-        peak = max(peaks, key=lambda one: one.size)
-        return f"the model leaves out a mode near {peak.frequency:.3g} Hz"
-    if finding.code in ("large_residual", "uneven_errors") and _with_constant_part(assessment):
-        return CONSTANT
-    return code_of(finding.code).said(finding.signals, finding.parameters)
-
-
-def _equations(assessment: "Assessment") -> Sequence[EquationResidual]:
-    return () if assessment.residuals is None else assessment.residuals.equations
-
-
-def widening(assessment: "Assessment", names: Iterable[str]) -> dict[str, str]:
+def widening(assessment: "Assessment") -> dict[str, str]:
     """Of parameters whose intervals are wide by more than chance, what is known to make them so."""
-    said = [f for f in assessment.findings() if f.code == "records_disagree"]
-    disagreeing = {name for finding in said for name in finding.parameters}
-    constant = _with_constant_part(assessment)
-    concerned = assessment.answer.table.concerned(constant)
-    found = {n: CONSTANT for n in names if n in concerned}
-    return found | {n: CODES["records_disagree"].phrase for n in names if n in disagreeing}
+    common = assessment.answer.table.concerned(_with_constant_part(assessment))
+    disagreeing = [f for f in assessment.findings() if f.code == "records_disagree"]
+    return dict.fromkeys(common, CONSTANT) | {
+        name: CODES[finding.code].phrase for finding in disagreeing for name in finding.parameters
+    }
 
 
 def _with_constant_part(assessment: "Assessment") -> set[str]:
     """Parameters of equations whose errors share a constant part."""
-    some = (one for one in _equations(assessment) if one.has_constant_part)
-    return {name for one in some for name in one.parameters}
+    some = (test for test in assessment.equation_residuals if test.has_constant_part)
+    return {name for test in some for name in test.parameters}
 
 
 def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     """What might be done about findings, the best first."""
-    by = {f.code: f for f in reversed(own)}
+    by, tests = {f.code: f for f in reversed(own)}, assessment.equation_residuals
     weight = getattr(assessment.estimate.criterion, "test_function", None)
     smooth = isinstance(weight, AbstractSmoothTestFunction)
     yield from (Step(f.step, f.remedy) for f in own if f.step)
@@ -116,11 +105,10 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
         names = [f.parameters[0] for f in own if f.code in ("prior_disagrees", "outside_bound")]
         yield Step(f"Check what you said of {joined(names)}, its unit too, or leave it out")
     if "time_unit_doubtful" in by:
-        yield Step(
-            "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
-        )
+        column = "in its column's name, as in 'time [ms]', or scale it (--scale)"
+        yield Step(f"State the unit of time {column}")
     if "unmodelled_mode" in by:
-        peaked = [e for e in _equations(assessment) if e.peak is not None and e.bodies]
+        peaked = [e for e in tests if e.peak is not None and e.bodies]
         equation = max(peaked, key=lambda e: e.peak.size if e.peak else 0.0, default=None)
         if equation is not None and not equation.carrying:
             words = "Find the mode that the model leaves out"
@@ -137,20 +125,19 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
         yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
     if "uneven_errors" in by:
         # The zero of an input's sensor, where its equation has no constant term yet.
-        names = {e.name for e in _equations(assessment) if e.has_constant_part}
+        names = {e.name for e in tests if e.has_constant_part}
         for equation in assessment.model.equations:
             if equation.name in names and all(t.of is not constant for t in equation.terms):
                 known = [t for t in equation.terms if t.signal and not t.parameters]
                 inputs = [str(t.signal) for t in known if t.derivative == 0]
-                if inputs:
-                    words = f"Estimate the zero of the sensor of {inputs[0]}"
-                    yield Step(words, ("--unknown-offset", inputs[0]))
+                for name in inputs[:1]:
+                    words = f"Estimate the zero of the sensor of {name}"
+                    yield Step(words, ("--unknown-offset", name))
     if "window_sensitive" in by and assessment.sweep is not None:
         drifting = by["window_sensitive"].parameters
         if assessment.sweep.noise_share(drifting[0]) > MOST and not smooth:
             yield Step("Take smooth windows, which read positions alone", SMOOTH)
-        steady = assessment.sweep.steady(drifting)
-        if steady is not None:
+        if (steady := assessment.sweep.steady(drifting)) is not None:
             low, high = (f"{end:.3g}" for end in steady)
             options = ("--alpha", low, "--beta", high)
             yield Step("Keep to windows in which all are steady", options)
@@ -237,46 +224,39 @@ class Verdict(Shown):
 
 def verdict(assessment: "Assessment") -> Verdict:
     """The verdict on the answer of an assessment (not under jit)."""
-    found = doubts(assessment)
-    grouped = causes(assessment, found)
-    answer = assessment.answer
-    widened = widening(assessment, names=found)
-    judged = {}
-    for name, doubt in found.items():
-        value = float(answer[name])
-        size = size_of(value)
-        level, reason = _judged(name, doubt, size, grouped, widened.get(name, ""))
-        share = doubt.size / size
+    by_name, widened = doubts(assessment), widening(assessment)
+    grouped, judged = causes(assessment, by_name, widened), {}
+    for name, doubt in by_name.items():
+        unit = assessment.answer.table[name].unit
+        level, reason = _judged(name, doubt, grouped, widened.get(name, ""))
         judged[name] = ParameterVerdict(
-            name, value, answer.table[name].unit, level, reason, doubt.around(value), share
+            name, doubt.value, unit, level, reason, doubt.ends, doubt.share(doubt.size)
         )
     return Verdict(_sentence(judged), judged, grouped)
 
 
-def _judged(
-    name: str, doubt: Doubt, size: float, grouped: Sequence[Cause], widened: str
-) -> tuple[Level, str]:
+def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> tuple[Level, str]:
     """Level and reason: what rules it out, or else the largest part of its doubt.
 
     **Arguments:** `widened`: what makes its interval wide beside chance, if something does.
     """
+    parts = {kind: doubt.by_kind(kind) for kind in ("model", "sensors", "data")}
     for cause in grouped:
-        own = [f.code for f in cause.findings if name in (f.parameters or (name,))]
-        if ruling := [code for code in own if code in RULED_OUT]:
-            if set(ruling) != {"interval_wider_than_estimate"}:
+        named = [f.code for f in cause.findings if name in (f.parameters or (name,))]
+        if ruling := {*named} & {*RULED_OUT}:
+            if ruling != {"interval_wider_than_estimate"}:
                 return "do not use", cause.phrase
-            faulty = doubt.sensors > TRUSTED * size
+            faulty = parts["sensors"] > TRUSTED
             known = widened or (_reason("sensors", name, grouped) if faulty else "")
             return "do not use", known or cause.phrase
-    if doubt.sensors >= size:
+    if parts["sensors"] >= 1:
         return "do not use", _reason("sensors", name, grouped)
     if math.isnan(doubt.size):
         return "caution", _reason("computation", name, grouped)
-    level: Level = "good" if doubt.size <= TRUSTED * size else "caution"
-    wrong = doubt.drift + doubt.left_out
-    if wrong > WRONG * size and wrong > doubt.scatter and doubt.drift > DRIFTS * doubt.scatter:
+    level: Level = "good" if doubt.share(doubt.size) <= TRUSTED else "caution"
+    drifts = doubt.drift > DRIFTS * doubt.scatter
+    if parts["model"] > WRONG and parts["model"] > parts["data"] and drifts:
         level = "do not use"
-    parts = {"model": wrong, "sensors": doubt.sensors, "data": doubt.scatter}
     kind = max(parts, key=lambda part: parts[part])
     return level, (widened if kind == "data" else "") or _reason(kind, name, grouped)
 
@@ -284,8 +264,8 @@ def _judged(
 def _reason(kind: str, name: str, grouped: Sequence[Cause]) -> str:
     if kind == "data":
         few = ("short_record", "few_blocks", "few_effective_windows")
-        found = [f for cause in grouped for f in cause.findings if f.code in few]
-        short = any(name in (f.parameters or (name,)) for f in found)
+        told = [f for cause in grouped for f in cause.findings if f.code in few]
+        short = any(name in (f.parameters or (name,)) for f in told)
         return "scatter; the record is short" if short else "scatter"
     for cause in grouped:
         if cause.kind == kind and name in cause.parameters:
@@ -301,41 +281,28 @@ def _sentence(judged: Mapping[str, ParameterVerdict]) -> str:
     )
     if not judged:
         return "Nothing was estimated: every parameter is known."
-    if not caution and not out:
-        if len(good) > NAMED:
-            worst = good[-1]
-            least = f"{worst.name}, to {percent(worst.share)}"
-            return f"Trust all {len(good)} parameters; the least certain is {least}."
-        return f"Trust {_listed(good)}."
-    clauses = []
-    if good:
-        clauses.append(f"trust {_listed(good)}")
-    if caution:
-        clauses.append(f"take {_listed(caution)} with caution")
-    if out:
-        clauses.append(f"do not use {_names(out)}")
-    worst = (out or caution)[-1]
-    said = "; ".join(clauses)
-    return f"{said[0].upper()}{said[1:]}: {worst.reason}."
+    if len(good) == len(judged) > NAMED:
+        least = f"{good[-1].name}, to {percent(good[-1].share)}"
+        return f"Trust all {len(good)} parameters; the least certain is {least}."
+    clauses = [f"trust {_listed(good)}"] if good else []
+    clauses += [f"take {_listed(caution)} with caution"] if caution else []
+    clauses += [f"do not use {_listed(out, shares=False)}"] if out else []
+    because = f": {(out or caution)[-1].reason}" if caution or out else ""
+    words = "; ".join(clauses)
+    return f"{words[0].upper()}{words[1:]}{because}."
 
 
-def _listed(some: Sequence[ParameterVerdict]) -> str:
-    """Each with how far it is to be trusted."""
+def _listed(some: Sequence[ParameterVerdict], shares: bool = True) -> str:
+    """Each with how far it is to be trusted, if that is asked for."""
     words = []
-    for one in some[:NAMED]:
-        how = f"to {percent(one.share)}" if one.share < 1 else "(not told from zero)"
-        words.append(one.name if math.isnan(one.share) else f"{one.name} {how}")
-    more = len(some) - NAMED
-    if more > 0:
-        worst = max((one.share for one in some if one.share < 1), default=1.0)
+    for judged in some[:NAMED]:
+        reach = f"to {percent(judged.share)}" if judged.share < 1 else "(not told from zero)"
+        bare = not shares or math.isnan(judged.share)
+        words.append(judged.name if bare else f"{judged.name} {reach}")
+    if (more := len(some) - NAMED) > 0:
+        worst = max((one.share for one in some if shares and one.share < 1), default=1.0)
         words.append(f"{more} more{f' to {percent(worst)}' if worst < 1 else ''}")
     return joined(words)
-
-
-def _names(some: Sequence[ParameterVerdict]) -> str:
-    words = [one.name for one in some[:NAMED]]
-    more = len(some) - NAMED
-    return joined([*words, f"{more} more"] if more > 0 else words)
 
 
 def percent(share: float) -> str:

@@ -41,13 +41,7 @@ def command(given: Given) -> None:
         recordings = given.recordings(model)
         asked = dataclasses.replace(asked, key=jax.random.key(given.seed))
         answering = check_answering(model, recordings, asked)
-    emit(
-        check_document(
-            answering.checked, model.name, answering.criterion, recordings, answering.by_refinement
-        ),
-        as_json=given.as_json,
-        out=None,
-        show=print_check,
-    )
-    if not answering.answerable:
+    document = check_document(answering, model.name, recordings)
+    emit(document, as_json=given.as_json, out=None, show=print_check)
+    if answering.refusal is not None:
         click.get_current_context().exit(1)

@@ -1,12 +1,12 @@
 """Before a fit: whether these records can answer the question that a model asks."""
 
 import contextlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.bases import RoofFunctions
@@ -15,7 +15,7 @@ from riecjax.equations.model import Model, as_model
 from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
-from riecjax.estimation.parameters import plan_parameters
+from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.faults.rows import duplicates
@@ -23,7 +23,7 @@ from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording
 from riecjax.settings import Check as CheckSettings
-from riecjax.settings import Fit, taking
+from riecjax.settings import taking
 from riecjax.shows import Shown
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
@@ -135,42 +135,39 @@ def check(model: Equation | Model, records: Records, settings: CheckSettings) ->
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    return check_sums(
-        model,
-        ready(as_model(model), records, settings.noise),
-        settings,
-        key=settings.key,
-        known=settings.known,
-        per_record=settings.per_record,
-    )
+    recordings = ready(as_model(model), records, settings.noise)
+    asked = task(model, recordings, settings, settings.key)
+    model = asked.model
+    for recording in recordings:
+        read_of(model, recording, asked.criterion)
+    table = plan_parameters(model, len(recordings), settings.known, settings.per_record)
+    summary = linear_sums(model, summed(asked, survey=True), table)
+    return check_sums(model, recordings, table, summary, excitations(summary, table))
+
+
+def linear_sums(model: Model, summary: Summary, table: ParameterTable) -> Summary:
+    """The sums, linearised about hidden elements where there are some."""
+    if not model.has_hidden:
+        return summary
+    from riecjax.estimation.mode_windows import linearised
+
+    return linearised(model, summary, table.known)
 
 
 def check_sums(
-    model: Equation | Model,
-    recordings: list[Recording],
-    criterion: AbstractCriterion | Fit,
-    *,
-    key: Key[Array, ""] | None = None,
-    known: Mapping[str, float | Array] | None = None,
-    per_record: Sequence[str] = (),
-    summary: Summary | None = None,
-    excited: list[Excitation] | None = None,
+    model: Model,
+    recordings: Sequence[Recording],
+    table: ParameterTable,
+    summary: Summary,
+    excited: list[Excitation],
 ) -> Check:
     """[`check`][] of recordings of whose noise something is known.
 
-    **Arguments:** `summary`, what [`summarise`][] made of the same with a survey, and `excited`,
-    what [`excitations`][] says of it, if they were asked.
+    **Arguments:** `summary`, what [`summarise`][] made of them with a survey, as
+    [`linear_sums`][riecjax.estimation.check.linear_sums]; `excited`, what
+    [`excitations`][riecjax.estimation.excitation.excitations] says of it.
     """
-    asked = task(model, recordings, criterion, key)
-    model, plain, criterion, _ = asked
-    read = [read_of(model, one, criterion, summary is not None) for one in recordings]
-    table = plan_parameters(model, len(plain), known, per_record)
-    summary = summed(asked, survey=True) if summary is None else summary
-    if model.has_hidden:
-        from riecjax.estimation.mode_windows import linearised
-
-        summary = linearised(model, summary, table.known)
-    excited = excitations(summary, table) if excited is None else excited
+    read = [read_of(model, one, summary.criterion, summed=True) for one in recordings]
     settings = model, table, summary
     # Deviations from the mean are no regressors of hidden elements.
     constant = () if model.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
@@ -196,10 +193,10 @@ def check_sums(
                 step=f"{f.step}, in record {i} alone" if f.step else "",
             )
             for i, own in enumerate(sensors, 1)
-            for prefix in [f"record {i}: " if len(plain) > 1 else ""]
+            for prefix in [f"record {i}: " if len(recordings) > 1 else ""]
             for f in own
         ),
-        *_windows(plain, criterion),
+        *_windows([one.record for one in recordings], summary.criterion),
         *_quadrature(summary),
         *_break_points(model, summary),
         *constant,

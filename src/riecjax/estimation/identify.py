@@ -83,11 +83,11 @@ def identify(model: Equation | Model, records: Records, settings: Identify) -> E
     table = plan_parameters(asked.model, len(asked.records), settings.known, settings.per_record)
     intervals = intervals_of(settings.intervals)
     with explaining_errors(recordings):
-        found = _estimated(asked.model, summed(asked), table, intervals)
+        found = estimated(asked.model, summed(asked), table, intervals)
 
     def otherwise(model: Model) -> Estimate:
         other = summed(asked._replace(model=model))
-        return _estimated(model, other, table, intervals)
+        return estimated(model, other, table, intervals)
 
     resting = at_rest_findings(asked.model, asked.records, found, otherwise)
     # What recordings say of signals that are read; bare records say nothing.
@@ -133,15 +133,16 @@ def estimate(
     model, summary = as_model(model), as_summary(summaries)
     summary.require_model(model)
     table = plan_parameters(model, len(summary.recordings), known, per_record)
-    return _estimated(model, summary, table, intervals_of(intervals))
+    return estimated(model, summary, table, intervals_of(intervals))
 
 
-def _estimated(
+def estimated(
     model: Model,
     summary: Summary,
     table: ParameterTable,
     intervals: AbstractIntervals,
 ) -> Estimate:
+    """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
     equations = summary.equations()
     modes, short = None, summary.short_blocks
     if model.has_hidden:

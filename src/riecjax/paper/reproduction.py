@@ -31,10 +31,10 @@ from riecjax.models.quarter_car import (
     mass_equation,
     quarter_car_by_body,
     quarter_car_source,
+    quarter_car_system,
     tyre_equation,
     wheel_equation,
 )
-from riecjax.models.quarter_car.identification import quarter_car_system
 from riecjax.paper.published import CRITERIA, INPUTS, TABLE_2, TABLE_6, VARIANTS, MountVariant
 from riecjax.simulation import (
     AbstractSystem,

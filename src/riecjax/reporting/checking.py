@@ -1,37 +1,30 @@
 """Results of a check before a fit: JSON document and tables on a terminal."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from riecjax.criteria.criterion import AbstractCriterion
+from riecjax.assessment.assess import Answering
 from riecjax.errors import printable
 from riecjax.estimation.check import Check
 from riecjax.records.noise_judgement import judged
 from riecjax.records.recording import Recording, common_steps
-from riecjax.reporting.document import SCHEMA, Document, finite, number, versions
+from riecjax.reporting.document import SCHEMA, Document, finite, number, told, versions
 from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 
-def check_document(
-    checked: Check,
-    model: str,
-    criterion: AbstractCriterion,
-    recordings: Sequence[Recording],
-    by_refinement: Mapping[str, float] | None = None,
-) -> Document:
+def check_document(answering: Answering, model: str, recordings: Sequence[Recording]) -> Document:
     """The document that `riecjax check --json` prints, with an `error` if that exits with 1."""
-    refusal = checked.refusal if by_refinement is None else None
-    error = {} if refusal is None else {"code": refusal.code, "message": refusal.message}
+    checked, refusal = answering.checked, answering.refusal
     return {
         "schema": SCHEMA,
-        **({"error": error} if error else {}),
+        **({} if refusal is None else {"error": told(refusal, "code", "message")}),
         "model": model,
-        "criterion": criterion.describe(),
+        "criterion": answering.criterion.describe(),
         "answerable": refusal is None,
-        "by_refinement": by_refinement,
+        "by_refinement": answering.by_refinement,
         "records": [
             {
                 **recording_entry(recording),
@@ -77,31 +70,39 @@ def excitation_entries(checked: Check) -> dict[str, Any]:
     return {
         name: {
             "equation": stage.stage_name,
-            "own_share": finite(float(stage.own_share[j])),
-            "noise_share": finite(float(stage.noise_share[j])),
+            "own_share": finite(own),
+            "noise_share": finite(noise),
         }
         for stage in checked.excitations
-        for j, name in enumerate(stage.parameters)
+        for name, own, noise in zip(stage.parameters, stage.own_share, stage.noise_share)
     }
 
 
 def excitation_table(entries: Document, caption: str = "") -> Table:
     """How each parameter is excited."""
-    rows = [
-        [
-            name,
-            one["equation"],
-            share_in_words(one["own_share"]),
-            share_in_words(one["noise_share"], 2),
-        ]
-        for name, one in entries.items()
-    ]
-    return Table(("parameter", "equation", "own share", "noise"), rows, caption)
+    cells = {
+        "equation": lambda entry: entry["equation"],
+        "own share": lambda entry: share_in_words(entry["own_share"]),
+        "noise": lambda entry: share_in_words(entry["noise_share"], 2),
+    }
+    return Table.of("parameter", entries.items(), cells, caption)
 
 
 def print_check(document: Document, console: Console) -> None:
     """The answer, and tables for a reader."""
-    say(console, _answer(document), style="bold")
+    # Whether the recordings can answer, in a sentence.
+    doubts = len(document["warnings"])
+    warned = f", with {doubts} warning{'s' * (doubts > 1)}" if doubts else ""
+    answer = f"These recordings can answer what the model asks{warned}."
+    if not document["answerable"]:
+        answer = "These recordings cannot answer what the model asks; see the warnings."
+    elif (errors := document["by_refinement"]) is not None:
+        shares = (f"{name} to about {number(100 * e, 2)} %" for name, e in errors.items())
+        answer = (
+            f"Windows cannot tell these parameters from noise, and identify refines them by "
+            f"itself: {', '.join(shares)}."
+        )
+    say(console, answer, style="bold")
     say(console, "")
     for record in document["records"]:
         stretches = record["stretches"]
@@ -122,24 +123,6 @@ def print_check(document: Document, console: Console) -> None:
     )
 
 
-def _answer(document: Document) -> str:
-    """Whether the recordings can answer, in a sentence."""
-    doubts = len(document["warnings"])
-    if not document["answerable"]:
-        return "These recordings cannot answer what the model asks; see the warnings."
-    if document["by_refinement"] is not None:
-        errors = document["by_refinement"].items()
-        return (
-            "Windows cannot tell these parameters from noise, and identify refines them by itself: "
-            + ", ".join(f"{name} to about {number(100 * share, 2)} %" for name, share in errors)
-            + "."
-        )
-    if doubts:
-        noun = "warning" if doubts == 1 else "warnings"
-        return f"These recordings can answer what the model asks, with {doubts} {noun}."
-    return "These recordings can answer what the model asks."
-
-
 def share_in_words(share: float | None, digits: int = 3) -> str:
     """A share in percent; `?` where none is known, as of the noise in a function of signals."""
     return "?" if share is None else f"{number(100 * share, digits)} %"
@@ -154,30 +137,22 @@ def noise_entries(recordings: Sequence[Recording], signals: Iterable[str]) -> di
     its own that is."""
     entries = {}
     for name in signals:
-        having = [r.record.select(name) for r in recordings if name in r.record.signals]
-        if not having:
-            continue
-        noise = np.sqrt(np.mean([np.mean(judged(one).noise.std(name) ** 2) for one in having]))
-        size = np.sqrt(np.mean([np.var(np.asarray(one[name])) for one in having]))
-        entries[name] = {
-            "std": finite(float(noise)),
-            "unit": dict(having[0].units).get(name, ""),
-            "share": finite(float(noise / size)) if size > 0 else None,
-        }
+        some = [r.record.select(name) for r in recordings if name in r.record.by_name]
+        if some:
+            noise = np.sqrt(np.mean([np.mean(judged(one).noise.std(name) ** 2) for one in some]))
+            size = np.sqrt(np.mean([np.var(np.asarray(one[name])) for one in some]))
+            share = finite(noise / size) if size > 0 else None
+            unit = some[0].signal(name).unit
+            entries[name] = {"std": finite(noise), "unit": unit, "share": share}
     return entries
 
 
 def noise_in_words(entries: Document) -> Iterator[str]:
     """One line on all signals that have some, if any is known."""
-    if not entries:
-        return
-    shown = [
-        f"{name} {number(100 * entry['share'], 2)} %"
-        for name, entry in entries.items()
-        if entry["share"] is not None and entry["share"] >= LEAST_SHOWN
-    ]
-    if not shown:
-        yield f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"
-        return
+    shares = {name: entry["share"] or 0.0 for name, entry in entries.items()}
+    shown = [f"{n} {number(100 * s, 2)} %" for n, s in shares.items() if s >= LEAST_SHOWN]
     noun = "their standard deviations" if len(shown) > 1 else "its standard deviation"
-    yield f"noise: {', '.join(shown)} of {noun}"
+    if shown:
+        yield f"noise: {', '.join(shown)} of {noun}"
+    elif entries:
+        yield f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"

@@ -1,6 +1,5 @@
 """Results side by side: parameters, what is left, which model the data prefer, predictions."""
 
-import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -52,7 +51,7 @@ class Comparison(Drawn):
         import pandas
 
         return pandas.concat(
-            {name: to_frame(_Held(of)) for name, of in self.documents.items()}, names=["result"]
+            {name: to_frame(of) for name, of in self.documents.items()}, names=["result"]
         ).swaplevel()
 
     def to_markdown(self) -> str:
@@ -65,48 +64,43 @@ class Comparison(Drawn):
 
     def view(self) -> View:
         """What is printed of it."""
+        line = "ΔAIC: above the least, of as many rows as windows are effective; 0 is best"
         if self.why_not:
-            said = f"no information criterion: {self.why_not}"
-        else:
-            said = "ΔAIC: above the least, of as many rows as windows are effective; 0 is best"
-        return View("", [self._table()], [said])
+            line = f"no information criterion: {self.why_not}"
+        return View("", [self._table()], [line])
 
     def chart(self) -> Chart:
         """Intervals relative to the first result's values."""
         return relative_figure(self.documents)
 
     def _table(self) -> Table:
-        every = [to_dict(_Held(document)) for document in self.documents.values()]
+        documents = list(self.documents.values())
+        every = [to_dict(document) for document in documents]
         rows = []
         for name in self:
-            held = [of.get(name) for of in every]
-            unit = next(one["unit"] for one in held if one is not None)
-            rows.append([name, *map(_cell, held), unit])
-        for equation in _all(_residuals(d) for d in self.documents.values()):
-            shares = [_residuals(d).get(equation, {}) for d in self.documents.values()]
-            left = [_number(s.get("relative_rms"), 100, ".3g") for s in shares]
-            rows.append([f"left of {equation}", *left, "%"])
-        if self.information is not None:
-            rows.append(["ΔAIC", *(f"{value:.1f}" for value in self.information), ""])
-        # Of each signal on each recording that was held out.
+            row = [entries.get(name) for entries in every]
+            numbers = [e and with_error(e["value"], e["std_error"]) for e in row]
+            known = [" known" if e and e["known"] else "" for e in row]
+            unit = next(entry["unit"] for entry in row if entry)
+            rows.append([name, *(f"{x or ''}{k}" for x, k in zip(numbers, known)), unit])
+        # What is left of each equation, and of each signal on each recording that was held out.
+        residuals = [
+            {f"left of {name}": fit["relative_rms"] for name, fit in _residuals(document).items()}
+            for document in documents
+        ]
         fits = [
             {
-                f"{name}, {run['on']}": one["fit_percent"]
+                f"fit of {name}, {run['on']}": signal["fit_percent"]
                 for run in document.get("validation", [])
-                for name, one in run["signals"].items()
+                for name, signal in run["signals"].items()
             }
-            for document in self.documents.values()
+            for document in documents
         ]
-        for on in _all(fits):
-            rows.append([f"fit of {on}", *(_number(of.get(on), 1, ".1f") for of in fits), "%"])
+        rows += _percents(residuals, 100, ".3g")
+        if self.information is not None:
+            rows.append(["ΔAIC", *(f"{value:.1f}" for value in self.information), ""])
+        rows += _percents(fits, 1, ".1f")
         return Table(("parameter", *self.names, "unit"), rows)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Held:
-    """Something with a document, and so with everything that is made of one."""
-
-    document: Document
 
 
 def compare(results: Sequence[Any], names: Sequence[str] | None = None) -> Comparison:
@@ -131,19 +125,13 @@ def compare(results: Sequence[Any], names: Sequence[str] | None = None) -> Compa
     return Comparison(dict(zip(chosen, documents)))
 
 
-def _cell(entry: Mapping[str, Any] | None) -> str:
-    if entry is None:
-        return ""
-    said = with_error(entry["value"], entry["std_error"])
-    return f"{said} known" if entry["known"] else said
-
-
-def _number(value: float | None, scale: float, form: str) -> str:
-    return "" if value is None else f"{scale * value:{form}}"
-
-
-def _all(dictionaries: Any) -> list[str]:
-    return list(dict.fromkeys(key for one in dictionaries for key in one))
+def _percents(
+    columns: Sequence[Mapping[str, float | None]], scale: float, form: str
+) -> Iterator[list[str]]:
+    """A row for all that some result has a number of, scaled to percent."""
+    for name in dict.fromkeys(name for column in columns for name in column):
+        values = [column.get(name) for column in columns]
+        yield [name, *("" if v is None else f"{scale * v:{form}}" for v in values), "%"]
 
 
 def _residuals(document: Document) -> Mapping[str, Any]:
@@ -163,11 +151,11 @@ def _why_not_comparable(documents: Sequence[Document]) -> str:
     if any(set(one) != set(residuals[0]) for one in residuals):
         return "the equations differ."
     for name, first in residuals[0].items():
-        for one in (of[name] for of in residuals):
-            if None in (one["relative_rms"], one["rms"]) or not one["rms"] > 0:
+        for fit in (equations[name] for equations in residuals):
+            if None in (fit["relative_rms"], fit["rms"]) or not fit["rms"] > 0:
                 return f"{name} leaves nothing, or no number."
-            targets = [of["rms"] / of["relative_rms"] for of in (first, one)]
-            if first["rows"] != one["rows"] or not np.isclose(*targets, rtol=SAME, atol=0):
+            targets = [each["rms"] / each["relative_rms"] for each in (first, fit)]
+            if first["rows"] != fit["rows"] or not np.isclose(*targets, rtol=SAME, atol=0):
                 return f"they rest on other data, or another known part of {name}."
     return ""
 
@@ -180,9 +168,9 @@ def _information(documents: Sequence[Document]) -> list[float]:
         shares = [1 / e["effective_windows"] for e in entries if e["effective_windows"]]
         effective.append(len(shares) / sum(shares) if shares else math.inf)
     windows = min(effective)
-    found = [
+    criteria = [
         windows * sum(math.log(of["rms"] ** 2) for of in _residuals(document).values())
         + 2 * len(document["parameters"])
         for document in documents
     ]
-    return [value - min(found) for value in found]
+    return [value - min(criteria) for value in criteria]

@@ -18,6 +18,7 @@ from riecjax.reporting.document import (
     finite,
     number,
     probability,
+    told,
     versions,
 )
 from riecjax.reporting.equations import equation_in_words
@@ -37,37 +38,39 @@ def discovery_document(
     **Arguments:** `command`: the arguments of `riecjax` that made it; `model_file`, where the model
     was written to.
     """
-    model = found.model
+    equations = found.model.equations
+    terms = {
+        one.candidate.name: {
+            **told(one.candidate, "meaning", "equation"),
+            "parameters": list(one.candidate.columns),
+            **told(one, "width", "width_unit"),
+            "width_std_error": finite(one.width_error),
+            "chosen_again": finite(one.share),
+        }
+        for one in found.chosen
+    }
+    if found.mode is not None:  # as one of the terms that were found
+        (equation,) = found.paths
+        terms["mode"] = {
+            "meaning": _mode_in_words(found.mode),
+            "equation": equation,
+            "parameters": list(ModeParameters.of(len(found.start.modes))),
+            "width": None,
+            "width_unit": "",
+            "width_std_error": None,
+            "chosen_again": None,
+        }
+    words = [*map(equation_in_words, equations)]
+    words += [f"with {_mode_in_words(found.mode)}"] if found.mode else []
     return {
         "schema": SCHEMA,
         "model": found.start.name,
         "criterion": found.estimate.criterion.describe(),
         "sentence": sentence(found),
         "chosen": list(found.names),
-        "terms": {
-            **{
-                one.candidate.name: {
-                    "meaning": one.candidate.meaning,
-                    "equation": one.candidate.equation,
-                    "parameters": list(one.candidate.columns),
-                    "width": None if one.width is None else finite(one.width),
-                    "width_unit": one.width_unit,
-                    "width_std_error": finite(one.width_error),
-                    "chosen_again": finite(one.share),
-                }
-                for one in found.chosen
-            },
-            **_mode(found),
-        },
+        "terms": terms,
         "path": [
-            {
-                "equation": name,
-                "added": step.added,
-                "unexplained": finite(step.unexplained),
-                "of_motion": finite(step.of_motion),
-                "std_error": finite(step.std_error),
-                "chance": finite(step.chance),
-            }
+            {"equation": name, **told(step, *Step._fields)}
             for name, steps in found.paths.items()
             for step in steps
         ],
@@ -77,33 +80,10 @@ def discovery_document(
         "delays": {name: finite(late) for name, late in found.delays.items()},
         "parameters": _parameters(found),
         "known": known_entries(found.estimate),
-        "equation": "; ".join(
-            [
-                *map(equation_in_words, model.equations),
-                *([f"with {_mode_in_words(found.mode)}"] if found.mode else []),
-            ]
-        ),
+        "equation": "; ".join(words),
         "model_file": model_file,
         "warnings": [f._asdict() for f in (*found.findings, *found.estimate.findings())],
         "provenance": {"versions": versions(), "command": list(command)},
-    }
-
-
-def _mode(found: Discovery) -> Document:
-    """A hidden mode as one of the terms that were found."""
-    if found.mode is None:
-        return {}
-    (equation,) = found.paths
-    return {
-        "mode": {
-            "meaning": _mode_in_words(found.mode),
-            "equation": equation,
-            "parameters": list(ModeParameters.of(len(found.start.modes))),
-            "width": None,
-            "width_unit": "",
-            "width_std_error": None,
-            "chosen_again": None,
-        }
     }
 
 
@@ -126,21 +106,18 @@ def sentence(found: Discovery) -> str:
     """What was found, in a sentence or two of plain English."""
     if not found.offered and found.mode is None:
         return "No candidate could be told apart from the model's own terms."
-    names = [
-        f"{one.candidate.name} ({one.candidate.meaning})"
-        if one.candidate.meaning
-        else one.candidate.name
-        for one in found.chosen
-    ]
+    chosen = [(one.candidate.name, one.candidate.meaning) for one in found.chosen]
+    names = [f"{name} ({meaning})" if meaning else name for name, meaning in chosen]
     if found.mode is not None:
         names.append(f"mode ({_mode_in_words(found.mode)})")
     if not names:
+        first = next(iter(found.paths.values()))[0]
         what = "No candidate is missing" if found.leaves_more else "No term is missing"
         what = what if found.leaves_more or found.delays else "Nothing is missing"
         return (
             f"{what}: none of {found.offered} candidates explains more than chance "
-            f"would, and {percent(_first(found).unexplained)} of the target's energy is "
-            f"unexplained{_noise(_first(found))}.{_something_else(found)}{_late(found)}"
+            f"would, and {percent(first.unexplained)} of the target's energy is "
+            f"unexplained{_noise(first)}.{_something_else(found)}{_late(found)}"
         )
     ends = [(name, of[0], of[-1]) for name, of in found.paths.items() if len(of) > 1]
     several = len(found.paths) > 1 or found.mode is not None
@@ -151,7 +128,15 @@ def sentence(found: Discovery) -> str:
         for where in [f" in {name}" if several else ""]
     )
     verb, them = ("is", "it") if len(names) == 1 else ("are", "them")
-    further = _something_else(found) + _late(found) + _amiss(found)
+    further = _something_else(found) + _late(found)
+    # Terms may only make up for a fault of the recordings.
+    faults = {f"{f.code} of {' and '.join(f.signals)}": f.remedy for f in found.amiss if f.remedy}
+    if faults:
+        remedy = shlex.join(next(iter(faults.values())))
+        further += (
+            f" But terms may stand for what is amiss with the recordings, {joined(list(faults))}: "
+            f"mend that first ({remedy})."
+        )
     return f"{joined(names)} {verb} missing: with {them} {said}.{further}"
 
 
@@ -177,35 +162,15 @@ def _late(found: Discovery) -> str:
     """Of which recordings the terms are, where some signals are late in those that were given."""
     if not found.delays:
         return ""
-    each = [
-        f"{name if late > 0 else f'all but {name}'} comes {number(1e3 * abs(late), 3)} ms late"
-        for name, late in found.delays.items()
-    ]
-    remedy = [
-        word
-        for name, late in found.delays.items()
-        for word in option_for("--shift", [name], f"{late:.4g}")
-    ]
+    delays, remedy = [], []
+    for name, late in found.delays.items():
+        which = name if late > 0 else f"all but {name}"
+        delays.append(f"{which} comes {number(1e3 * abs(late), 3)} ms late")
+        remedy += option_for("--shift", [name], f"{late:.4g}")
     return (
-        f" {joined(each)}; all this is of recordings with it in time: identify with "
+        f" {joined(delays)}; all this is of recordings with it in time: identify with "
         f"{shlex.join(remedy)}."
     )
-
-
-def _amiss(found: Discovery) -> str:
-    """That terms may only make up for a fault of the recordings."""
-    faults = {f"{f.code} of {' and '.join(f.signals)}": f.remedy for f in found.amiss if f.remedy}
-    if not faults:
-        return ""
-    remedy = shlex.join(next(iter(faults.values())))
-    return (
-        f" But terms may stand for what is amiss with the recordings, {joined(list(faults))}: mend "
-        f"that first ({remedy})."
-    )
-
-
-def _first(found: Discovery) -> Step:
-    return next(iter(found.paths.values()))[0]
 
 
 def _noise(step: Step) -> str:
@@ -248,12 +213,12 @@ def path_table(document: Document) -> Table:
 
 def rejected_table(document: Document) -> Table:
     """What came nearest of all that was not taken."""
-    rows = [
-        [one["name"], percent(one["gain"]), probability(one["chance"])]
-        for one in document["rejected"]
-    ]
-    header = ("candidate", "would explain, of what is left", "chance")
-    return Table(header, rows, "Not taken")
+    cells = {
+        "would explain, of what is left": lambda one: percent(one["gain"]),
+        "chance": lambda one: probability(one["chance"]),
+    }
+    rejected = [(one["name"], one) for one in document["rejected"]]
+    return Table.of("candidate", rejected, cells, "Not taken")
 
 
 def choice_in_words(document: Document) -> str:
@@ -275,15 +240,15 @@ def choice_in_words(document: Document) -> str:
     return f"Standard errors include the choice; in data drawn again it fell on {again}."
 
 
-def widths_in_words(document: Document) -> str:
-    """Widths of laws that have one."""
-    said = []
+def choice_lines(document: Document) -> list[str]:
+    """Widths of laws that have one, and what intervals say of the choice."""
+    widths = []
     for name, term in document["terms"].items():
         if term["width"] is not None:
             error = term["width_std_error"]
             width = number(term["width"], 4) + (f" +- {number(error, 2)}" if error else "")
-            said.append(f"{name} has the width {width} {term['width_unit']}".rstrip())
-    return f"{'; '.join(said)}." if said else ""
+            widths.append(f"{name} has the width {width} {term['width_unit']}".rstrip())
+    return [*filter(None, (f"{'; '.join(widths)}." if widths else "", choice_in_words(document)))]
 
 
 def print_discovery(document: Document, console: Console) -> None:
@@ -296,26 +261,21 @@ def print_discovery(document: Document, console: Console) -> None:
             print_table(in_rich(table), console)
     say(console, "")
     print_table(in_rich(parameter_table(document)), console)
-    lines = filter(None, (widths_in_words(document), choice_in_words(document)))
-    say(console, *lines, "", document["equation"], wrapped=False)
+    lines = [*choice_lines(document), "", document["equation"]]
     if document["model_file"]:
-        say(
-            console,
-            f"model: {document['model_file']}, for riecjax identify and simulate",
-            wrapped=False,
-        )
+        lines.append(f"model: {document['model_file']}, for riecjax identify and simulate")
+    say(console, *lines, wrapped=False)
 
 
 def discovery_page(document: Document) -> Page:
     """The page of a discovery's document."""
-    text = [text for text in (widths_in_words(document), choice_in_words(document)) if text]
     terms = [path_table(document), rejected_table(document)]
     return Page(
         f"What {document['model']} lacks",
         f"{document['offered']} candidates; {document['equation']}",
         (
             Section("Terms", tables=terms, charts=("path",)),
-            Section("Parameters", text, tables=[parameter_table(document)]),
+            Section("Parameters", choice_lines(document), tables=[parameter_table(document)]),
         ),
         Section("Answer", [document["sentence"]]),
     )

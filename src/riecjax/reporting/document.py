@@ -85,9 +85,17 @@ def ends_of(interval: Sequence[float | None], digits: int = 6) -> list[str]:
     return [number(end, digits) for end in interval]
 
 
-def finite(value: ArrayLike) -> Any:
-    """The number, or `None` where JSON has no word for it; of an array, nested lists of them."""
-    if np.ndim(value):
-        return [finite(each) for each in np.asarray(value)]
+def finite(value: ArrayLike | Sequence[Any] | None) -> Any:
+    """The number, or `None` where JSON has no word for it; of an array, nested lists of them; a
+    text as it is."""
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, tuple | list) or np.ndim(value):
+        return [finite(each) for each in value]  # type: ignore[union-attr]
     number = np.asarray(value).item()
     return number if math.isfinite(number) else None
+
+
+def told(thing: object, *names: str) -> Document:
+    """Attributes of an object that are numbers, texts or arrays of them, by name."""
+    return {name: finite(getattr(thing, name)) for name in names}

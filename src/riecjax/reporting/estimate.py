@@ -1,15 +1,17 @@
 """An estimate in plain data, and as tables on a terminal."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Array
 from rich.console import Console
 
+from riecjax.assessment.verdict import percent
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
+from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.refinement.refine import Refined
-from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number
+from riecjax.reporting.document import SCHEMA, Document, ends_of, finite, number, told
 from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 
@@ -18,15 +20,21 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
 
     Numbers of a batch are nested lists of its shape.
     """
+
+    def whole(number: Array) -> Any:
+        return np.asarray(number).astype(int).tolist()
+
+    def left(fit: EquationFit | StageSolution) -> Document:
+        rms = finite(fit.residual_rms)
+        return {**told(fit, "relative_rms"), "rms": rms, "rows": whole(fit.count)}
+
     stages = [
         {
             "equation": name,
             "parameters": list(stage.parameters),
-            "relative_rms": finite(stage.relative_rms),
-            "rms": finite(stage.residual_rms),
-            "rows": _whole(stage.count),
-            "condition_number": finite(stage.solution.condition_number),
-            "rank": _whole(stage.solution.rank),
+            **left(stage),
+            **told(stage.solution, "condition_number"),
+            "rank": whole(stage.solution.rank),
             "equations": list(names),
         }
         for name, names, stage in zip(
@@ -46,32 +54,20 @@ def estimate_entries(model: str, estimate: Estimate) -> Document:
         "criterion": estimate.criterion.describe(),
         "parameters": parameters,
         "known": known_entries(estimate),
-        "condition_number": finite(estimate.condition_number),
-        "rank": _whole(estimate.rank),
+        **told(estimate, "condition_number"),
+        "rank": whole(estimate.rank),
         "residual": {
             "relative_rms": stages[-1]["relative_rms"],
             "stages": stages,
-            "equations": {
-                name: {
-                    "relative_rms": finite(fit.relative_rms),
-                    "rms": finite(fit.residual_rms),
-                    "rows": _whole(fit.count),
-                }
-                for name, fit in estimate.equations.items()
-            },
+            "equations": {name: left(fit) for name, fit in estimate.equations.items()},
         },
     }
-
-
-def _whole(number: Array) -> Any:
-    return np.asarray(number).astype(int).tolist()
 
 
 def print_estimate(document: Document, console: Console) -> None:
     """Parameters, refined ones where there are, and what each equation leaves."""
     criterion = document["criterion"]
-    settings = ", ".join(f"{k} {v}" for k, v in criterion.items() if k != "name")
-    heading = f"{document['model']}  {criterion['name'].upper()}  {settings}"
+    heading = f"{document['model']}  {criterion['name'].upper()}  {settings_in_words(criterion)}"
     say(console, heading)
     print_table(in_rich(parameter_table(document)), console)
     # What each stage leaves, and each equation of a stage of several.
@@ -87,47 +83,71 @@ def print_estimate(document: Document, console: Console) -> None:
             say(console, f"{name}: relative residual {share}, {left['rows']} rows")
 
 
+def settings_in_words(criterion: Mapping[str, Any]) -> str:
+    """A criterion's settings, all but its name."""
+    return ", ".join(f"{key} {value}" for key, value in criterion.items() if key != "name")
+
+
 def several(stage: Document) -> list[str]:
     """Names of the equations of a stage that has more than one."""
     return stage["equations"] if len(stage["equations"]) > 1 else []
 
 
-def parameter_table(document: Mapping[str, Any], interval: str = "{} .. {}") -> Table:
-    """Value, standard error and interval of each parameter of a document.
+USUAL = ("value", "std error", "95 % interval", "unit")
+"""What is told of a parameter where nothing else is asked for."""
+
+
+def parameter_table(
+    document: Mapping[str, Any],
+    columns: Sequence[str] = USUAL,
+    interval: Callable[[Sequence[float | None]], str] = lambda ends: " .. ".join(ends_of(ends)),
+) -> Table:
+    """What these columns say of each parameter of a document; `interval` in words.
 
     If a refinement was made, identified and refined values stand side by side; standard errors and
     intervals are of the answer.
     """
     refinement = document.get("refinement") or {}
-    refined, chosen = refinement.get("refined"), refinement.get("chosen")
-    beside = refinement["identified"] if chosen else refined
-    header = ["parameter", "value", "std error", "95 % interval", "unit"]
-    rows = [
-        [
-            name,
-            number(entry["value"]),
-            number(entry["std_error"], 2),
-            interval.format(*ends_of(entry["interval95"])),
-            entry["unit"],
-        ]
-        for name, entry in document["parameters"].items()
-    ]
-    rows += [
-        [name, number(entry["value"]), "", "known", entry["unit"]]
-        for name, entry in document["known"].items()
-    ]
-    if beside is not None:
-        place = 1 if chosen else len(header) - 1
-        header.insert(place, "identified" if chosen else "refined")
-        for row in rows:
-            row.insert(place, number(beside[row[0]]["value"]) if row[0] in beside else "")
-    return Table(header, rows)
+    chosen = refinement.get("chosen")
+    beside = refinement["identified"] if chosen else refinement.get("refined")
+    judged = (document.get("verdict") or {}).get("parameters", {})
+    other = "identified" if chosen else "refined"
+    cells: dict[str, Callable[[Document], str]] = {
+        "value": lambda entry: number(entry["value"]),
+        other: lambda entry: number(entry[other]["value"]) if other in entry else "",
+        "std error": lambda entry: number(entry["std_error"], 2) if "std_error" in entry else "",
+        "95 % interval": lambda entry: (
+            interval(entry["interval95"]) if "interval95" in entry else "known"
+        ),
+        "unit": lambda entry: entry["unit"],
+        "doubt": lambda entry: doubt_in_words(entry["share"]) if "share" in entry else "",
+        "from .. to": lambda entry: interval(entry["doubt"]),
+        "verdict": lambda entry: entry.get("level", ""),
+        "because of": lambda entry: entry["reason"],
+        "mostly from": lambda entry: entry["reason"],
+    }
+    if beside is not None and columns == USUAL:
+        columns = (other, *USUAL) if chosen else (*USUAL[:-1], other, USUAL[-1])
+    entries = {
+        name: {
+            **judged.get(name, {}),
+            **({other: beside[name]} if beside is not None and name in beside else {}),
+            **entry,
+        }
+        for name, entry in (document["parameters"] | document["known"]).items()
+    }
+    return Table.of("parameter", entries.items(), {header: cells[header] for header in columns})
+
+
+def doubt_in_words(share: float | None) -> str:
+    """A doubt as a share of its value."""
+    return "?" if share is None else percent(share)
 
 
 def known_entries(estimate: AbstractEstimate) -> dict[str, Any]:
     """Value and unit of each parameter that was not estimated; lists of a batch."""
-    units = dict(estimate.units)
-    return {n: {"value": finite(estimate[n]), "unit": units[n]} for n in estimate.known}
+    table = estimate.table
+    return {n: {"value": finite(estimate[n]), "unit": table[n].unit} for n in estimate.known}
 
 
 def intervals_entry(estimate: Estimate | Refined) -> Document:

@@ -14,7 +14,7 @@ from riecjax.records.record import Record
 from riecjax.reporting.document import Document
 from riecjax.reporting.estimate import estimate_entries, known_entries, parameter_entries
 from riecjax.reporting.identification import identification_document
-from riecjax.reporting.tables import Table, in_latex, in_markdown, with_error
+from riecjax.reporting.tables import Table, in_latex, in_markdown, rounded
 
 COLUMNS = ("value", "std_error", "low95", "high95")
 """Numbers of each parameter in a frame."""
@@ -34,6 +34,11 @@ def document_of(source: Any) -> Document:
             f"rx.assess or rx.load return."
         )
     return document
+
+
+@document_of.register
+def _(source: dict) -> Document:
+    return source
 
 
 @document_of.register
@@ -71,19 +76,12 @@ def _columns(source: Any) -> tuple[dict[str, np.ndarray], tuple[int, ...], dict[
     """Each column's numbers, shape `(*batch, parameters)`; the batch's shape; the dictionary."""
     entries = to_dict(source)
     shape = np.shape(next(iter(entries.values()))["value"])
-
-    def column(of: Any) -> np.ndarray:
-        filled = [np.full(shape, np.nan) if v is None else np.array(v, float) for v in of]
-        return np.stack([np.broadcast_to(values, shape) for values in filled], axis=-1)
-
-    every = list(entries.values())
-    ends = [entry["interval"] or (None, None) for entry in every]
-    numbers = {
-        "value": column(entry["value"] for entry in every),
-        "std_error": column(entry["std_error"] for entry in every),
-        "low95": column(low for low, _ in ends),
-        "high95": column(high for _, high in ends),
-    }
+    numbers = {name: np.full((*shape, len(entries)), np.nan) for name in COLUMNS}
+    for i, entry in enumerate(entries.values()):
+        ends = entry["interval"] or (None, None)
+        for name, value in zip(COLUMNS, (entry["value"], entry["std_error"], *ends)):
+            if value is not None:
+                numbers[name][..., i] = np.array(value, float)
     return numbers, shape, entries
 
 
@@ -101,15 +99,13 @@ def to_frame(source: Any) -> Any:
         columns = {name: signal.with_nan for name, signal in source.by_name.items()}
         return pandas.DataFrame(columns, index=pandas.Index(np.asarray(source.time), name="t"))
     numbers, shape, entries = _columns(source)
-    names = list(entries)
-    index = pandas.Index(names, name="parameter")
+    index = pandas.Index(list(entries), name="parameter")
     if shape:
-        levels = [range(size) for size in shape]
-        index = pandas.MultiIndex.from_product([*levels, names], names=[*_axes(shape), "parameter"])
-    frame = pandas.DataFrame({name: numbers[name].ravel() for name in COLUMNS}, index=index)
-    members = int(np.prod(shape))
+        levels = [*map(range, shape), list(entries)]
+        index = pandas.MultiIndex.from_product(levels, names=[*_axes(shape), "parameter"])
+    frame = pandas.DataFrame({name: column.ravel() for name, column in numbers.items()}, index)
     for name in ("unit", "known"):
-        frame[name] = [entry[name] for entry in entries.values()] * members
+        frame[name] = [entry[name] for entry in entries.values()] * int(np.prod(shape))
     return frame
 
 
@@ -121,10 +117,8 @@ def to_xarray(source: Any) -> Any:
     numbers, shape, entries = _columns(source)
     axes = _axes(shape)
     data = {name: ([*axes, "parameter"], values) for name, values in numbers.items()}
-    text = {
-        name: ("parameter", [entry[name] for entry in entries.values()])
-        for name in ("unit", "known")
-    }
+    every = entries.values()
+    text = {name: ("parameter", [e[name] for e in every]) for name in ("unit", "known")}
     return xarray.Dataset(data, {"parameter": list(entries), **text})
 
 
@@ -140,9 +134,7 @@ def paper_table(source: Any) -> Table:
         )
     rows = []
     for name, entry in to_dict(source).items():
-        said = with_error(entry["value"], entry["std_error"])
-        power = said[said.index(")") + 1 :] if said.startswith("(") else ""
-        value, _, error = said.removesuffix(power).strip("()").partition(" ± ")
+        value, error, power = rounded(entry["value"], entry["std_error"])
         error = "known" if entry["known"] else f"{error}{power}"
         rows.append((name, f"{value}{power}", error, entry["unit"]))
     return Table(("parameter", "value", "±", "unit"), rows)

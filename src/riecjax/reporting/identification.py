@@ -10,7 +10,6 @@ from rich.console import Console
 
 from riecjax.assessment.assessment import Assessment, Refinement
 from riecjax.records.recording import common_steps
-from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import (
     excitation_entries,
     noise_entries,
@@ -18,7 +17,7 @@ from riecjax.reporting.checking import (
     recording_entry,
     start_times,
 )
-from riecjax.reporting.document import Document, finite, number, versions
+from riecjax.reporting.document import Document, finite, number, told, versions
 from riecjax.reporting.equations import model_in_words
 from riecjax.reporting.estimate import (
     estimate_entries,
@@ -65,8 +64,7 @@ def identification_document(
         "window_sweep": None
         if sweep is None
         else {
-            "alpha": finite(sweep.alpha),
-            "beta": finite(sweep.beta),
+            **told(sweep, "alpha", "beta"),
             "parameters": {
                 name: {
                     "value": finite(sweep.theta[:, j]),
@@ -103,8 +101,7 @@ def print_identification(document: Document, console: Console) -> None:
     if "alpha" in criterion:
         how += f" in windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s"
     if refinement is not None and refinement["chosen"]:
-        left = refinement["whiteness"]
-        white = left is not None and left["white"]
+        white = (refinement["whiteness"] or {}).get("white")
         how = f"refined by simulation{', which leaves white noise' if white else ''}"
     said = len(document["warnings"])
     more = f" {said} finding{'s' if said != 1 else ''} and" if said else ""
@@ -113,32 +110,23 @@ def print_identification(document: Document, console: Console) -> None:
     if converted := document["provenance"]["converted"]:
         units = ", ".join(f"{name} from {unit}" for name, unit in converted.items())
         say(console, f"Converted to SI: {units}.")
-    say(
-        console,
-        f"Values: {how}. Add --verbose for{more} how they were found.",
-        *modes_in_words(document["modes"]),
-        *_validations_in_words(document),
-    )
+    say(console, f"Values: {how}. Add --verbose for{more} how they were found.")
+    say(console, *modes_in_words(document["modes"]), *_validations_in_words(document))
 
 
 def print_everything(document: Document, console: Console) -> None:
     """The verdict, and all there is to say of how it came about."""
+    refinement, prepared = document["refinement"], document["provenance"]["preparation"]
     print_verdict(document, console)
     say(console, "", *document["equations"])
     print_estimate(document, console)
-    refinement = document["refinement"]
-    say(console, *modes_in_words(document["modes"]))
+    lines = [*modes_in_words(document["modes"])]
     if refinement is not None:
-        say(console, choice_in_words(refinement))
+        lines.append(choice_in_words(refinement))
         # What became of the search, if its values are the answer.
-        if refinement["refined"] is not None and refinement["chosen"]:
-            say(console, *search_in_words(refinement))
-    say(
-        console,
-        *windows_in_words(document),
-        *_validations_in_words(document),
-        *(f"prepared: {step}" for step in document["provenance"]["preparation"]),
-    )
+        lines += search_in_words(refinement) if refinement["chosen"] else ()
+    lines += [*windows_in_words(document), *_validations_in_words(document)]
+    say(console, *lines, *(f"prepared: {step}" for step in prepared))
 
 
 def _validations_in_words(document: Document) -> Iterator[str]:
@@ -178,19 +166,15 @@ def mode_entries(modes: "Sequence[ModeEvidence]") -> list[Document]:
                 {"parameters": list(names), "asked_hz": asked, "found_hz": finite(found)}
                 for names, asked, found in mode.strays
             ],
-            "carried": mode.carried,
-            "oscillates": mode.oscillates,
-            "explained": finite(mode.explained),
+            **told(mode, "carried", "oscillates", "explained"),
             "held_out": {
                 "with": finite(mode.unexplained),
-                "without": finite(mode.without),
-                "gain": finite(mode.gain),
+                **told(mode, "without", "gain"),
                 "gain_std_error": finite(mode.gain_error),
             },
             "map": {
                 "frequency_hz": finite(mode.map.frequency),
-                "unexplained": finite(mode.map.unexplained),
-                "without": finite(mode.map.without),
+                **told(mode.map, "unexplained", "without"),
                 "damping_ratio": finite(mode.map.damping),
             },
         }
@@ -206,18 +190,13 @@ def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
         lengths = f"{low:.3g} s" if low == high else f"{low:.3g} to {high:.3g} s"
         held = mode["held_out"]
         left = max(held["with"], 0.0)  # less than nothing, where noise was taken off
-        frequency, ratio = (
-            f"{number(mode[key], 4)} +- {number(mode[error], 2)}"
-            for key, error in (
-                ("frequency_hz", "frequency_std_error_hz"),
-                ("damping_ratio", "damping_ratio_std_error"),
-            )
-        )
+        frequency = number(mode["frequency_hz"], 4), number(mode["frequency_std_error_hz"], 2)
+        ratio = number(mode["damping_ratio"], 4), number(mode["damping_ratio_std_error"], 2)
         yield (
-            f"hidden mode on {mode['on']}: {frequency} Hz with the body at rest, damping ratio "
-            f"{ratio}, in windows of {lengths}, which tell most of it. On time that it was not "
-            f"found from {100 * left:.2g} % of {mode['equation']} is left with it and "
-            f"{100 * held['without']:.2g} % without."
+            f"hidden mode on {mode['on']}: {' +- '.join(frequency)} Hz with the body at rest, "
+            f"damping ratio {' +- '.join(ratio)}, in windows of {lengths}, which tell most of it. "
+            f"On time that it was not found from {100 * left:.2g} % of {mode['equation']} is left "
+            f"with it and {100 * held['without']:.2g} % without."
         )
         for stray in mode["strays"]:
             yield (
@@ -231,32 +210,43 @@ def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Do
 
     Keys of a search are `null` or empty if none was made.
     """
-    refined, left = refinement.refined, refinement.whiteness
-    return {
-        "chosen": refinement.chosen,
-        "declined": refinement.declined or None,
-        "chi_squared": None
-        if left is None
-        else finite(max(left.chi_squared.values(), default=float("nan"))),
-        "whiteness": None
-        if left is None
-        else {
-            "white": left.white,
-            "vanishing": left.vanishing,
-            "largest": finite(left.largest),
-            "threshold": left.threshold,
+    refined, left, tests = refinement.refined, refinement.whiteness, None
+    if left is not None:
+        tests = {
+            **told(left, "white", "vanishing", "largest", "threshold"),
             "channels": {
                 name: {
-                    "statistic": finite(left.statistics[name]),
+                    "statistic": finite(statistic),
                     "chi_squared": finite(left.chi_squared[name]),
                     "share": finite(left.shares[name]),
                 }
-                for name in left.statistics
+                for name, statistic in left.statistics.items()
             },
-        },
+        }
+    search: Document = dict.fromkeys(("by", "converged", "reason", "steps", "basis"))
+    search |= {"left": {}, "intervals": None, "at_bound": []}
+    if refined is not None:
+        rms = refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
+        search = {
+            "by": dict(refined.by),
+            **told(refined, "converged", "reason", "steps", "basis"),
+            "left": {
+                name: {"before": finite(before), "after": finite(after), "unit": unit}
+                for name, before, after, unit in zip(*rms)
+            },
+            "intervals": intervals_entry(refined),
+            "at_bound": [
+                name for name, there in zip(refined.parameters, refined.at_bound) if there
+            ],
+        }
+    return {
+        "chosen": refinement.chosen,
+        "declined": refinement.declined or None,
+        "chi_squared": left and finite(max(left.chi_squared.values(), default=float("nan"))),
+        "whiteness": tests,
         "identified": identified,
         "refined": None if refined is None else parameter_entries(refined),
-        **_search(refined),
+        **search,
         "simulations": [
             {
                 "on": run.recording.name,
@@ -266,27 +256,6 @@ def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Do
             }
             for run in refinement.simulations
         ],
-    }
-
-
-def _search(refined: Refined | None) -> Document:
-    if refined is None:
-        nothing = dict.fromkeys(("by", "converged", "reason", "steps", "basis"))
-        return {**nothing, "left": {}, "intervals": None, "at_bound": []}
-    return {
-        "by": dict(refined.by),
-        "converged": bool(refined.converged),
-        "reason": refined.reason,
-        "steps": int(refined.steps),
-        "basis": refined.basis,
-        "left": {
-            name: {"before": finite(float(before)), "after": finite(float(after)), "unit": unit}
-            for name, before, after, unit in zip(
-                refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
-            )
-        },
-        "intervals": intervals_entry(refined),
-        "at_bound": [n for n, there in zip(refined.parameters, refined.at_bound) if bool(there)],
     }
 
 
@@ -367,10 +336,8 @@ def search_in_words(entries: Document) -> Iterator[str]:
 
 
 def _fit(described: Document, name: str) -> str:
-    signal = described["signals"].get(name)
-    return (
-        "?" if signal is None or signal["fit_percent"] is None else f"{signal['fit_percent']:.4g}"
-    )
+    fit = described["signals"].get(name, {}).get("fit_percent")
+    return "?" if fit is None else f"{fit:.4g}"
 
 
 def _number(value: float | None) -> str:

@@ -5,6 +5,7 @@ import math
 import tempfile
 import webbrowser
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ from riecjax.leaves import on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.charts.chart import (
-    BLUE,
     BOLD,
     LARGE,
     SERIES,
@@ -38,6 +38,7 @@ from riecjax.reporting.result_figures import (
     held_out_figure,
     identification_figures,
     mode_map_figure,
+    over_time,
     spectra_figure,
     sweep_figure,
 )
@@ -75,20 +76,17 @@ def chart_of(thing: Any) -> Chart:
 
 @chart_of.register
 def _(thing: Record) -> Chart:
-    units, rows = dict(thing.units), []
-    batch = np.ndim(thing.time_step) > 0
+    batch, panels = np.ndim(thing.time_step) > 0, []
     steps = np.arange(thing.sample_count)
     time = np.mean(thing.time_step) * steps if batch else np.asarray(thing.elapsed)
-    for name in thing.arrays:
-        last = len(rows) == len(thing.arrays) - 1
-        samples = thing.signal(name).with_nan
+    for name, signal in thing.by_name.items():
+        samples = signal.with_nan
         # Of a batch of records, one line each.
         every = samples.reshape(-1, samples.shape[-1])
         times = np.broadcast_to(time, samples.shape).reshape(every.shape)
         lines = [Line(*pair, width=THIN) for pair in zip(times, every)]
-        axes = Axis("time / s" if last else ""), Axis(labelled(name, units.get(name)))
-        rows.append([Panel(lines, *axes)])
-    return Chart(rows, "Signals over time.", share_x=True)
+        panels.append(Panel(lines, y=Axis(labelled(name, signal.unit))))
+    return over_time(panels, "Signals over time.")
 
 
 @chart_of.register
@@ -119,30 +117,31 @@ def _(thing: Assessment) -> Chart:
         if name in ("curves", "window_sweep") or name.startswith("validation"):
             rows += [list(row) for row in chart.rows]
     width = max(len(row) for row in rows)
-    # A row of one panel takes all places, as signals over time should.
-    filled = [_filled(row, width) for row in rows]
-    return Chart(filled, f"{thing.model.name}.")
-
-
-def _filled(row: Sequence[Panel | None], width: int) -> list[Panel | None]:
-    if len(row) == 1 and row[0] is not None:
-        panel = row[0]
-        return [Panel(panel.marks, panel.x, panel.y, panel.right, panel.title, columns=width)]
-    return [*row, *(None for _ in range(width - len(row)))]
+    for row in rows:
+        if len(row) == 1 and row[0] is not None:
+            # It takes all places, as signals over time should.
+            row[0] = replace(row[0], legend=True, columns=width)
+        else:
+            row += [None] * (width - len(row))
+    return Chart(rows, f"{thing.model.name}.")
 
 
 def _batch(batch: AbstractEstimate) -> Chart:
     """Each member as a dot, relative to the mean over the batch."""
-    labels, marks = [], []
+    labels: list[str] = []
+    marks: list[Mark] = [Level(axis="x")]
     for i, name in enumerate(batch.parameters):
         values = np.ravel(np.asarray(batch[name], float))
         mean = float(np.nanmean(values))
         labels.append(f"{name} = {mean:.4g} {batch.table[name].unit}".rstrip())
         marks.append(Dots(_percent(values, mean), np.full(values.size, i), opacity=0.4, size=LARGE))
-    axis = Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
-    caption = "Members of a batch, relative to their mean."
-    x = Axis("deviation from the mean / %")
-    return single([Level(axis="x"), *marks], x, axis, caption)
+    x, y = Axis("deviation from the mean / %"), _names(labels)
+    return single(marks, x, y, "Members of a batch, relative to their mean.")
+
+
+def _names(labels: Sequence[str]) -> Axis:
+    """An axis of parameters, the first one above."""
+    return Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
 
 
 def relative_figure(documents: Mapping[str, Document]) -> Chart:
@@ -156,39 +155,28 @@ def relative_figure(documents: Mapping[str, Document]) -> Chart:
     marks: list[Mark] = [Level(axis="x")]
     for j, (label, document) in enumerate(documents.items()):
         shift = 0.0 if len(documents) == 1 else 0.5 * (j / (len(documents) - 1) - 0.5)
-        marks += _bars(document, names, reference, shift, label, SERIES[j % len(SERIES)])
+        color = SERIES[j % len(SERIES)]
+        # A bar for each interval, in one line with gaps, and dots at the values.
+        x, y, values, places = [], [], [], []
+        for i, name in enumerate(names):
+            if (entry := document["parameters"].get(name)) is not None:
+                x += [*_percent(entry["interval95"], reference[name]), math.nan]
+                y += [i + shift, i + shift, math.nan]
+                values += _percent([entry["value"]], reference[name])
+                places.append(i + shift)
+        marks.append(Line(x, y, label, color, width=BOLD))
+        marks.append(Dots(values, places, color=color, size=LARGE))
     ends = [abs(x) for mark in marks if isinstance(mark, Line) for x in np.ravel(mark.x)]
     reach = max((end for end in ends if math.isfinite(end)), default=1.0)
     limit = FARTHEST if reach > FARTHEST else None
-    several = len(documents) > 1
-    labels = []
-    for name in names:
-        value = "" if several else with_error(first[name]["value"], first[name]["std_error"])
-        labels.append(name if several else f"{name} = {value} {first[name]['unit']}".rstrip())
-    of = f"the value of {next(iter(documents))}" if several else "the value"
+    several, of, labels = len(documents) > 1, "the value", tuple(names)
+    if several:
+        of = f"the value of {next(iter(documents))}"
+    else:
+        values = {n: with_error(e["value"], e["std_error"]) for n, e in first.items()}
+        labels = tuple(f"{n} = {values[n]} {first[n]['unit']}".rstrip() for n in names)
     x = Axis(f"95 % interval, from {of} / %", low=None if limit is None else -limit, high=limit)
-    y = Axis(categories=tuple(labels), low=-0.5, high=len(names) - 0.5, reverse=True)
-    return single(marks, x, y, "Parameters with their 95 % intervals.")
-
-
-def _bars(
-    document: Document,
-    names: Sequence[str],
-    reference: Mapping[str, Any],
-    shift: float,
-    label: str,
-    color: str = BLUE,
-) -> list[Mark]:
-    """A bar for each interval, in one line with gaps, and dots at the values."""
-    x, y, values, places = [], [], [], []
-    for i, name in enumerate(names):
-        if (entry := document["parameters"].get(name)) is not None:
-            x += [*_percent(entry["interval95"], reference[name]), math.nan]
-            y += [i + shift, i + shift, math.nan]
-            values += [*_percent([entry["value"]], reference[name])]
-            places.append(i + shift)
-    line = Line(x, y, label, color, width=BOLD)
-    return [line, Dots(values, places, color=color, size=LARGE)]
+    return single(marks, x, _names(labels), "Parameters with their 95 % intervals.")
 
 
 def _percent(values: Iterable[Any], reference: Any) -> list[float]:

@@ -15,19 +15,15 @@ def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, 
 
     **Arguments:** `folder`, where names of files start from; here if `None`.
     """
+
+    def sha256(file: str) -> str:
+        with open(file, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+
     return [
-        {
-            "file": seen_from(folder, file),
-            "bytes": os.path.getsize(file),
-            "sha256": _sha256(file),
-        }
+        {"file": seen_from(folder, file), "bytes": os.path.getsize(file), "sha256": sha256(file)}
         for file in filter(os.path.isfile, files)
     ]
-
-
-def _sha256(file: str) -> str:
-    with open(file, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def changed_files(

@@ -1,6 +1,7 @@
 """Figures of an identification: fit, window sweep, validation."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import contextlib
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -74,10 +75,10 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
     if result.sweep is not None:
         figures["window_sweep"] = sweep_figure(result.sweep, result.estimate)
     figures["correlation"] = correlation_figure(result.estimate)
-    if result.residuals is not None:
-        figures |= residual_figures(result.residuals)
+    for i, residual in enumerate(result.equation_residuals):
+        figures[f"residual_{i + 1}"] = residual_figure(residual)
     if result.choice is not None:
-        figures |= window_choice_figures(result.choice)
+        figures["window_choice"] = window_choice_figure(result.choice)
     for i, run in enumerate(result.validations):
         if run.held.signals:
             figures[f"validation_{i + 1}"] = held_out_figure(run.held, f"{run.recording.name}: ")
@@ -91,26 +92,14 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
     ends = {} if estimate is None else estimate.interval_by_name()
     panels: list[Panel] = []
     for j, name in enumerate(sweep.parameters):
-        alone = Line(
-            length,
-            np.asarray(sweep.theta[:, j]),
-            "window length alone, 95 %",
-            BLUE,
-            width=1,
-            markers=True,
-            error=NORMAL_95 * errors[:, j],
-        )
-        fit = []
+        values, error = np.asarray(sweep.theta[:, j]), NORMAL_95 * errors[:, j]
+        look = {"width": 1, "markers": True, "error": error}
+        marks = [Line(length, values, "window length alone, 95 %", BLUE, **look)]
         if estimate is not None:
             interval = Span(*ends[name], "y", "interval of the fit, 95 %")
-            fit = [interval, Level(float(estimate[name]), dashes="dashed")]
-        panels.append(
-            Panel(
-                [*fit, alone],
-                Axis("window length / s", log=True),
-                Axis(labelled(name, sweep.table[name].unit)),
-            )
-        )
+            marks = [interval, Level(float(estimate[name]), dashes="dashed"), *marks]
+        y = Axis(labelled(name, sweep.table[name].unit))
+        panels.append(Panel(marks, Axis("window length / s", log=True), y))
     return Chart(
         in_rows(panels),
         "Estimates from windows of one length after another. An exact model finds the same at "
@@ -122,20 +111,11 @@ def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
 
 def correlation_figure(estimate: Estimate) -> Chart:
     """Correlation matrix of the estimates."""
-    names = estimate.parameters
+    names, label = estimate.parameters, "correlation of the estimates"
+    places, values = range(len(names)), np.asarray(estimate.correlation)
+    look = {"low": -1, "high": 1, "diverging": True, "numbers": 2}
     return single(
-        [
-            HeatMap(
-                range(len(names)),
-                range(len(names)),
-                np.asarray(estimate.correlation),
-                "correlation of the estimates",
-                low=-1,
-                high=1,
-                diverging=True,
-                numbers=2,
-            )
-        ],
+        [HeatMap(places, places, values, label, **look)],
         Axis(categories=names),
         Axis(categories=names, reverse=True),
         "Correlation of the estimates: parameters near 1 or -1 are known better in combination "
@@ -177,71 +157,37 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
 def held_out_figure(held: HeldOut, about: str = "") -> Chart:
     """Measured and simulated signals over time; the caption after words about the recording."""
     assert held.measured is not None
-    measured, names = held.measured, list(held.signals)
-    units, time = dict(measured.units), np.asarray(measured.elapsed)
-    rows = []
-    for name in names:
+    time, panels = np.asarray(held.measured.elapsed), []
+    for name, compared in held.signals.items():
+        measured, fit = held.measured.signal(name), float(compared.fit)
         lines = [
-            Line(time, measured.signal(name).with_nan, "measured", GREY, width=BOLD),
+            Line(time, measured.with_nan, "measured", GREY, width=BOLD),
             Line(time, held.record.signal(name).with_nan, "simulated", RUST, width=THIN),
         ]
-        fit = float(held.signals[name].fit)
-        last = name == names[-1]
-        panel = Panel(
-            lines,
-            Axis("time / s" if last else ""),
-            Axis(labelled(name, units.get(name))),
-            title=name if np.isnan(fit) else f"{name}: fit {max(fit, -999.0):.1f} %",
-        )
-        rows.append([panel])
-    return Chart(
-        rows,
+        title = name if np.isnan(fit) else f"{name}: fit {max(fit, -999.0):.1f} %"
+        panels.append(Panel(lines, y=Axis(labelled(name, measured.unit)), title=title))
+    caption = (
         f"{about}measured, and simulated by the identified model from the inputs alone. A fit of "
-        "100 % is perfect, at 0 % the measured mean would do as well.",
-        share_x=True,
-        legend=True,
+        "100 % is perfect, at 0 % the measured mean would do as well."
     )
+    return over_time(panels, caption, legend=True)
+
+
+def over_time(panels: Sequence[Panel], caption: str, legend: bool = False) -> Chart:
+    """Panels above one another, over one axis of time."""
+    rows = [[panel] for panel in panels]
+    rows[-1] = [replace(panels[-1], x=Axis("time / s"))]
+    return Chart(rows, caption, share_x=True, legend=legend)
 
 
 def _fit_figure(result: Assessment) -> Chart:
     """Each stage's rows, measured against explained, and what is left of them."""
     estimate, model = result.estimate, result.model
-    rows = list(_surveyed_rows(result))
-    above, beneath = [], []
-    for stage, name in zip(estimate.stages, estimate.stage_names):
-        held = estimate.criterion.row_unit(model.stages[stage.stage][0].unit)
-        unit = f" / ({held})" if held else ""
-        of_stage = [arrays for place, *arrays in rows if place == stage.stage]
-        measured, explained, start = (np.concatenate(arrays) for arrays in zip(*of_stage))
-        chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
-        measured, explained, start = measured[chosen], explained[chosen], start[chosen]
-        cloud: dict[str, Any] = {"size": SMALL, "opacity": 0.5}
-        reach = BEYOND * max(np.abs(measured).max(), np.abs(explained).max(), TINY)
-        above.append(
-            Panel(
-                [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, **cloud)],
-                Axis(f"explained by the model{unit}", low=-reach, high=reach),
-                Axis(f"measured{unit}", low=-reach, high=reach),
-                title=name,
-            )
-        )
-        left = Dots(start, measured - explained, color=RUST, **cloud)
-        beneath.append(Panel([Level(0), left], Axis("time / s"), Axis(f"residual{unit}")))
-    return Chart(
-        (above, beneath),
-        "Each equation's rows: measured against explained, which an exact model puts on the line, "
-        "and what is left over time.",
-    )
-
-
-def _surveyed_rows(
-    result: Assessment,
-) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Some rows of each equation on each record: the place of its stage, what was measured (less
-    what known terms give), what is explained of it, and when the rows' windows start."""
-    estimate = result.estimate
     assert estimate.summary is not None
-    summary = linearised(result.model, estimate.summary, estimate.known)
+    summary = linearised(model, estimate.summary, estimate.known)
+    # Of each stage, from some rows of each equation on each record: what was measured (less what
+    # known terms give), what is explained of it, and when the rows' windows start.
+    rows: dict[int, list[tuple[np.ndarray, ...]]] = {}
     for i, recording in enumerate(summary.recordings):
         values = estimate.table.values_of(estimate.values, i)
         known = {row.local for row in estimate.table.of_recording(i) if row.name in estimate.known}
@@ -256,7 +202,27 @@ def _surveyed_rows(
                 first = next(iter(held))
                 target = -values[first] * held.pop(first)
             explained = sum((values[n] * x for n, x in held.items()), np.zeros(target.size))
-            yield place, target, explained, np.asarray(equation.survey.start)
+            of_stage = rows.setdefault(place, [])
+            of_stage.append((target, explained, np.asarray(equation.survey.start)))
+    above, beneath = [], []
+    cloud: dict[str, Any] = {"size": SMALL, "opacity": 0.5}
+    for stage, name in zip(estimate.stages, estimate.stage_names):
+        held = estimate.criterion.row_unit(model.stages[stage.stage][0].unit)
+        unit = f" / ({held})" if held else ""
+        measured, explained, start = map(np.concatenate, zip(*rows[stage.stage]))
+        chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
+        measured, explained, start = measured[chosen], explained[chosen], start[chosen]
+        reach = BEYOND * max(np.abs(measured).max(), np.abs(explained).max(), TINY)
+        marks = [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, **cloud)]
+        x = Axis(f"explained by the model{unit}", low=-reach, high=reach)
+        above.append(Panel(marks, x, Axis(f"measured{unit}", low=-reach, high=reach), title=name))
+        left = Dots(start, measured - explained, color=RUST, **cloud)
+        beneath.append(Panel([Level(0), left], Axis("time / s"), Axis(f"residual{unit}")))
+    return Chart(
+        (above, beneath),
+        "Each equation's rows: measured against explained, which an exact model puts on the line, "
+        "and what is left over time.",
+    )
 
 
 GRID = 400
@@ -324,6 +290,15 @@ def _curve(
 ) -> IdentifiedCurve:
     sampled = evaluate(term.of, record)
     variable = np.asarray(sampled.values)
+    # The curve's value by the rest of the equation, at every sample: with all other coefficients
+    # known, sign sum_i c_i b_i = target is what a pointwise row says.
+    others = {n: estimate[n] for n in equation.parameters if n not in term.parameters}
+    samples = None
+    with contextlib.suppress(DataError):  # a derivative that is not recorded
+        rows = _rows_left(equation, record, others)
+        valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
+        left = np.asarray(rows.target)[valid] / float(term.factor)
+        samples = variable[valid][:MOST_POINTS], left[:MOST_POINTS]
     x = variable if sampled.present is None else variable[np.asarray(sampled.present)]
     grid = np.linspace(x.min(), x.max(), GRID)
     functions = np.asarray(eqx.filter_jit(term.functions)(jnp.asarray(grid)))
@@ -343,25 +318,8 @@ def _curve(
         x=grid,
         y=values @ functions,
         error=np.sqrt(np.maximum(variance, 0)),
-        samples=_samples(estimate, equation, term, record, variable),
+        samples=samples,
     )
-
-
-def _samples(
-    estimate: Estimate, equation: Equation, term: AbstractTerm, record: Record, variable: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """The curve's value by the rest of the equation, at every sample.
-
-    With all other coefficients known, sign sum_i c_i b_i = target is what a pointwise row says.
-    """
-    others = [name for name in equation.parameters if name not in term.parameters]
-    try:
-        rows = _rows_left(equation, record, {name: estimate[name] for name in others})
-    except DataError:
-        return None  # a derivative that is not recorded
-    valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
-    x, y = variable[valid], np.asarray(rows.target)[valid] / float(term.factor)
-    return x[:MOST_POINTS], y[:MOST_POINTS]
 
 
 @eqx.filter_jit
@@ -373,11 +331,6 @@ EXCERPT = 400
 """Values of an error that are drawn one by one."""
 LEAST_SHOWN = 1e-8
 """Share of the largest density below which an axis ends: nothing but rounding is there."""
-
-
-def residual_figures(tests: ResidualTests) -> dict[str, Chart]:
-    """`residual_1`, ... for each equation."""
-    return {f"residual_{i + 1}": _figure(each) for i, each in enumerate(tests.equations)}
 
 
 def spectra_figure(tests: ResidualTests) -> Chart:
@@ -393,7 +346,8 @@ def _share(residual: EquationResidual) -> str:
     return f"{100 * residual.relative_rms:.3g} % of the target"
 
 
-def _figure(residual: EquationResidual) -> Chart:
+def residual_figure(residual: EquationResidual) -> Chart:
+    """What one equation leaves over time, lag and frequency."""
     error, found = residual.error, residual.autocorrelation
     # The error and its target over the longest stretch's beginning.
     runs = error.series.runs() or [slice(0, 1)]
@@ -439,45 +393,43 @@ def _following(follows: tuple[CrossCorrelation, ...]) -> Panel | None:
     """Correlation with the signal that the error follows most."""
     if not follows:
         return None
-    found = follows[0]
-    bound = min(found.bound, 1.0)
-    largest = f"{found.largest:.2f} at {found.largest_lag:.3g} s"
+    most = follows[0]
+    bound = min(most.bound, 1.0)
+    largest = f"{most.largest:.2f} at {most.largest_lag:.3g} s"
     marks = [
         Span(-bound, bound, "y", "unrelated, 95 %"),
         Level(0),
-        Line(found.lag, found.values, color=BLUE),
-        Dots([found.largest_lag], [found.largest], largest, RUST, size=LARGE),
+        Line(most.lag, most.values, color=BLUE),
+        Dots([most.largest_lag], [most.largest], largest, RUST, size=LARGE),
     ]
-    label = f"correlation with {found.signal}"
+    label = f"correlation with {most.signal}"
     return Panel(marks, Axis("error later by / s"), Axis(label, low=-BEYOND, high=BEYOND))
 
 
 def _spectra(residual: EquationResidual) -> Panel:
     spectrum, peak = residual.spectrum, residual.peak
-    target, error = _target_and_error(spectrum)
+    (target, error), axes = _target_and_error(spectrum, residual.unit)
     explained = Line(target.x, _positive(spectrum.explained), "explained", BLUE, "dashed")
     ends = Level(spectrum.band, "x", "the signals' power ends", BLACK, "dotted")
     marks: list[Line | Span | Level] = [ends, target, explained, error]
     if peak is not None:
         share = f"peak near {peak.frequency:.3g} Hz: {100 * peak.share:.0f} % of the power in it"
         marks.insert(0, Span(peak.low, peak.high, label=share, color=RUST, opacity=FAINT))
-    return Panel(marks, *_spectrum_axes(spectrum, residual.unit), columns=2)
+    return Panel(marks, *axes, columns=2)
 
 
-def _target_and_error(spectrum: ErrorSpectrum) -> tuple[Line, Line]:
+def _target_and_error(
+    spectrum: ErrorSpectrum, unit: str
+) -> tuple[tuple[Line, Line], tuple[Axis, Axis]]:
+    """Their power densities, and axes of frequency and of these, of a quantity in this unit."""
     frequency = spectrum.frequency[1:]
     target = Line(frequency, _positive(spectrum.target), "target", GREY, width=BOLD)
-    return target, Line(frequency, _positive(spectrum.error), "error", RUST)
-
-
-def _spectrum_axes(spectrum: ErrorSpectrum, unit: str) -> tuple[Axis, Axis]:
-    """Axes of frequency and of power density, of a quantity in this unit."""
+    error = Line(frequency, _positive(spectrum.error), "error", RUST)
     largest = max(np.max(spectrum.target[1:]), np.max(spectrum.error[1:]))
     least = max(np.min(spectrum.error[1:]), LEAST_SHOWN * largest)
+    across = Axis("frequency / Hz", log=True, low=frequency[0], high=frequency[-1])
     low = 0.5 * float(least) if least > 0 else None
-    frequency = spectrum.frequency
-    across = Axis("frequency / Hz", log=True, low=frequency[1], high=frequency[-1])
-    return across, Axis(density_label(unit), log=True, low=low)
+    return (target, error), (across, Axis(density_label(unit), log=True, low=low))
 
 
 def density_label(unit: str) -> str:
@@ -491,50 +443,33 @@ def _positive(density: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
     return np.where(density[1:] > 0, density[1:], np.nan)
 
 
-def window_choice_figures(choice: WindowChoice) -> dict[str, Chart]:
-    """`window_choice`: a row of panels for each equation."""
+def window_choice_figure(choice: WindowChoice) -> Chart:
+    """A row of panels for each equation."""
     rows = []
     low, high = choice.recommended
     in_use = f"in use, {choice.alpha:.3g} to {choice.beta:.3g} s"
+    better = f"recommended, {low:.2g} to {high:.2g} s"
+    length = Axis("window length / s", log=True, low=choice.length[0], high=choice.length[-1])
     for i, equation in enumerate(choice.equations):
+        titled = {"title": equation.name, "legend": i == 0}
         # Spectra, and over them what the current windows let into an integral.
-        spectrum, share = equation.spectrum, equation.error_share
+        lines, axes = _target_and_error(equation.spectrum, equation.unit)
         gain = equation.mean_gain[1:] / np.max(equation.mean_gain)
         shown = {"label": "expected gain (right)", "dashes": "dashed", "right": True}
-        spectra = Panel(
-            [*_target_and_error(spectrum), Line(spectrum.frequency[1:], gain, **shown)],
-            *_spectrum_axes(spectrum, equation.unit),
-            Axis("gain against its largest", low=0, high=BEYOND, color=BLUE),
-            title=equation.name,
-            legend=i == 0,
-        )
+        right = Axis("gain against its largest", low=0, high=BEYOND, color=BLUE)
+        spectra = Panel([*lines, Line(lines[0].x, gain, **shown)], *axes, right, **titled)
         # The error's share at every window length, with the lengths in use and the better ones.
-        shares = Panel(
-            [
-                Span(
-                    low,
-                    high,
-                    label=f"recommended, {low:.2g} to {high:.2g} s",
-                    color=BLUE,
-                    opacity=FAINT,
-                ),
-                Span(choice.alpha, choice.beta, label=in_use, hatched=True),
-                Line(
-                    choice.length,
-                    np.where(share > 0, 100 * share, np.nan),
-                    color=RUST,
-                    width=BOLD,
-                ),
-            ],
-            Axis("window length / s", log=True, low=choice.length[0], high=choice.length[-1]),
-            Axis("error / % of the signal", log=True),
-            title=equation.name,
-            legend=i == 0,
-        )
+        share = np.where(equation.error_share > 0, 100 * equation.error_share, np.nan)
+        marks = [
+            Span(low, high, label=better, color=BLUE, opacity=FAINT),
+            Span(choice.alpha, choice.beta, label=in_use, hatched=True),
+            Line(choice.length, share, color=RUST, width=BOLD),
+        ]
+        shares = Panel(marks, length, Axis("error / % of the signal", log=True), **titled)
         rows.append((spectra, shares))
     caption = (
         "Left: spectra of each equation's target and error, and what the windows in use let in of "
         "them. Right: the error against the signal in windows of every length, with the lengths in "
         "use and those under which no equation is far above its least."
     )
-    return {"window_choice": Chart(rows, caption)}
+    return Chart(rows, caption)

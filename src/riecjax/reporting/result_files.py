@@ -144,7 +144,11 @@ def load(path: str | os.PathLike[str]) -> Any:
                 raise OSError(0, "it is no plain file")
         if file.is_dir() or file.suffix == ".json":
             return _results(file / RESULTS if file.is_dir() else file)
-        if _holds_an_estimate(file):
+        holds_an_estimate = False
+        # Whatever a damaged archive leads to, its reader says what is wrong.
+        with contextlib.suppress(Exception), zipfile.ZipFile(file) as archive:
+            holds_an_estimate = f"{NAME}.npy" in archive.namelist()
+        if holds_an_estimate:
             document, arrays = read_checked(file, NAME, FORMAT, SCHEMA)
             with naming(file, NAME):
                 estimate = _unpack(document["estimate"], arrays)
@@ -190,18 +194,9 @@ def _results(file: Path) -> Results:
             raise DataError(
                 f"it lacks {', '.join(sorted(lacking))}: it is not what riecjax identify writes."
             )
-        found = Results(document, str(file))
-        found.view()
-        return found
-
-
-def _holds_an_estimate(file: Path) -> bool:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return f"{NAME}.npy" in archive.namelist()
-    except Exception:
-        # Whatever a damaged archive leads to, its reader says what is wrong.
-        return False
+        results = Results(document, str(file))
+        results.view()  # which what is no result cannot do
+        return results
 
 
 def save(estimate: AbstractEstimate, path: str | os.PathLike[str]) -> None:

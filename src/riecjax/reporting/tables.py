@@ -4,8 +4,9 @@ import html
 import math
 import re
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 from rich.console import Console
 from rich.table import Table as RichTable
@@ -33,6 +34,28 @@ class Table:
     note: str = ""
     numeric: bool = True
 
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        entries: Iterable[tuple[str, Any]],
+        cells: Mapping[str, Callable[[Any], str]],
+        caption: str = "",
+    ) -> Self:
+        """A row for each name and entry: the name, under the `kind` of thing that it is, and what
+        `cells` say of the entry, each under its header."""
+        rows = [(name, *(cell(entry) for cell in cells.values())) for name, entry in entries]
+        return cls((kind, *cells), rows, caption)
+
+    @property
+    def to_the_right(self) -> list[bool]:
+        """Whether each column holds numbers."""
+        columns = list(zip(*self.rows)) or [()] * len(self.header)
+        return [
+            all(NUMERIC.match(cell) or cell.startswith("... ") for cell in column) and any(column)
+            for column in columns
+        ]
+
 
 @dataclass(frozen=True)
 class View:
@@ -52,9 +75,8 @@ def in_text(view: View, *, brief: bool = False) -> str:
             half = MOST_ROWS // 2
             dots = [f"... {over} more", *("" for _ in table.header[1:])]
             rows = [*rows[:half], dots, *rows[-half:]]
-        columns = list(zip(table.header, *rows))
-        widths = [max(map(len, column)) for column in columns]
-        right = [_is_numeric(column[1:]) for column in columns]
+        widths = [max(map(len, column)) for column in zip(table.header, *rows)]
+        right = Table(table.header, rows).to_the_right
         lines += [table.caption] if table.caption else []
         lines += [
             "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right))
@@ -69,7 +91,7 @@ def in_html(view: View) -> str:
     warnings = [line for line in view.lines if line.startswith("warning [")]
     parts = [f"<div><strong>{html.escape(view.title)}</strong></div>"] if view.title else []
     for table in (table for table in view.tables if table.rows):
-        right = [False, *map(_is_numeric, list(zip(*table.rows))[1:])]
+        right = [False, *table.to_the_right[1:]]
         caption = f"<caption>{html.escape(table.caption)}</caption>" if table.caption else ""
         body = "".join(_html_row(row, right, "td") for row in table.rows)
         head = _html_row(table.header, right, "th")
@@ -93,8 +115,8 @@ def in_rich(
     `styles` of cells that say these words.
     """
     printed = RichTable(box=None, padding=(0, 2, 0, 0))
-    for name, column in zip(table.header, list(zip(*table.rows)) or [()] * len(table.header)):
-        to_the_right = _is_numeric(column) if right is None else name in right
+    for name, numeric in zip(table.header, table.to_the_right):
+        to_the_right = numeric if right is None else name in right
         printed.add_column(Text(name), justify="right" if to_the_right else "left")
     for row in table.rows:
         printed.add_row(*(Text(cell, style=styles.get(cell, "")) for cell in row))
@@ -125,14 +147,9 @@ def _html_row(row: Sequence[str], right: Sequence[bool], tag: str) -> str:
     return f"<tr>{inner}</tr>"
 
 
-def _is_numeric(cells: Sequence[str]) -> bool:
-    return all(NUMERIC.match(cell) or cell.startswith("... ") for cell in cells) and any(cells)
-
-
 def in_markdown(table: Table) -> str:
     """As a table of Markdown."""
-    right = [_is_numeric(column) for column in zip(*table.rows)]
-    rule = ["---:" if r else ":---" for r in right]
+    rule = ["---:" if right else ":---" for right in table.to_the_right]
     rows = [[cell.replace("|", "\\|") for cell in row] for row in (table.header, *table.rows)]
     return "\n".join(f"| {' | '.join(row)} |" for row in (rows[0], rule, *rows[1:]))
 
@@ -181,14 +198,22 @@ def _latex_text(text: str) -> str:
     return re.sub(r"([_%&#])", r"\\\1", text)
 
 
-def with_error(value: float | None, error: float | None) -> str:
-    """A value and its standard error, both rounded to the error's second digit."""
+def rounded(value: float | None, error: float | None) -> tuple[str, str, str]:
+    """A value and its standard error, both rounded to the error's second digit, and the power of
+    ten that they are of, if it is far from none."""
     value = math.nan if value is None else value
     if error is None or not (math.isfinite(value) and math.isfinite(error) and error > 0):
-        return f"{value:.6g}" + ("" if error is None else f" ± {error:.2g}")
+        return f"{value:.6g}", "" if error is None else f"{error:.2g}", ""
     size = math.floor(math.log10(max(abs(value), error)))
     power = size if size >= LARGE or size <= SMALL else 0
     value, error = value / 10.0**power, error / 10.0**power
     places = 1 - int(f"{error:.1e}".partition("e")[2])
-    said = " ± ".join(f"{round(x, places):.{max(places, 0)}f}" for x in (value, error))
-    return f"({said}) × 10^{power}" if power else said
+    digits, wide = (f"{round(x, places):.{max(places, 0)}f}" for x in (value, error))
+    return digits, wide, f" × 10^{power}" if power else ""
+
+
+def with_error(value: float | None, error: float | None) -> str:
+    """A value and its standard error, rounded, in one text."""
+    digits, wide, power = rounded(value, error)
+    both = " ± ".join(filter(None, (digits, wide)))
+    return f"({both}){power}" if power else both

@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rich.console import Console
 
-from riecjax.assessment.verdict import Cause, Step, Verdict, percent
-from riecjax.reporting.document import Document, ends_of, finite, number
-from riecjax.reporting.tables import Table, in_rich, print_table, say
+from riecjax.assessment.verdict import Cause, Step, Verdict
+from riecjax.reporting.document import Document, ends_of, told
+from riecjax.reporting.estimate import parameter_table
+from riecjax.reporting.tables import in_rich, print_table, say
 
 MOST_STEPS = 3
 """Things to do next that are told."""
@@ -27,20 +28,12 @@ def verdict_entries(verdict: Verdict, with_options: WithOptions | None = None) -
     return {
         "sentence": verdict.sentence,
         "parameters": {
-            name: {
-                "level": one.level,
-                "reason": one.reason,
-                "doubt": [finite(end) for end in one.doubt],
-                "share": finite(one.share),
-            }
-            for name, one in verdict.parameters.items()
+            name: told(judged, "level", "reason", "doubt", "share")
+            for name, judged in verdict.parameters.items()
         },
         "causes": [
             {
-                "kind": cause.kind,
-                "phrase": cause.phrase,
-                "parameters": list(cause.parameters),
-                "share": finite(cause.share),
+                **told(cause, "kind", "phrase", "parameters", "share"),
                 "codes": list(dict.fromkeys(finding.code for finding in cause.findings)),
             }
             for cause in verdict.causes
@@ -78,28 +71,17 @@ def print_verdict(document: Document, console: Console) -> None:
     say(console, entries["sentence"], style="bold")
     say(console, "")
     # The answer with its doubt and level; standard errors are in the full table.
-    rows = []
-    for name, entry in document["parameters"].items():
-        judged, ends = entries["parameters"][name], entry["interval95"]
-        interval = "?" if None in ends else " .. ".join(ends_of(ends))
-        doubt = doubt_in_words(judged["share"])
-        value = number(entry["value"])
-        rows.append((name, value, interval, doubt, entry["unit"], judged["level"]))
-    for name, entry in document["known"].items():
-        rows.append((name, number(entry["value"]), "known", "", entry["unit"], ""))
-    header = ("parameter", "value", "95 % interval", "doubt", "unit", "verdict")
-    print_table(in_rich(Table(header, rows), header[1:4], STYLES), console)
+    columns = ("value", "95 % interval", "doubt", "unit", "verdict")
+    table = parameter_table(
+        document, columns, lambda ends: "?" if None in ends else " .. ".join(ends_of(ends))
+    )
+    print_table(in_rich(table, columns[:3], STYLES), console)
     say(console, *reasons_in_words(entries))
     for step in entries["next"]:
         say(console, "", f"{step['words']}{':' if step['command'] else '.'}")
         if step["command"]:
             # Not wrapped: a command is to be pasted.
             say(console, f"  {step['command']}", wrapped=False)
-
-
-def doubt_in_words(share: float | None) -> str:
-    """A doubt as a share of its value."""
-    return "?" if share is None else percent(share)
 
 
 def reasons_in_words(entries: Document) -> Iterator[str]:

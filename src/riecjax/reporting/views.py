@@ -21,23 +21,21 @@ from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import excitation_entries, excitation_table, share_in_words
 from riecjax.reporting.discovery import (
-    choice_in_words,
+    choice_lines,
     discovery_document,
     path_table,
     rejected_table,
-    widths_in_words,
 )
-from riecjax.reporting.document import number
+from riecjax.reporting.document import ends_of, number
 from riecjax.reporting.equations import (
     equation_in_words,
     expression_in_words,
     model_in_words,
     parameters_in_words,
 )
-from riecjax.reporting.estimate import parameter_table
+from riecjax.reporting.estimate import USUAL, parameter_table
 from riecjax.reporting.exports import document_of
 from riecjax.reporting.tables import Table, View, in_html, in_text, with_error
-from riecjax.reporting.verdict import percent
 from riecjax.summaries.summary import Summary
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import ResidualTests
@@ -102,7 +100,7 @@ def _(thing: Model) -> View:
 
 @view_of.register
 def _(thing: Record) -> View:
-    units, shape = dict(thing.units), next(iter(thing.arrays.values())).shape[:-1]
+    shape = next(iter(thing.arrays.values())).shape[:-1]
     step = np.asarray(thing.time_step)
     batch = f"batch of {' x '.join(map(str, shape))} records of " if shape else ""
     title = (
@@ -110,12 +108,12 @@ def _(thing: Record) -> View:
         f"{span(np.asarray(thing.duration), '.4g')} s"
     )
     rows = []
-    for name in thing.arrays:
-        values = thing.signal(name).with_nan
-        missing = int(np.isnan(values).sum())
+    for name, signal in thing.by_name.items():
+        values = signal.with_nan
         kept = values[~np.isnan(values)]
         numbers = [kept.mean(), kept.std(), kept.min(), kept.max()] if kept.size else [np.nan] * 4
-        label = parameters_in_words([name], units)
+        label = parameters_in_words([name], {name: signal.unit})
+        missing = values.size - kept.size
         rows.append([label, *(f"{x:.4g}" for x in numbers), f"{missing}" if missing else ""])
     header = ["signal", "mean", "std", "min", "max", "missing"]
     if not any(row[-1] for row in rows):
@@ -135,16 +133,13 @@ def _(thing: Recording) -> View:
 def _(thing: Discovery) -> View:
     document = discovery_document(thing)
     tables = [path_table(document), rejected_table(document), parameter_table(document)]
-    said = (widths_in_words(document), choice_in_words(document), document["equation"])
-    return View(document["sentence"], tables, [*filter(None, said)])
+    return View(document["sentence"], tables, [*choice_lines(document), document["equation"]])
 
 
 @view_of.register
 def _(thing: Check) -> View:
-    refusal = thing.refusal
-    can = "can" if refusal is None else "cannot"
     return View(
-        f"These recordings {can} answer what the model asks.",
+        f"These recordings {'can' if thing.answerable else 'cannot'} answer what the model asks.",
         [excitation_table(excitation_entries(thing))],
         _warnings(thing.findings),
     )
@@ -224,23 +219,11 @@ def criterion_in_words(criterion: Mapping[str, Any]) -> str:
 
 
 def _of_parameters(estimate: AbstractEstimate, title: str, lines: Sequence[str]) -> View:
-    said = [*lines, *_warnings(estimate.findings())]
+    lines = [*lines, *_warnings(estimate.findings())]
     if not estimate.batch_shape:
-        return View(title, [value_table(document_of(estimate))], said)
-    heading, table = _batch(estimate)
-    return View(heading, [table], said)
-
-
-def value_table(document: Mapping[str, Any]) -> Table:
-    """The answer of a document, as objects show it."""
-    return parameter_table({**document, "refinement": None}, "[{}, {}]")
-
-
-def _batch(estimate: AbstractEstimate) -> tuple[str, Table]:
-    """Of each parameter, how it is distributed over the batch.
-
-    Scatter over members is not uncertainty of one of them, so both are told.
-    """
+        return View(title, [value_table(document_of(estimate))], lines)
+    # How each is distributed over the batch. Scatter over members is not uncertainty of one of
+    # them, so both are told.
     finite = np.isfinite(estimate.theta).all(axis=-1)
     valid = finite & np.asarray(estimate.determined)
     lost = {"not finite": np.sum(~finite), "undetermined": np.sum(finite & ~valid)}
@@ -257,7 +240,15 @@ def _batch(estimate: AbstractEstimate) -> tuple[str, Table]:
         rows.append([name, *numbers, estimate.table[name].unit])
     header = ("parameter", "mean", "std over batch", "mean std error", "min .. max", "unit")
     size = " x ".join(map(str, estimate.batch_shape))
-    return f"batch of {size} estimates{left_out}", Table(header, rows)
+    return View(f"batch of {size} estimates{left_out}", [Table(header, rows)], lines)
+
+
+def value_table(document: Mapping[str, Any], columns: Sequence[str] = USUAL) -> Table:
+    """The answer of a document, as objects show it."""
+    ends = "[{}, {}]".format
+    return parameter_table(
+        {**document, "refinement": None}, columns, lambda interval: ends(*ends_of(interval))
+    )
 
 
 @view_of.register
@@ -276,59 +267,54 @@ def _(thing: WindowSweep) -> View:
 
 @view_of.register
 def _(thing: HeldOut) -> View:
-    rows = [
-        [name, *(f"{float(x):.1f} %" for x in (one.fit, one.vaf, one.p)), one.grade]
-        for name, one in thing.signals.items()
-    ]
-    return View(thing.verdict, [Table(("signal", "fit", "VAF", "p", "predicted"), rows)])
+    cells = {
+        "fit": lambda signal: f"{float(signal.fit):.1f} %",
+        "VAF": lambda signal: f"{float(signal.vaf):.1f} %",
+        "p": lambda signal: f"{float(signal.p):.1f} %",
+        "predicted": lambda signal: signal.grade,
+    }
+    return View(thing.verdict, [Table.of("signal", thing.signals.items(), cells)])
 
 
 @view_of.register
 def _(thing: ResidualTests) -> View:
-    rows = [
-        [
-            one.name,
-            share_in_words(one.relative_rms),
-            "" if one.peak is None else f"{one.peak.frequency:.3g} Hz",
-            "".join(f"{other.signal} ({other.largest:.2f})" for other in one.follows[:1]),
-        ]
-        for one in thing.equations
-    ]
-    header = ("equation", "left, sample by sample", "peak", "follows most (correlation)")
-    return View("what each equation leaves", [Table(header, rows)], _warnings(thing.findings()))
+    cells = {
+        "left, sample by sample": lambda test: share_in_words(test.relative_rms),
+        "peak": lambda test: "" if test.peak is None else f"{test.peak.frequency:.3g} Hz",
+        "follows most (correlation)": lambda test: "".join(
+            f"{other.signal} ({other.largest:.2f})" for other in test.follows[:1]
+        ),
+    }
+    tests = [(test.name, test) for test in thing.equations]
+    table = Table.of("equation", tests, cells)
+    return View("what each equation leaves", [table], _warnings(thing.findings()))
 
 
 @view_of.register
 def _(thing: Assessment) -> View:
-    said, answer, verdict = view_of(thing.answer), thing.answer, thing.verdict
-    (table,) = said.tables
-    judged = [verdict.parameters.get(row[0]) for row in table.rows]
-    rows = [
-        [*row, *(("", "") if one is None else (percent(one.share), one.level))]
-        for row, one in zip(table.rows, judged)
-    ]
-    refused = thing.refinement.declined if thing.refinement is not None else ""
-    lines = [line for line in said.lines if not line.startswith("warning [")]
-    lines += [f"not refined: {refused}"] if refused else []
+    shown, verdict, refinement = view_of(thing.answer), thing.verdict, thing.refinement
+    document = document_of(on_host(thing.answer)) | _judged(verdict)
+    how = shown.title if thing.answer is thing.estimate else "refined"
+    lines = [*_to_do(verdict), f"{thing.model.name} by {how}"]
+    lines += [line for line in shown.lines if not line.startswith("warning [")]
+    if refinement is not None and refinement.declined:
+        lines.append(f"not refined: {refinement.declined}")
     lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in thing.validations]
-    header = (*table.header, "doubt", "verdict")
-    how = "refined" if answer is not thing.estimate else said.title
-    lines = [
-        *_to_do(verdict),
-        f"{thing.model.name} by {how}",
-        *lines,
-    ]
-    return View(verdict.sentence, [Table(header, rows)], [*lines, *_warnings(thing.findings())])
+    table = value_table(document, (*USUAL, "doubt", "verdict"))
+    return View(verdict.sentence, [table], [*lines, *_warnings(thing.findings())])
 
 
 @view_of.register
 def _(thing: Verdict) -> View:
-    rows = [
-        [name, number(one.value), one.unit, percent(one.share), one.level, one.reason]
-        for name, one in thing.parameters.items()
-    ]
-    header = ("parameter", "value", "unit", "doubt", "verdict", "mostly from")
-    return View(thing.sentence, [Table(header, rows)], _to_do(thing))
+    judged = _judged(thing)
+    document = {**judged["verdict"], "known": {}, **judged}
+    columns = ("value", "unit", "doubt", "verdict", "mostly from")
+    return View(thing.sentence, [parameter_table(document, columns)], _to_do(thing))
+
+
+def _judged(verdict: Verdict) -> dict[str, Any]:
+    judged = {name: one._asdict() for name, one in verdict.parameters.items()}
+    return {"verdict": {"parameters": judged}}
 
 
 def _to_do(verdict: Verdict) -> list[str]:

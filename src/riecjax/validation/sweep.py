@@ -269,6 +269,19 @@ def window_sweep(
         )
         summary = summed(asked, bins=edges)
     table = plan_parameters(model, len(summary.recordings), known, per_record)
+    return sweep_of_sums(summary, table, shortest, longest)
+
+
+def sweep_of_sums(
+    summary: Summary,
+    table: ParameterTable,
+    shortest: float | None = None,
+    longest: float | None = None,
+) -> WindowSweep:
+    """[`window_sweep`][] of what a table of parameters says, from sums in bins of window lengths.
+
+    **Raises:** as it does.
+    """
     # Bands are pairs of neighbouring bins of a Summary within the reach of the sweep.
     bins = summary.bins
     if bins is None:

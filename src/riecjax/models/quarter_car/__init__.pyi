@@ -3,6 +3,7 @@ from .identification import body_equation as body_equation
 from .identification import mass_equation as mass_equation
 from .identification import quarter_car_by_body as quarter_car_by_body
 from .identification import quarter_car_by_wheel as quarter_car_by_wheel
+from .identification import quarter_car_system as quarter_car_system
 from .identification import tyre_equation as tyre_equation
 from .identification import wheel_equation as wheel_equation
 from .reconstruction import SPRING_RATE as SPRING_RATE

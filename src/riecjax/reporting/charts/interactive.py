@@ -158,7 +158,31 @@ def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
                 return [_key(mark, **style, x=ends, y=ends)]
             return [_key(mark, **style)] if mark.label else []
         case HeatMap():
-            return [_map(mark, panel)]
+            # A cell tells the names of its place, where the axes have some.
+            low, high = mark.scale
+            x, y = plain_values(mark.x), plain_values(mark.y)
+            stops = [[i / 10, color] for i, color in enumerate(RED_BLUE)]
+            title = {"text": plain_text(mark.label), "side": "right"}
+            trace: dict[str, Any] = {
+                "type": "heatmap",
+                "x": x,
+                "y": y,
+                "z": [plain_values(row) for row in np.asarray(mark.values)],
+                "colorscale": stops if mark.diverging else "Viridis",
+                "zmin": low,
+                "zmax": high,
+                "hoverongaps": False,
+                "hovertemplate": "%{x}, %{y}: %{z}<extra></extra>",
+                "colorbar": {"title": title, "xpad": 8, "thickness": 12, "outlinewidth": 0},
+            }
+            if mark.numbers is not None:
+                trace["texttemplate"] = f"%{{z:.{mark.numbers}f}}"
+            if panel.x.categories or panel.y.categories:
+                columns = [plain_text(name) for name in panel.x.categories] or x
+                rows = [plain_text(name) for name in panel.y.categories] or y
+                trace["customdata"] = [[[row, column] for column in columns] for row in rows]
+                trace["hovertemplate"] = "%{customdata[0]}, %{customdata[1]}: %{z}<extra></extra>"
+            return [trace]
 
 
 def shapes(mark: Mark, axes: dict[str, str]) -> list[dict[str, Any]]:
@@ -202,27 +226,23 @@ def _line(line: Line) -> list[dict[str, Any]]:
         trace["error_y"] = {"array": plain_values(line.error), "thickness": 1, "width": 3}
     if line.low is None or line.high is None:
         return [trace]
-    trace["customdata"] = [plain_values(pair) for pair in np.column_stack((line.low, line.high))]
+    x, low, high = (np.asarray(values, float) for values in (line.x, line.low, line.high))
+    trace["customdata"] = [plain_values(pair) for pair in np.column_stack((low, high))]
     trace["hovertemplate"] = "(%{x}, %{y})<br>%{customdata[0]} to %{customdata[1]}"
-    return [_band(line, line.low, line.high), trace]
-
-
-def _band(line: Line, low: ArrayLike, high: ArrayLike) -> dict[str, Any]:
-    """One closed outline for each unbroken stretch of a band."""
-    x, low, high = (np.asarray(values, float) for values in (line.x, low, high))
+    # The band: one closed outline for each unbroken stretch.
     whole = np.flatnonzero(np.isfinite(x) & np.isfinite(low) & np.isfinite(high))
     around: list[np.ndarray] = []
     for part in np.split(whole, np.flatnonzero(np.diff(whole) > 1) + 1):
         there = np.column_stack((x[part], high[part]))
         back = np.column_stack((x[part], low[part]))[::-1]
         around += [there, back, np.full((1, 2), np.nan)]
-    x, y = np.concatenate(around).T
+    across, along = np.concatenate(around).T
     red, green, blue = (int(line.color[i : i + 2], 16) for i in (1, 3, 5))
-    return {
+    band = {
         "type": "scatter",
         "mode": "lines",
-        "x": plain_values(x),
-        "y": plain_values(y),
+        "x": plain_values(across),
+        "y": plain_values(along),
         "line": {"width": 0},
         "fill": "toself",
         "fillcolor": f"rgba({red},{green},{blue},0.18)",
@@ -230,42 +250,11 @@ def _band(line: Line, low: ArrayLike, high: ArrayLike) -> dict[str, Any]:
         "showlegend": False,
         "legendgroup": plain_text(line.label) or None,
     }
+    return [band, trace]
 
 
 def _level_style(level: Level) -> dict[str, Any]:
     return {"color": level.color, "dash": DASHES[level.dashes], "width": 1}
-
-
-def _map(heat: HeatMap, panel: Panel) -> dict[str, Any]:
-    """The map; a cell tells the names of its place, where the axes have some."""
-    low, high = heat.scale
-    x, y = plain_values(heat.x), plain_values(heat.y)
-    stops = [[i / 10, color] for i, color in enumerate(RED_BLUE)]
-    trace: dict[str, Any] = {
-        "type": "heatmap",
-        "x": x,
-        "y": y,
-        "z": [plain_values(row) for row in np.asarray(heat.values)],
-        "colorscale": stops if heat.diverging else "Viridis",
-        "zmin": low,
-        "zmax": high,
-        "hoverongaps": False,
-        "hovertemplate": "%{x}, %{y}: %{z}<extra></extra>",
-        "colorbar": {
-            "title": {"text": plain_text(heat.label), "side": "right"},
-            "xpad": 8,
-            "thickness": 12,
-            "outlinewidth": 0,
-        },
-    }
-    if heat.numbers is not None:
-        trace["texttemplate"] = f"%{{z:.{heat.numbers}f}}"
-    if panel.x.categories or panel.y.categories:
-        columns = [plain_text(name) for name in panel.x.categories] or x
-        rows = [plain_text(name) for name in panel.y.categories] or y
-        trace["customdata"] = [[[row, column] for column in columns] for row in rows]
-        trace["hovertemplate"] = "%{customdata[0]}, %{customdata[1]}: %{z}<extra></extra>"
-    return trace
 
 
 ABOVE = {"xanchor": "left", "yanchor": "bottom"}
@@ -302,10 +291,15 @@ def interactive(chart: Chart) -> dict[str, Any]:
         across, down = spaces.across(place, panel.columns), spaces.along(row)
         x = _axis(panel.x, panel.reach("x")) | {"domain": across, "anchor": axes["yaxis"]}
         y = _axis(panel.y, panel.reach("y")) | {"domain": down, "anchor": axes["xaxis"]}
-        if chart.share_x:
-            x |= _sharing(panel.x, shared.setdefault(("x", place), axes["xaxis"]), axes["xaxis"])
-        if chart.share_y:
-            y |= _sharing(panel.y, shared.setdefault(("y", row), axes["yaxis"]), axes["yaxis"])
+        # An axis zooms with the first of its row or column; without a label it has no numbers.
+        for drawn, wanted, which, line, is_shared in (
+            (x, panel.x, "xaxis", place, chart.share_x),
+            (y, panel.y, "yaxis", row, chart.share_y),
+        ):
+            if is_shared:
+                first = shared.setdefault((which, line), axes[which])
+                drawn |= {} if first == axes[which] else {"matches": first}
+                drawn |= {} if wanted.label else {"showticklabels": False}
         layout |= {f"xaxis{number}": x, f"yaxis{number}": y}
         right_axis = axes | {"yaxis": f"y{RIGHT_AXES + i}"}
         if panel.right is not None:
@@ -385,9 +379,3 @@ def _axis(wanted: Axis, reach: tuple[float, float]) -> dict[str, Any]:
     margin = MARGIN * (high - low)
     ends = [low - margin * (wanted.low is None), high + margin * (wanted.high is None)]
     return axis | {"range": plain_values(ends[::-1] if wanted.reverse else ends)}
-
-
-def _sharing(wanted: Axis, first: str, own: str) -> dict[str, Any]:
-    """Let an axis zoom with the `first` of its row or column; without a label it has no numbers."""
-    zoom = {} if first == own else {"matches": first}
-    return zoom if wanted.label else zoom | {"showticklabels": False}

@@ -118,34 +118,26 @@ def _fill(figure: Figure, chart: Chart) -> None:
 
 def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:
     right = None if panel.right is None else axes.twinx()
-    axes.set(xscale=_scale(panel.x), yscale=_scale(panel.y))
+    scales = ["log" if axis.log else "linear" for axis in (panel.x, panel.y, panel.right or Axis())]
+    axes.set(xscale=scales[0], yscale=scales[1])
     for mark in panel.marks:
         on_right = isinstance(mark, Line) and mark.right
         _draw(right if on_right and right is not None else axes, mark)
     _finish(axes.xaxis, panel.x, axes.set_xlim)
     _finish(axes.yaxis, panel.y, axes.set_ylim)
+    handles, labels = axes.get_legend_handles_labels()
     if right is not None and panel.right is not None:
         right.grid(False)
-        right.set_yscale(_scale(panel.right))
+        right.set_yscale(scales[2])
         _finish(right.yaxis, panel.right, right.set_ylim)
         right.spines["right"].set_visible(True)
+        more, named = right.get_legend_handles_labels()
+        handles, labels = handles + more, labels + named
     axes.tick_params(
         labelbottom=bool(panel.x.label) or not chart.share_x,
         labelleft=bool(panel.y.label) or not chart.share_y,
     )
-    _titles(axes, right, panel, chart)
-
-
-def _scale(axis: Axis) -> str:
-    return "log" if axis.log else "linear"
-
-
-def _titles(axes: Any, right: Any, panel: Panel, chart: Chart) -> None:
-    """Title and legend, above the panel; the legend of the first one perhaps above all."""
-    handles, labels = axes.get_legend_handles_labels()
-    if right is not None:
-        more, named = right.get_legend_handles_labels()
-        handles, labels = handles + more, labels + named
+    # Title and legend, above the panel; the legend of the first one perhaps above all.
     rows = 0
     if chart.legend:
         figure = axes.get_figure()
@@ -200,27 +192,22 @@ def _draw(axes: Any, mark: Mark) -> None:
             else:
                 (axes.axvline if mark.axis == "x" else axes.axhline)(mark.value, **look)
         case HeatMap():
-            _draw_map(axes, mark)
-
-
-def _draw_map(axes: Any, heat: HeatMap) -> None:
-    values, x, y = np.asarray(heat.values), np.asarray(heat.x), np.asarray(heat.y)
-    low, high = heat.scale
-    axes.grid(False)
-    look: Any = {"cmap": "RdBu_r" if heat.diverging else "viridis", "shading": "nearest"}
-    image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), vmin=low, vmax=high, **look)
-    bar = axes.get_figure().colorbar(image, ax=axes, label=heat.label)
-    bar.outline.set_visible(False)
-    bar.ax.grid(False)
-    if heat.numbers is None:
-        return
-    for row, column in np.argwhere(np.isfinite(values)):
-        value = values[row, column]
-        # Luma (ITU-R BT.601, rounded): numbers on dark cells are white.
-        dark = np.dot(image.cmap(image.norm(value))[:3], (0.3, 0.6, 0.1)) < 0.5
-        style = {"fontsize": "x-small", "color": "white" if dark else "black"}
-        text = f"{value:.{heat.numbers}f}"
-        axes.text(x[column], y[row], text, ha="center", va="center", **style)
+            values, x, y = np.asarray(mark.values), np.asarray(mark.x), np.asarray(mark.y)
+            low, high = mark.scale
+            axes.grid(False)
+            look = {"cmap": "RdBu_r" if mark.diverging else "viridis", "shading": "nearest"}
+            image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), vmin=low, vmax=high, **look)
+            bar = axes.get_figure().colorbar(image, ax=axes, label=mark.label)
+            bar.outline.set_visible(False)
+            bar.ax.grid(False)
+            numbered = np.argwhere(np.isfinite(values)) if mark.numbers is not None else ()
+            for row, column in numbered:
+                value = values[row, column]
+                # Luma (ITU-R BT.601, rounded): numbers on dark cells are white.
+                dark = np.dot(image.cmap(image.norm(value))[:3], (0.3, 0.6, 0.1)) < 0.5
+                style = {"fontsize": "x-small", "color": "white" if dark else "black"}
+                text = f"{value:.{mark.numbers}f}"
+                axes.text(x[column], y[row], text, ha="center", va="center", **style)
 
 
 def _finish(axis: Any, wanted: Axis, set_limits: Any) -> None:
@@ -234,23 +221,18 @@ def _finish(axis: Any, wanted: Axis, set_limits: Any) -> None:
     if wanted.low is not None or wanted.high is not None:
         set_limits(wanted.low, wanted.high)
     if wanted.log:
-        _plain_numbers(axis)
+        # Numbers as 1, 2, 5, 10 where they are of a readable size, else as 1e-5, 1e-4: Matplotlib's
+        # own are mathematical text, which names of signals must not be taken for.
+        low, high = sorted(axis.get_view_interval())
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"1e{math.log10(value):.0f}"))
+        if low >= PLAIN[0] and high <= PLAIN[1]:
+            few, many = high < DECADE * low, high > 1e3 * low
+            subs = (1, 1.5, 2, 3, 4, 5, 6, 8) if few else (1,) if many else (1, 2, 5)
+            axis.set_major_locator(LogLocator(subs=subs))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if wanted.reverse:
         axis.set_inverted(True)
     if wanted.color:
         axis.label.set_color(wanted.color)
         axis.set_tick_params(colors=wanted.color)
-
-
-def _plain_numbers(axis: Any) -> None:
-    """Numbers as 1, 2, 5, 10 where they are of a readable size, else as 1e-5, 1e-4."""
-    low, high = sorted(axis.get_view_interval())
-    axis.set_minor_locator(NullLocator())
-    if low < PLAIN[0] or high > PLAIN[1]:
-        # Matplotlib's own are mathematical text, which names of signals must not be taken for.
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"1e{math.log10(value):.0f}"))
-        return
-    few, many = high < DECADE * low, high > 1e3 * low
-    subs = (1, 1.5, 2, 3, 4, 5, 6, 8) if few else (1,) if many else (1, 2, 5)
-    axis.set_major_locator(LogLocator(subs=subs))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
