@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -39,7 +39,6 @@ from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
-from riecjax.findings import Finding
 from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
@@ -48,6 +47,9 @@ from riecjax.settings import taking
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals, intervals_of
 from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
+
+if TYPE_CHECKING:
+    from riecjax.findings import Finding
 
 FEWEST = 6
 """Folds of time that a choice is made from at the least."""
