@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -17,6 +16,7 @@ from benchmarks.speed.timing import Comparison, Size, compare
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
+from riecjax.equations.model import as_model
 from riecjax.equations.term import Term
 from riecjax.estimation.stages import solve
 from riecjax.models.quarter_car.identification import body_equation
@@ -24,14 +24,21 @@ from riecjax.models.quarter_car.reconstruction import quarter_car_source, recons
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations
+from riecjax.summaries.stage_sums import stage_normal_equations
 
 WINDOWS, SPRUNG_MASS = 8000, 300.0
 SIGNALS = ("x2", "x3", "x4")
 
 
+def summed(equation: Equation, record: Record, criterion: RIEC) -> NormalEquations:
+    """Over all windows."""
+    (equations,) = stage_normal_equations(as_model(equation), record, criterion, None)
+    return equations.total()
+
+
 @eqx.filter_jit
 def moments(equation: Equation, record: Record, criterion: RIEC) -> Float[Array, "columns columns"]:
-    return jnp.sum(criterion.sums(equation, record)[0][0], axis=0)
+    return summed(equation, record, criterion).moments
 
 
 def long_record(size: Size) -> Comparison:
@@ -71,8 +78,7 @@ def identified(
     equation: Equation, record: Record, criterion: RIEC, known: dict[str, float]
 ) -> Float[Array, " p"]:
     """From signals to parameters."""
-    equations = NormalEquations(*criterion.sums(equation, record)[0], equation.parameters)
-    return solve(equations.total().fix(known)).theta
+    return solve(summed(equation, record, criterion).fix(known)).theta
 
 
 @eqx.filter_jit

@@ -111,10 +111,10 @@ def test_the_command_line_offers_the_test_functions_that_are_there():
     assert {*OFFERED} == {"auto", *TEST_FUNCTIONS}
     model = rx.staged(rx.Equation(rx.Term("m", "x", derivative=2), -rx.Term(1.0, "F")))
     for name in TEST_FUNCTIONS:
-        criterion = criterion_for(Fit(test_function=name), model, MODEL.band, ())
+        criterion = criterion_for(Fit(test_function=name), model, ())
         assert criterion is not None
         assert criterion.describe()["test_function"] == name
-    finer = criterion_for(Fit(test_function="hat", quadrature="6"), model, MODEL.band, ())
+    finer = criterion_for(Fit(test_function="hat", quadrature="6"), model, ())
     assert finer == rx.RIEC.of_band((1.0, 10.0), rx.Hat(6))
 
 

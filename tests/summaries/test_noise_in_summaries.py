@@ -64,7 +64,7 @@ def test_a_record_in_chunks_adds_up_to_the_same_in_one_piece(count, test_functio
     def products(columns):
         return test_function.moments(columns, lags, blocks, 128)[0]
 
-    whole = jax.jit(lambda: criterion.noise_of(noisy, one.noise, lags, blocks, products))()
+    whole = jax.jit(lambda: criterion.noise_of(noisy, lags, blocks, products))()
     found = rx.summarise(EQUATION, one, criterion).recordings[0].stages[0][0]
     size = np.sqrt(np.outer(np.diag(whole.total[0]), np.diag(whole.total[0])))
     assert (size > 0).all()

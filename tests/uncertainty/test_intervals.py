@@ -13,7 +13,6 @@ from riecjax.summaries.normal_equations import (
     NormalEquations,
     ShortBlocks,
     blocks_in_use,
-    merge_blocks,
 )
 from riecjax.uncertainty.block_statistics import (
     BlockStatistics,
@@ -66,7 +65,7 @@ def statistics_of(fine, blocks=BLOCKS, short=SETTING) -> BlockStatistics:
     totals = [stage.total() for stage in flat]
     values = staged_values(totals, unknowns, {}, lambda e: solve(e).theta)
     used = jnp.array([blocks])
-    merged = [merge_blocks(stage, short, used) for stage in fine]
+    merged = [stage.merged(short, used) for stage in fine]
     return BlockStatistics(
         unknowns,
         {},
@@ -227,7 +226,7 @@ def test_blocks_are_never_of_two_records_and_hold_everything():
     short = ShortBlocks(np.array([50, 30]), jnp.array([0.1, 0.1]))
     used = blocks_in_use(short, jnp.asarray(1.0))
     np.testing.assert_array_equal(used, [5, 3])
-    merged = np.asarray(merge_blocks(fine, short, used).count).reshape(2, MOST_BLOCKS)
+    merged = np.asarray(fine.merged(short, used).count).reshape(2, MOST_BLOCKS)
     np.testing.assert_allclose(merged[0, :5], counts[0].reshape(5, 10).sum(1))
     np.testing.assert_allclose(merged[1, :3], counts[1, :30].reshape(3, 10).sum(1))
     assert not merged[0, 5:].any()

@@ -83,7 +83,7 @@ def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "A
     model = with_rests(as_model(model), settings.at_rest)
     recordings = ready(model, recordings, settings.noise)
     plain = [each.record for each in recordings]
-    criterion = criterion_for(settings, model, model.band, plain)
+    criterion = criterion_for(settings, model, plain)
 
     def concerned(some: Sequence[Recording]) -> list[Recording]:
         """The recordings with what is said of signals that the criterion reads."""
@@ -253,7 +253,7 @@ def check_answering(
     """
     model, recordings = as_model(model), as_recordings(records)
     plain, key = [each.record for each in recordings], settings.key
-    criterion = criterion_for(settings, model, model.band, plain)
+    criterion = criterion_for(settings, model, plain)
     require_memory_to_assess(model, plain, criterion, checking=True)
     summary = summarise(model, recordings, criterion, key=key, survey=True)
     table = plan_parameters(model, len(recordings), settings.known, settings.per_record)

@@ -71,11 +71,19 @@ class StartRange(NamedTuple):
     stop: Int[Array, ""]
 
 
-class _Runs(NamedTuple):
+class Runs(NamedTuple):
     """For each sample, the first and last sample of the run of valid samples it lies in."""
 
     first: Int[Array, " n"]
     last: Int[Array, " n"]
+
+    @classmethod
+    def of(cls, valid: Bool[Array, " n"]) -> "Runs":
+        """Of a mask."""
+        at = jnp.arange(valid.shape[0])
+        gap_before = jax.lax.cummax(jnp.where(valid, -1, at))
+        gap_after = jax.lax.cummin(jnp.where(valid, at.size, at), reverse=True)
+        return cls(gap_before + 1, gap_after - 1)
 
 
 class _Sums(NamedTuple):
@@ -286,14 +294,11 @@ def _moments(
 
 def _places(
     valid: Bool[Array, " n"], starts: StartRange
-) -> tuple[Int[Array, " n"], _Runs, Bool[Array, " n"]]:
+) -> tuple[Int[Array, " n"], Runs, Bool[Array, " n"]]:
     """Every sample, the run it lies in, and whether windows may start there."""
-    n = valid.shape[0]
-    at = jnp.arange(n)
-    gap_before = jax.lax.cummax(jnp.where(valid, -1, at))
-    gap_after = jax.lax.cummin(jnp.where(valid, n, at), reverse=True)
+    at = jnp.arange(valid.shape[0])
     begins = valid & (at >= starts.first) & (at < starts.stop)
-    return at, _Runs(gap_before + 1, gap_after - 1), begins
+    return at, Runs.of(valid), begins
 
 
 def _count_starts(

@@ -10,7 +10,7 @@ windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -18,10 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.criteria.all_windows import Moments
-from riecjax.criteria.chunks import StartBlocks, in_chunks
-from riecjax.criteria.laws import LagBins, each_bin
-from riecjax.criteria.noise_moments import NoiseMoments, in_closed_form, noise_moments
+from riecjax.criteria.chunks import StartBlocks
+from riecjax.criteria.laws import LagBins
+from riecjax.criteria.noise_moments import NoiseMoments, NoiseWeights, noise_moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import AbstractWindows, AllWindows, Count, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
@@ -33,11 +32,9 @@ from riecjax.equations.noisy_columns import (
     without_noise,
 )
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, is_concrete, namespace
-from riecjax.records.noise import Noise
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 
-Sums = tuple[Moments, NoiseMoments | None]
 SHORT_BLOCKS_OF_ROWS = 512
 """Short blocks of start times to a record where single rows are put into them."""
 
@@ -73,10 +70,9 @@ class Rows(eqx.Module):
         """The rows left when these parameters take these values: their columns join the target."""
         own = dict(zip(self.parameters, self.columns[1:]))
         given = [known[name] * column for name, column in own.items() if name in known]
-        unknown = tuple(name for name in self.parameters if name not in known)
-        target = self.target - sum(given, start=jnp.zeros_like(self.target))
-        columns = jnp.stack([target, *(own[name] for name in unknown)])
-        return Rows(columns, self.position, unknown, self.valid)
+        unknown = {name: column for name, column in own.items() if name not in known}
+        columns = jnp.stack([self.target - sum(given), *unknown.values()])
+        return Rows(columns, self.position, tuple(unknown), self.valid)
 
     def count(self) -> Float[Array, ""]:
         """Number of valid rows."""
@@ -102,7 +98,7 @@ class AbstractCriterion(eqx.Module):
 
     @property
     def in_closed_form(self) -> bool:
-        """Whether all rows are summed at once: there are `sums`, and no single rows."""
+        """Whether all rows are summed at once, and there are no single rows."""
         return self.windows is not None and not self.windows.needs_key
 
     @property
@@ -120,14 +116,6 @@ class AbstractCriterion(eqx.Module):
     def block_length(self) -> Leaf:
         """Seconds after which two rows share no data: their errors are not locked together."""
         return np.zeros(()) if self.windows is None else self.windows.beta
-
-    @property
-    def typical_length(self) -> Leaf:
-        """Seconds that a typical window lasts, the geometric mean; 0 without windows."""
-        if self.windows is None:
-            return np.zeros(())
-        alpha, beta = self.windows.alpha, self.windows.beta
-        return namespace(alpha, beta).sqrt(alpha * beta)
 
     def in_chunks(self, record: Record) -> bool:
         """Whether a record is so long that it is worked through in chunks."""
@@ -187,15 +175,6 @@ class AbstractCriterion(eqx.Module):
         drawn = self.draw(record, key)
         return self.rows_of(sampled_columns(equation, record, self.smoothness), drawn)
 
-    def sums(self, equation: Equation, record: Record, apart: bool = False) -> Sums:
-        """Sums over all rows of their outer products, for blocks of `block_samples` starts.
-
-        **Returns:** these and numbers of rows, and what of them the record's noise adds.
-
-        **Raises:** `ModelError` unless they come in closed form, `DataError` for a missing signal.
-        """
-        raise ModelError("this criterion has rows, not moments of all of them.")
-
     def law(self, record: Record) -> LagBins:
         """The law of window lengths on a record.
 
@@ -215,7 +194,6 @@ class AbstractCriterion(eqx.Module):
     def noise_of(
         self,
         noisy: NoisyColumns,
-        noise: Noise,
         windows: LagBins | WindowSet,
         blocks: StartBlocks,
         products: Callable[[Columns], Array],
@@ -227,14 +205,10 @@ class AbstractCriterion(eqx.Module):
         if not noisy.moves:
             return None
 
-        def weighed(law: LagBins | WindowSet) -> list[Array] | None:
-            weights = self.test_function.noise_weights(noisy.columns, law, blocks)
-            return in_closed_form(noisy, weights, blocks)
+        def weights_of(law: LagBins | WindowSet) -> NoiseWeights | None:
+            return self.test_function.noise_weights(noisy.columns, law, blocks)
 
-        def white() -> list[Array] | None:
-            return each_bin(weighed, windows) if isinstance(windows, LagBins) else weighed(windows)
-
-        return noise_moments(noisy, noise, white, products)
+        return noise_moments(noisy, windows, blocks, weights_of, products)
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
@@ -388,40 +362,6 @@ class RIEC(AbstractCriterion):
             record.time_step,
             self.test_function.length_multiple,
         )
-
-    def sums(self, equation: Equation, record: Record, apart: bool = False) -> Sums:
-        """Sums over all windows of the outer products of rows, for blocks of starts.
-
-        **Returns:** these and numbers of rows, and what of them the record's noise adds; `apart`,
-        of each of the law's lengths along a leading axis.
-
-        **Raises:** `DataError` for a missing signal; `ModelError` for random windows.
-        """
-        if self.needs_key:
-            raise ModelError("random windows have rows, not moments of all of them.")
-        windows, n = self.windows.every, record.sample_count
-        lags, reach = self.law(record), windows.reach(n)
-        if apart:
-            lags = jax.tree.map(lambda leaf: leaf[:, None], lags)
-
-        def flipped(sums: Any) -> Any:
-            return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), sums) if apart else sums
-
-        def of_chunk(part: Record, blocks: StartBlocks) -> Any:
-            noisy = self.noisy_columns(equation, part)
-
-            def products(columns: Columns) -> Array:
-                return self.test_function.moments(columns, lags, blocks, reach)[0]
-
-            noise = self.noise_of(noisy, part.noise, lags, blocks, products)
-            moments = self.test_function.moments(noisy.columns, lags, blocks, reach)
-            total, of_source = (None, None) if noise is None else (noise.total, noise.of_source)
-            return flipped((moments, total)), jax.tree.map(lambda leaf: leaf[None], of_source)
-
-        size, beyond = windows.block(n), self.test_function.margin
-        sums, of_source = in_chunks(record, of_chunk, block=size, reach=reach, margin=beyond)
-        moments, total = flipped(sums)
-        return moments, None if total is None else NoiseMoments(total, of_source.sum(0))
 
     def law(self, record: Record) -> LagBins:
         """The law of window lengths on a record."""

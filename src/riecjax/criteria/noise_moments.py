@@ -33,14 +33,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
+from riecjax.criteria.all_windows import Runs
 from riecjax.criteria.chunks import StartBlocks
-from riecjax.criteria.laws import LagBins, sum_over_bins, sum_over_lengths
+from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins, sum_over_lengths
 from riecjax.criteria.quadrature import interval_weights
+from riecjax.criteria.windows import WindowSet
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
-from riecjax.records.noise import Noise
 
 NoiseWeights = Float[Array, "orders orders n"]
 """W_kl at every sample, for derivatives k and l that a test function takes off."""
@@ -55,17 +56,13 @@ class Points(NamedTuple):
     end: Float[Array, " n"]
 
 
-def points_of_windows(
-    present: Bool[Array, " n"] | None, samples: int, lags: LagBins, blocks: StartBlocks, pieces: int
-) -> Points:
+def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, pieces: int) -> Points:
     """Where all windows of a law that start in some blocks have their ends, `pieces` lags long."""
-    at = jnp.arange(samples)
+    at, present = jnp.arange(columns.sample_count), columns.present
     if present is None:
         first, last = jnp.zeros_like(at), jnp.broadcast_to(blocks.unpadded - 1, at.shape)
     else:
-        valid = present & (at < blocks.unpadded)
-        first = jax.lax.cummax(jnp.where(valid, -1, at)) + 1
-        last = jax.lax.cummin(jnp.where(valid, samples, at), reverse=True) - 1
+        first, last = Runs.of(present & (at < blocks.unpadded))
     first = jnp.maximum(first, blocks.first)
     stop = blocks.first + blocks.size * blocks.number - 1
 
@@ -259,56 +256,58 @@ class NoiseMoments(eqx.Module):
 
 def noise_moments(
     noisy: NoisyColumns,
-    noise: Noise,
-    white: Callable[[], list[Array] | None],
+    windows: LagBins | WindowSet,
+    blocks: StartBlocks,
+    weights_of: Callable[[LagBins | WindowSet], NoiseWeights | None],
     products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]],
 ) -> NoiseMoments:
     """What noise adds to the moments of an equation.
 
-    **Arguments:** `white` gives what [`in_closed_form`][] does; `products`, sums of outer products
-    of the rows that columns make, for blocks of starts.
+    **Arguments:** `windows`, the law of all that start in the blocks, or those drawn; `weights_of`
+    white noise at each sample, without which there is no closed form; `products`, sums of outer
+    products of the rows that columns make, for blocks of starts.
     """
-    closed = white() if noisy.white or noisy.curved else None
+    columns, noise = noisy.columns, noisy.noise
+    width = columns.values.shape[1]
+
+    def in_closed_form(law: LagBins | WindowSet) -> list[Array] | None:
+        """What each white source adds, and at last what is added where columns are curved."""
+        if (weights := weights_of(law)) is None:
+            return None
+        of_white = [
+            _weighted(movement, weights, blocks, width) for movement in noisy.white.values()
+        ]
+        nothing = jnp.zeros((blocks.number, width, width), columns.values.dtype)
+        every = (times * _weighted(m, weights, blocks, width) for times, m in noisy.curved)
+        return [*of_white, sum(every, start=nothing)]
+
+    closed = None
+    if noisy.white or noisy.curved:
+        is_law = isinstance(windows, LagBins)
+        closed = each_bin(in_closed_form, windows) if is_law else in_closed_form(windows)
     if closed is None:
-        taps = {"": {"": jnp.ones(1)}}
-
-        def probed(movement: Movement) -> Array:
-            return _probed({"": movement}, taps, "", noisy.columns, products)
-
-        each = [probed(movement) for movement in noisy.white.values()]
-        every = [times * probed(movement) for times, movement in noisy.curved]
+        white = jnp.ones(1)
+        each = [_probed([(m, white)], columns, products) for m in noisy.white.values()]
+        every = [times * _probed([(m, white)], columns, products) for times, m in noisy.curved]
         curved = sum(every, start=jnp.zeros(()))
     else:
         *each, curved = closed
     found = dict(zip(noisy.white, each))
     # Kernels of the signals' coloured noise, which has unit size in each.
-    kernels = {}
-    read = list(noisy.coloured)
-    for name in read:
-        own = {s: t for s, t in noise.kernels[name].items() if not is_white(noise, s, read)}
+    coloured: dict[str, list[tuple[Movement, Array]]] = {}
+    for name, movement in sorted(noisy.coloured.items()):
+        own = {
+            s: t for s, t in noise.kernels[name].items() if not is_white(noise, s, noisy.coloured)
+        }
         size = jnp.sqrt(sum(jnp.sum(jnp.asarray(t) ** 2) for t in own.values()))
-        kernels[name] = {s: t / jnp.where(size > 0, size, 1.0) for s, t in own.items()}
-    for source in sorted({source for taps in kernels.values() for source in taps}):
-        found[source] = _probed(noisy.coloured, kernels, source, noisy.columns, products)
+        for source, taps in own.items():
+            unit = jnp.asarray(taps) / jnp.where(size > 0, size, 1.0)
+            coloured.setdefault(source, []).append((movement, unit))
+    for source, parts in sorted(coloured.items()):
+        found[source] = _probed(parts, columns, products)
     nothing = jnp.zeros_like(next(iter(found.values())))
     of_source = [jnp.sum(found.get(source, nothing), axis=-3) for source in noise.sources]
     return NoiseMoments(sum(found.values(), start=curved), jnp.stack(of_source, axis=-3))
-
-
-def in_closed_form(
-    noisy: NoisyColumns, weights: NoiseWeights | None, blocks: StartBlocks
-) -> list[Float[Array, "blocks columns columns"]] | None:
-    """What each white source adds, and at last what is added where columns are curved.
-
-    **Arguments:** `weights` of white noise at each sample; without them there is no closed form.
-    """
-    if weights is None:
-        return None
-    size = noisy.columns.values.shape[1]
-    found = [_weighted(movement, weights, blocks, size) for movement in noisy.white.values()]
-    nothing = jnp.zeros((blocks.number, size, size), noisy.columns.values.dtype)
-    curved = (times * _weighted(m, weights, blocks, size) for times, m in noisy.curved)
-    return [*found, sum(curved, start=nothing)]
 
 
 def _weighted(
@@ -382,29 +381,26 @@ def _sums_in_blocks(
 
 
 def _probed(
-    movements: dict[str, Movement],
-    kernels: dict[str, dict[str, Array]],
-    source: str,
+    parts: Sequence[tuple[Movement, Array]],
     like: Columns,
     products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]],
 ) -> Float[Array, "*bins blocks columns columns"]:
-    """Mean of the products of rows of what a source's noise, sent through, makes of columns."""
-    n = like.sample_count
-    own = {name: taps[source] for name, taps in kernels.items() if source in taps}
-    reach = max(taps.shape[-1] // 2 for taps in own.values())
+    """Mean of the products of rows of what a source's noise, sent through, makes of columns.
+
+    **Arguments:** `parts`, how columns move with each signal, and the source's kernel in it.
+    """
+    n, reach = like.sample_count, max(taps.shape[-1] // 2 for _, taps in parts)
 
     def once(signs: Array) -> Array:
         values = jnp.zeros_like(like.values)
-        for name in sorted(own.keys() & movements.keys()):
+        for movement, taps in parts:
             # White noise, which begins `reach` samples earlier, through the kernel.
-            size = signs.shape[0] + own[name].shape[-1]
-            spectrum = jnp.fft.rfft(signs.astype(values.dtype), size) * jnp.fft.rfft(
-                own[name], size
-            )
-            first = reach + own[name].shape[-1] // 2
-            noise = jnp.fft.irfft(spectrum, size)[first : first + n]
-            values = values + movements[name].scaled(noise).columns(like).values
-        return products(Columns(values, like.present, like.time_step, like.parameters))
+            size = signs.shape[0] + taps.shape[-1]
+            white = jnp.fft.rfft(signs.astype(values.dtype), size)
+            first = reach + taps.shape[-1] // 2
+            noise = jnp.fft.irfft(white * jnp.fft.rfft(taps, size), size)[first : first + n]
+            values = values + movement.scaled(noise).columns(like).values
+        return products(eqx.tree_at(lambda columns: columns.values, like, values))
 
     place = np.arange(n + 2 * reach) % SIGNS.shape[1]
     return jnp.mean(jax.lax.map(once, jnp.asarray(SIGNS[:, place])), axis=0)

@@ -44,13 +44,11 @@ MOST = 2
 def criterion_for(
     fit: Fit | AbstractCriterion | None,
     model: Model,
-    band: tuple[float, float] | None,
     records: Sequence[Record],
 ) -> AbstractCriterion:
     """The criterion that settings ask for; the one that is [`suited`][] if they ask for none.
 
-    **Arguments:** `fit`, settings or already a criterion; `band` in hertz of the model, which
-    `fit.band` replaces.
+    **Arguments:** `fit`, settings, whose `band` replaces the model's, or already a criterion.
 
     **Raises:** `ModelError` for what is no criterion; `Contradiction` for a quadrature where the
     test function has none.
@@ -60,14 +58,14 @@ def criterion_for(
         return criterion
     if not isinstance(fit, Fit):
         require("the criterion", fit, AbstractCriterion | None, WRITE_CRITERION)
-        return suited(model, band, records)
+        return suited(model, model.band, records)
     if not (criterion is None or isinstance(criterion, str)):
         require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
     if criterion == "dols":
         return DOLS()
     if not fit.says_of_windows:
-        return suited(model, band, records)
-    band = fit.band or band or DEFAULT_BAND
+        return suited(model, model.band, records)
+    band = fit.band or model.band or DEFAULT_BAND
     # Bumps have no quadrature: to ask for one is to ask for boxcars.
     if fit.test_function in (None, "auto") and fit.quadrature is None:
         criterion = suited(model, band, records)

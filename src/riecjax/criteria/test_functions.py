@@ -323,17 +323,16 @@ class _Differences(AbstractTestFunction):
         are cubes of a chunk's length, beside which those of a window have no digit left."""
         if self.smoothness == 2 and columns.values.dtype == jnp.float32:
             return None
-        present, n = columns.present, columns.sample_count
         if isinstance(windows, LagBins):
-            points = points_of_windows(present, n, windows, blocks, self.smoothness)
+            points = points_of_windows(columns, windows, blocks, self.smoothness)
         elif not jnp.issubdtype(windows.start.dtype, jnp.integer):
             return None
         else:
-            whole = valid_windows(windows, present)
+            whole = valid_windows(windows, columns.present)
             one = jnp.ones(windows.start.shape) if whole is None else whole.astype(float)
             half = (windows.stop - windows.start) // 2
             places = windows.start, windows.start + half, windows.start + half, windows.stop
-            nothing = jnp.zeros(n, one.dtype)
+            nothing = jnp.zeros(columns.sample_count, one.dtype)
             each = zip(places, (one, one, half * one, one))
             points = Points(*(nothing.at[place].add(weight) for place, weight in each))
         weights = boxcar_noise_weights if self.smoothness == 1 else hat_noise_weights
@@ -585,13 +584,17 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     ) -> tuple[WindowSet, Int[Array, " lengths"]]:
         """The windows with the nearest of `lengths` lengths, and these lengths in samples."""
         drawn = windows.stop - windows.start
-        shortest, longest = jnp.min(drawn), jnp.max(drawn)
-        spacing = (longest - shortest) / max(self.lengths - 1, 1)
-        lengths = self._lengths(shortest, longest)
-        nearest = jnp.round((drawn - shortest) / jnp.where(spacing > 0, spacing, 1.0))
-        length = lengths[jnp.clip(nearest.astype(jnp.int32), 0, self.lengths - 1)]
+        lengths = self._lengths(jnp.min(drawn), jnp.max(drawn))
+        length = lengths[self._nearest(drawn, lengths)]
         start = jnp.minimum(windows.start, sample_count - 1 - length)
         return WindowSet(start, start + length), lengths
+
+    def _nearest(
+        self, drawn: Int[Array, " windows"], lengths: Int[Array, " lengths"]
+    ) -> Int[Array, " windows"]:
+        spacing = (lengths[-1] - lengths[0]) / max(self.lengths - 1, 1)
+        nearest = jnp.round((drawn - lengths[0]) / jnp.where(spacing > 0, spacing, 1.0))
+        return jnp.clip(nearest.astype(jnp.int32), 0, self.lengths - 1)
 
     def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "1+s n"]:
         """h psi_k at the samples of a window of `length` samples, k from 0 to the smoothness s."""
@@ -698,15 +701,10 @@ class GradedBump(Bump):
         lengths = shortest * (longest / shortest) ** share
         return jnp.round(lengths).astype(jnp.asarray(shortest).dtype)
 
-    def rounded(
-        self, windows: WindowSet, sample_count: Count
-    ) -> tuple[WindowSet, Int[Array, " lengths"]]:
-        """The windows with the nearest of `lengths` lengths, and these lengths in samples."""
-        drawn = windows.stop - windows.start
-        lengths = self._lengths(jnp.min(drawn), jnp.max(drawn))
-        length = lengths[jnp.argmin(jnp.abs(drawn[:, None] - lengths[None, :]), axis=1)]
-        start = jnp.minimum(windows.start, sample_count - 1 - length)
-        return WindowSet(start, start + length), lengths
+    def _nearest(
+        self, drawn: Int[Array, " windows"], lengths: Int[Array, " lengths"]
+    ) -> Int[Array, " windows"]:
+        return jnp.argmin(jnp.abs(drawn[:, None] - lengths[None, :]), axis=1)
 
     def edges(self, alpha: float, beta: float) -> Float[np.ndarray, " lengths+1"]:
         """Edges in seconds of bins that hold one length each, see the base class."""

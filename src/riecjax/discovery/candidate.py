@@ -8,7 +8,7 @@ What models of machines leave out most often: friction, springs, offsets, produc
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -198,19 +198,10 @@ def default_candidates(
         for motion in motions:
             after = f"_{motion.name}" if len(motions) > 1 else ""
             found += _of_motion(motion, equation.unit, records, name, after)
-        unit = equation.unit
-        found.append(
-            Candidate("offset", (Term("offset", constant, unit=unit),), "constant force", name)
-        )
-        found.append(
-            Candidate(
-                "drift",
-                (Term("drift", state_name("drift"), unit=per(unit, "s")),),
-                "force that drifts",
-                name,
-                (Elapsed(state_name("drift")),),
-            )
-        )
+        found.append(of_term("offset", constant, equation.unit, "constant force", name))
+        state, unit = state_name("drift"), per(equation.unit, "s")
+        drift = of_term("drift", state, unit, "force that drifts", name)
+        found.append(replace(drift, memories=(Elapsed(state),)))
     # Those of several equations by the equation's name, where two are called the same.
     called = [one.name for one in found]
     return [
@@ -219,18 +210,28 @@ def default_candidates(
     ]
 
 
+def of_term(
+    name: str, of: Expression, unit: str, meaning: str, equation: str, **term: Any
+) -> Candidate:
+    """A candidate of one term, whose coefficient is called like it."""
+    return Candidate(name, (Term(name, of, unit=unit, **term),), meaning, equation)
+
+
 def _of_motion(
     motion: Motion, force: str, records: Sequence[Record], equation: str, after: str
 ) -> Iterator[AnyCandidate]:
     x, v, unit = motion
-    speed = f"{unit}/s" if unit else ""
+    speed, slope = f"{unit}/s" if unit else "", per(force, unit)
 
-    def one(name: str, term: Callable[[str], AbstractTerm], meaning: str) -> Candidate:
-        return Candidate(name + after, (term(name + after),), meaning, equation)
+    def one(name: str, of: Expression, of_unit: str, meaning: str, **term: Any) -> Candidate:
+        return of_term(name + after, of, of_unit, meaning, equation, **term)
 
-    def power(of: str, of_unit: str, p: int, is_odd: bool) -> Callable[[str], AbstractTerm]:
-        expression: Expression = (odd if is_odd else even)(of, p)
-        return lambda name: Term(name, expression, unit=per(force, of_unit, p) if p else force)
+    def powers(
+        listed: Sequence[tuple[str, int, bool, str]], of: str, of_unit: str
+    ) -> Iterator[Candidate]:
+        for name, p, is_odd, meaning in listed:
+            expression = (odd if is_odd else even)(of, p)
+            yield one(name, expression, per(force, of_unit, p) if p else force, meaning)
 
     def shaped(
         kind: Callable[[float], AbstractShape], name: str, of: str, of_unit: str, meaning: str,
@@ -248,11 +249,9 @@ def _of_motion(
 
     if v or x:
         derivative = {"derivative": 1, "measured": (v,) if v else ()} if x else {}
-        viscous = partial(Term, of=x or v, unit=per(force, speed), **derivative)
-        yield one("viscous", viscous, "viscous friction")
+        yield one("viscous", x or v, per(force, speed), "viscous friction", **derivative)
     if v:
-        for name, p, is_odd, meaning in FRICTION:
-            yield one(name, power(v, speed, p, is_odd), meaning)
+        yield from powers(FRICTION, v, speed)
         # Hysteresis, whose widths are shares of a usual stroke.
         usual = usual_widths(v, records)
         for name, kind, meaning in MEMORIES:
@@ -267,22 +266,16 @@ def _of_motion(
                 lambda name, width, kind=kind: kind(state_name(name), v, width),
             )
         yield shaped(Stribeck, "stribeck", v, speed, "Stribeck friction", force, SPEEDS)
-        damping = per(force, speed)
-        limited = "friction that saturates"
+        limited, damping = "friction that saturates", per(force, speed)
         yield shaped(Saturation, "limited_friction", v, speed, limited, damping, LIMITS)
     if x:
-        stiffness = partial(Term, of=x, unit=per(force, unit))
-        yield one("stiffness", stiffness, "linear stiffness")
-        for name, p, is_odd, meaning in STIFFNESS:
-            yield one(name, power(x, unit, p, is_odd), meaning)
-        slope = per(force, unit)
-        yield shaped(
-            DeadZone, "dead_zone", x, unit, "spring beyond a width, as of stops", slope, WIDTHS
-        )
-        yield shaped(Saturation, "saturation", x, unit, "force that saturates", slope, WIDTHS)
+        yield one("stiffness", x, slope, "linear stiffness")
+        yield from powers(STIFFNESS, x, unit)
+        beyond, limited = "spring beyond a width, as of stops", "force that saturates"
+        yield shaped(DeadZone, "dead_zone", x, unit, beyond, slope, WIDTHS)
+        yield shaped(Saturation, "saturation", x, unit, limited, slope, WIDTHS)
     if x and v:
-        both = per(per(force, unit), speed)
-        yield one("product", partial(Term, of=product(x, v), unit=both), "damping by position")
+        yield one("product", product(x, v), per(slope, speed), "damping by position")
 
 
 def state_name(name: str) -> str:
@@ -300,26 +293,12 @@ def _of_unread(
     """What a signal does that is recorded and not read: by itself, and to friction."""
     for name in unread:
         unit = units.get(name, "")
-        own = per(force, unit)
-        yield Candidate(
-            f"signal_{name}",
-            (Term(f"signal_{name}", name, unit=own),),
-            f"force that follows {name}",
-            equation,
-        )
+        own, follows = per(force, unit), f"force that follows {name}"
+        yield of_term(f"signal_{name}", name, own, follows, equation)
         for v, speed in ((m.velocity, f"{m.unit}/s" if m.unit else "") for m in motions):
             after = f"{name}_{v}" if len(motions) > 1 else name
             if v:
-                damping, friction = f"viscous_by_{after}", f"coulomb_by_{after}"
-                yield Candidate(
-                    damping,
-                    (Term(damping, product(name, v), unit=per(own, speed)),),
-                    f"damping that {name} changes",
-                    equation,
-                )
-                yield Candidate(
-                    friction,
-                    (Term(friction, product(name, odd(v, 0)), unit=own),),
-                    f"dry friction that {name} changes",
-                    equation,
-                )
+                by, damping = product(name, v), f"damping that {name} changes"
+                yield of_term(f"viscous_by_{after}", by, per(own, speed), damping, equation)
+                by, friction = product(name, odd(v, 0)), f"dry friction that {name} changes"
+                yield of_term(f"coulomb_by_{after}", by, own, friction, equation)

@@ -1,20 +1,21 @@
 """The verb: which terms a model lacks, told from recordings."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, with_velocities
 from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates, default_candidates
-from riecjax.discovery.discovery import Chosen, Discovery, Identified, Rejected, with_mode
+from riecjax.discovery.discovery import Chosen, Discovery, Rejected, is_more_than_noise
 from riecjax.discovery.search import (
     Again,
     Offer,
     Search,
+    Step,
     Sums,
     again,
     by_equation,
@@ -24,15 +25,20 @@ from riecjax.discovery.search import (
     without_twins,
 )
 from riecjax.equations.equation import Equation
+from riecjax.equations.hidden_elements import (
+    HiddenMode,
+    ModeParameters,
+    accelerated,
+    mode_frequency,
+)
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.equations.motions import reading_velocities
 from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.estimation.check import of_sensors, read_of
-from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
-from riecjax.findings import Finding
 from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
@@ -41,6 +47,9 @@ from riecjax.settings import taking
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import AbstractIntervals, intervals_of
 from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
+
+if TYPE_CHECKING:
+    from riecjax.findings import Finding
 
 FEWEST = 6
 """Folds of time that a choice is made from at the least."""
@@ -110,7 +119,7 @@ def discover(model: Equation | Model, records: Records, settings: DiscoverSettin
     plan_parameters(with_all, 1, settings.known, ())
     whole = ready(with_all, recordings, settings.noise)
     plain = [one.record for one in whole]
-    own = criterion_for(settings, model, model.band, plain)
+    own = criterion_for(settings, model, plain)
     # Without draws of its own, standard errors by blocks are the same.
     usual = settings.intervals in (None, "bootstrap") and settings.seed == 0
     intervals = None if usual else intervals_of(settings.intervals, settings.seed)
@@ -123,9 +132,7 @@ def discover(model: Equation | Model, records: Records, settings: DiscoverSettin
     answer, in_time = _in_time(asked, whole)
     if not answer.leaves_more or any(one.code in IN_DISORDER for one in answer.amiss):
         return answer
-    # Hidden elements have criteria of their own.
-    of_all, by_blocks = asked.identifying(in_time, own if settings.says_of_criterion else None)
-    return with_mode(answer, of_all, by_blocks, lambda chosen: _with_chosen(model, chosen))
+    return _with_mode(asked, answer, in_time)
 
 
 class _Asked(NamedTuple):
@@ -151,17 +158,6 @@ class _Asked(NamedTuple):
         """The estimate of a model."""
         settings = {"intervals": self.intervals, "at_rest": self.settings.at_rest}
         return identify(model, self.parts(recordings)[1], criterion, known=self.known, **settings)
-
-    def identifying(
-        self, recordings: list[Recording], criterion: AbstractCriterion | None
-    ) -> tuple[Identified, Identified]:
-        """Estimates of models, and those with standard errors by blocks of time."""
-
-        def of(model: Model) -> Estimate:
-            return self.identified(model, recordings, criterion)
-
-        blocks = self._replace(intervals=None)
-        return of, of if self.intervals is None else blocks.identifying(recordings, criterion)[0]
 
 
 def _in_time(asked: _Asked, recordings: list[Recording]) -> tuple[Discovery, list[Recording]]:
@@ -307,3 +303,92 @@ def _errors(
             if final in own and error == error:
                 own[final] = max(own[final], error)
     return own
+
+
+# A further hidden mode, instead of terms or beside them.
+#
+# An oscillator on a body rings in the body's equation. Terms of its velocity and position explain a
+# part of that, one more for each thing that it does, and are no forces of the machine. Its three
+# coefficients do not stand in the sums of candidates: `identify` finds them, and
+# what both leave beyond noise says which it is.
+
+LEAVES = 0.3
+"""Of the error beyond noise that terms leave, rms, what is left with a mode at most that is
+added: a tenth of the energy."""
+TOLD = 3.0
+"""Standard errors from zero of a term that stays beside a mode; without the mode it may have stood
+for it."""
+
+
+def _with_mode(asked: _Asked, found: Discovery, recordings: list[Recording]) -> Discovery:
+    """The same, or where much less is left with a hidden mode, with it: instead of all terms, or
+    beside those that are still told from zero."""
+    model = found.start
+    # Hidden elements have criteria of their own.
+    criterion = asked.criterion if asked.settings.says_of_criterion else None
+    stages = {name: " + ".join(names) for names in model.equation_names for name in names}
+    bodies = {n: accelerated(one) for n, one in zip(stages, model.equations, strict=True)}
+    fits = found.estimate.equations
+    for name in sorted((n for n in stages if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
+        most = LEAVES * float(fits[name].model_rms)
+        for on in reversed(bodies[name]):
+
+            def beside(chosen: Sequence[Chosen], by: _Asked = asked, on: str = on) -> Estimate:
+                larger = _with_chosen(model, chosen).with_modes(HiddenMode(on))
+                return by.identified(larger, recordings, criterion)
+
+            try:
+                chosen, estimate = _staying(found, name, beside, asked)
+            except RiecjaxError:  # no mode is to be found on this body
+                continue
+            if float(estimate.equations[name].model_rms) < most:
+                start = found.estimate
+                if found.chosen:
+                    start = asked.identified(model, recordings, criterion)
+                number = ModeParameters.of(len(model.modes))
+                frequency, _ = mode_frequency(estimate.values, number)
+                stage = stages[name] if stages[name] in found.paths else name
+                terms = " + ".join(one.candidate.name for one in chosen)
+                path = [_step(terms, fits[name])] if chosen else []
+                last = _step("mode", estimate.equations[name])
+                mode = HiddenMode(on, float(f"{float(frequency):.4g}"))
+                errors = map(float, estimate.standard_errors)
+                return replace(
+                    found,
+                    model=_with_chosen(model, chosen).with_modes(mode),
+                    chosen=chosen,
+                    rejected=(),
+                    mode=mode,
+                    paths={stage: (_step("", start.equations[name]), *path, last)},
+                    estimate=estimate,
+                    errors=dict(zip(estimate.parameters, errors, strict=True)),
+                )
+    return found
+
+
+def _staying(
+    found: Discovery, name: str, beside: Callable[..., Estimate], asked: _Asked
+) -> tuple[tuple[Chosen, ...], Estimate]:
+    """Terms that stay beside a mode, and the estimate with both; `beside` makes one of terms."""
+    alone = beside(())
+    left = _step("mode", alone.equations[name])
+    if not found.chosen or not is_more_than_noise(left):
+        return (), alone
+    # Standard errors by blocks of time, whatever intervals were asked for.
+    both = beside(found.chosen, asked._replace(intervals=None))
+    errors = dict(zip(both.parameters, map(float, both.standard_errors), strict=True))
+    stay = tuple(
+        one
+        for one in found.chosen
+        if any(abs(float(both[n])) > TOLD * errors[n] for n in one.candidate.columns)
+    )
+    if len(stay) < len(found.chosen) or asked.intervals is not None:
+        both = beside(stay) if stay else alone
+    less = _step("mode", both.equations[name]).of_motion < 0.5 * left.of_motion
+    return (stay, both) if less else ((), alone)
+
+
+def _step(added: str, fit: EquationFit) -> Step:
+    """What a fit leaves, of all that it was fitted to."""
+    whole, of_motion = (float(of) ** 2 for of in (fit.relative_rms, fit.model_rms))
+    return Step(added, whole, of_motion, float("nan"), float("nan"))

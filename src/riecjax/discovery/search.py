@@ -260,6 +260,11 @@ class Search:
             self._known[key] = self.folds.left(names) if good else None
         return self._known[key]
 
+    def unexplained(self, chosen: Sequence[Offer]) -> float:
+        """What offers leave of the motion, infinite where they cannot be told apart."""
+        left = self.left(chosen)
+        return float("inf") if left is None else float(left.motion.sum())
+
     def chance(self, chosen: Sequence[Offer], one: Offer) -> float:
         """That an offer which explains nothing stands out as much, any one of all."""
         names = self._names(chosen)
@@ -478,16 +483,12 @@ def _among(search: Search, chosen: Sequence[Offer]) -> list[Offer]:
     if len(search.offers) <= AMONG:
         return search.offers
     others = [one for one in search.offers if one not in chosen]
-    alone = {one.name: search.left([one]) for one in others}
-    beside = {one.name: search.left([*chosen, one]) for one in others}
 
-    def rank(left: Mapping[str, Left | None]) -> dict[str, int]:
-        sizes = {
-            n: float("inf") if of is None else float(of.motion.sum()) for n, of in left.items()
-        }
+    def rank(beside: Sequence[Offer]) -> dict[str, int]:
+        sizes = {one.name: search.unexplained([*beside, one]) for one in others}
         return {name: i for i, name in enumerate(sorted(sizes, key=lambda n: sizes[n]))}
 
-    first, second = rank(alone), rank(beside)
+    first, second = rank([]), rank(chosen)
     others.sort(key=lambda one: min(first[one.name], second[one.name]))
     return [*chosen, *others[: AMONG - len(chosen)]]
 
@@ -645,11 +646,8 @@ class Sums:
                 self.sum_up()
                 continue
 
-            def without(one: Offer, search: Search = search, chosen: Sequence[Offer] = chosen):
-                left = search.left([other for other in chosen if other is not one])
-                return float("inf") if left is None else float(left.motion.sum())
-
-            strongest = max(rough, key=without)
+            without = [search.unexplained([o for o in chosen if o is not one]) for one in rough]
+            strongest = rough[int(np.argmax(without))]
             beside = [one for one in chosen if one not in rough]
             # Of laws with a memory all of the same signal: rough widths tell none from the others.
             law = self.shape(strongest.family)
@@ -667,11 +665,10 @@ class Sums:
         """Move the widths of a law to where it leaves least."""
         for _ in range(CLOSER):
             search = self.search(stage, found)
-            each = [search.left([*beside, o]) for o in search.every if o.family == family]
-            left = np.array([np.inf if one is None else one.motion.sum() for one in each])
+            each = [[*beside, offer] for offer in search.every if offer.family == family]
+            left = np.array([search.unexplained(chosen) for chosen in each])
             best = int(np.argmin(left))
-            at_best = each[best]
-            if at_best is None:
+            if (at_best := search.left(each[best])) is None:
                 return
             near = left[max(best - 1, 0) : best + 2] - left[best]
             if np.all(near < ALIKE * self.least * at_best.samples.sum()):
@@ -691,12 +688,13 @@ class Sums:
         widths = self.shape(one.family).widths
         beside = [other for other in chosen if other is not one]
         near = {o.number: o for o in search.every if o.family == one.family}
-        left = [search.left([*beside, near[i]]) for i in range(widths.size)]
+        each = [[*beside, near[i]] for i in range(widths.size)]
         # Of widths that leave alike the one that was chosen may stand at an end, and not the least.
         if not 0 < number < widths.size - 1:
-            number = int(np.argmin([np.inf if x is None else x.motion.sum() for x in left]))
+            number = int(np.argmin([search.unexplained(chosen) for chosen in each]))
         # At an end there are fewer.
-        three = [each.motion for each in left[max(number - 1, 0) : number + 2] if each is not None]
+        left = map(search.left, each[max(number - 1, 0) : number + 2])
+        three = [each.motion for each in left if each is not None]
         if len(three) < 3:
             return float("nan")
         below, at, above = three

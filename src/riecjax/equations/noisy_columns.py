@@ -185,13 +185,15 @@ class NoisyColumns(NamedTuple):
 
     **Fields:** `columns`, less the shift of their mean; `white`, how columns move with each source
     that is white in all signals of the equation; `coloured`, how they move with each signal that
-    has other noise; `curved`, what they scatter at one sample beyond that: squares, and how often.
+    has other noise; `curved`, what they scatter at one sample beyond that: squares, and how often;
+    `noise` of the signals.
     """
 
     columns: Columns
     white: dict[str, Movement]
     coloured: dict[str, Movement]
     curved: tuple[tuple[float, Movement], ...]
+    noise: Noise
 
     @property
     def moves(self) -> bool:
@@ -201,7 +203,7 @@ class NoisyColumns(NamedTuple):
 
 def without_noise(columns: Columns) -> NoisyColumns:
     """Columns of which nothing is known."""
-    return NoisyColumns(columns, {}, {}, ())
+    return NoisyColumns(columns, {}, {}, (), Noise())
 
 
 class _Curved(NamedTuple):
@@ -255,6 +257,7 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
             for of_terms in bends.values()
             for weight, parts in zip(weights, zip(*of_terms))
         ),
+        noise,
     )
 
 

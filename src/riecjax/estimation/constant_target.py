@@ -225,7 +225,9 @@ class _Averaged:
     ):
         self.equation, self.table = equation, table
         self.names = {*table.everywhere(equation.parameters)}.intersection(unknown)
-        length = float(summary.criterion.typical_length)
+        # Seconds that a typical window lasts, the geometric mean; 0 without windows.
+        windows = summary.criterion.windows
+        length = float(np.sqrt(windows.alpha * windows.beta)) if windows is not None else 0.0
         self.independent = sum(
             float(one.samples) * (min(float(one.time_step) / length, 1.0) if length else 1.0)
             for one in summary.recordings
@@ -236,13 +238,12 @@ class _Averaged:
         # Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them.
         rows = []
         noise = []
-        band = slice(*summary.band)
-        for one in recordings:
+        for one in (sums.of_bins(*summary.band) for sums in recordings):
             gram, added = np.zeros((2, *(2 + len(one.parameters),) * 2))
-            gram[0] = gram[:, 0] = np.asarray(one.constant)[band].sum((0, 1))
-            gram[1:, 1:] = np.asarray(one.moments)[band].sum((0, 1))
+            gram[0] = gram[:, 0] = np.asarray(one.constant).sum((0, 1))
+            gram[1:, 1:] = np.asarray(one.moments).sum((0, 1))
             if one.noise is not None:
-                added[1:, 1:] = np.asarray(one.noise)[band].sum((0, 1))
+                added[1:, 1:] = np.asarray(one.noise).sum((0, 1))
             rows.append(factor_of_gram(gram))
             noise.append(factor_of_gram(added))
         self.target, self.columns = _columns(rows, names, self.names, table.known)

@@ -171,7 +171,7 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
             band = low, high
             raw = on_host(_evidence(equations, sums, known, found.at[i], band))
             label = model.plan(set(known))[i][0]
-            lengths = found.lengths[i] or summary.lengths_of(summary.band)
+            lengths = summary.lengths_of(found.bands[i] or summary.band)
             mass, stiffness, damping = (float(values[name]) for name in own[-1])
             positive = min(mass, stiffness, damping) > 0
             oscillates = positive and damping**2 < 4 * mass * stiffness
@@ -226,10 +226,8 @@ def _evidence(
         return left, stage.energy(own, there, fit.without_last().theta) / share
 
     fit = stage.projected(at)
-    added = [jnp.zeros_like(m) for m in stage.moments]
-    if sums[0].noise is not None:
-        added = [one.with_noise(None).flattened().total().moments for one in sums]
-        added = [both - clean for both, clean in zip(added, stage.moments)]
+    totals = [one.flattened().total() for one in sums]
+    added = [jnp.zeros_like(t.moments) if t.noise is None else t.noise for t in totals]
     noise = stage.energy(added, at, fit.theta) / jnp.where(fit.target > 0, fit.target, jnp.inf)
     left, without = jax.vmap(of_fold)(jnp.arange(FOLDS))
     gain = without - left

@@ -207,14 +207,15 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
     raise_if_nothing_to_fit(table, totals)
 
     def with_surveyed_noise(i: int, j: int) -> NormalEquations:
-        records = equations[i][j].of_records()
+        blocks = equations[i][j]
+        records = blocks.in_blocks(lambda values: values.sum(1))
         if records.noise is not None:
-            return records
+            return records.with_noise(records.noise, blocks.noise_of_source)
         found = [one.stages[i][j].survey for one in summary.recordings]
         # Sums without a survey say nothing of the noise in their rows.
         nothing = np.zeros(np.shape(records.moments)[-2:])
         each: Any = np.stack([nothing if s is None else np.asarray(s.noise) for s in found])
-        return records.with_noise(each * records.count[:, None, None], records.of_source)
+        return records.with_noise(each * records.count[:, None, None], blocks.noise_of_source)
 
     of_records = [
         [with_surveyed_noise(i, j) for j, _ in enumerate(stage)]
@@ -234,7 +235,7 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
         place = [1 + stage.parameters.index(name) for name in one.parameters]
         scale = np.where(size > 0, size, 1)
         direction[place] = np.where(size > 0, one.noisiest_direction / scale, 0)
-        added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.of_source), direction)
+        added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.noise_of_source), direction)
         record, source = np.unravel_index(int(np.argmax(added)), added.shape)
         noisiest = names[record][source]
         corrected.append(dataclasses.replace(one, corrected=True, noisiest=noisiest))
@@ -249,20 +250,12 @@ def _excitations(
     found = []
     for stage, (label, unknown) in zip(stages, table.stages):
         if unknown:
-            summed = stage.total()
-            assert summed.noise is not None
-            mean = summed.noise / jnp.where(summed.count > 0, summed.count, 1.0)
             rows = tuple(table[name] for name in unknown)
-            found.append(excitation_of(summed.with_noise(None), mean, rows, label))
+            found.append(excitation_of(stage.total(), rows, label))
     return found, stages
 
 
-def excitation_of(
-    total: NormalEquations,
-    noise: Float[Array, "columns columns"],
-    rows: tuple[Parameter, ...],
-    label: str,
-) -> Excitation:
+def excitation_of(total: NormalEquations, rows: tuple[Parameter, ...], label: str) -> Excitation:
     """How a stage's regressors are excited, by its normal equations.
 
     With the regressors scaled to unit length their Gram matrix is G = V diag(s^2) V^T: s_1, the
@@ -272,28 +265,27 @@ def excitation_of(
     direction holds j. Noise that is a share n_j of each column adds sum_j v_1j^2 n_j^2 to s_1^2;
     `findings` compares the two.
 
-    **Arguments:** `total`, in one block; `noise`, mean outer product of what the signals' noise
-    adds to a row, `(target, *total.parameters)`; `rows`, which of the parameters the stage
+    **Arguments:** `total`, in one block, with its noise; `rows`, which of the parameters the stage
     finds; `label`, its name.
     """
     index = np.array([total.parameters.index(row.name) for row in rows])
-    with_noise = total.moments[np.ix_(1 + index, 1 + index)]
-    mean = with_noise / jnp.where(total.count > 0, total.count, 1.0)
+    assert total.noise is not None
+    count = jnp.where(total.count > 0, total.count, 1.0)
+    mean, noise = (m[np.ix_(1 + index, 1 + index)] / count for m in (total.moments, total.noise))
     size = jnp.sqrt(jnp.diagonal(mean))
     scaled, scale = unit_diagonal(mean)
     squares, directions = symmetric_eigen(scaled)
     # Rounding of the Gram matrix hides shares below the root of eps.
     squares = jnp.maximum(squares, 0.0)
     floor = jnp.finfo(size.dtype).eps * len(rows)
-    own_noise = noise[1 + index][:, 1 + index]
-    dominance, noisiest = largest_share(own_noise, mean)
+    dominance, noisiest = largest_share(noise, mean)
     noisiest = noisiest * size
     length = jnp.sqrt(jnp.sum(noisiest**2))
     inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
     return Excitation(
         size=size,
         own_share=jnp.where(size > 0, 1 / jnp.sqrt(inverse), 0.0),
-        noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)[1 + index]) * scale, 0.0),
+        noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)) * scale, 0.0),
         weakest_direction=directions[:, 0],
         weakest_share=jnp.sqrt(squares[0]),
         noisiest_direction=noisiest / jnp.where(length > 0, length, 1.0),

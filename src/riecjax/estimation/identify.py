@@ -254,7 +254,7 @@ def _solve(
     uncertainty, inflation, statistics = estimate_uncertainty(
         stages, known, values, sums.short, sums.longest_window, common, intervals
     )
-    uncertainty = uncertainty.widened(level_covariance(statistics, stages, sums.freedom, values))
+    uncertainty = uncertainty.widened(level_covariance(statistics, sums.freedom))
     block_count = jnp.sum(statistics.used)
     return _Fit(
         jnp.concatenate([stage.solution.theta for stage in solutions]),

@@ -40,15 +40,13 @@ class FoundModes(NamedTuple):
     **Fields:** `equations` of each stage, linearised about them; `mixes`, of each stage the
     combinations of its equations' columns that these are; `at`, the shapes of each stage's
     elements; `bands`, of each stage the bins of window lengths that it is solved from, `None` for
-    all or under a trace; `lengths` of these in seconds; whether the elements are `shown` in these
-    at all.
+    all or under a trace; whether the elements are `shown` in these at all.
     """
 
     equations: list[list[NormalEquations]]
     mixes: list[list[Float[Array, "1+p columns"]]]
     at: list[Float[Array, " shapes"]]
     bands: list[tuple[int, int] | None]
-    lengths: list[tuple[float, float] | None]
     shown: Bool[Array, ""]
 
 
@@ -81,7 +79,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
                 f"it out, or give both."
             )
     known = {name: jnp.asarray(value) for name, value in given.items()}
-    found = FoundModes([], [], [], [], [], jnp.array(True))
+    found = FoundModes([], [], [], [], jnp.array(True))
     shown = jnp.array(True)
     equations = summary.equations()
     looked_at = is_concrete(equations, known) and not is_under_trace()
@@ -127,7 +125,6 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
         found.mixes.append(mixes)
         found.at.append(at)
         found.bands.append(band)
-        found.lengths.append(None if band is None else summary.lengths_of(band))
     return found._replace(shown=shown)
 
 
@@ -300,20 +297,12 @@ def _mixed_sums(
 ) -> EquationSums:
     """The sums of some bins, of combinations of their columns."""
 
-    def together(bins: Leaf) -> Leaf:
-        return bins[slice(*band)].sum(0, keepdims=True)
-
-    def of(matrices: Leaf) -> Leaf:
+    def of(matrices: Any) -> Any:
         return mix @ np.asarray(matrices) @ mix.T
-
-    def mixed(bins: Leaf) -> Leaf:
-        return of(together(bins))
 
     survey = sums.survey
     if survey is not None:
         noise, quadrature = of(survey.noise), of(survey.quadrature)
         survey = Survey(noise, quadrature, survey.rows @ mix.T, survey.start, survey.reach)
-    linear = dataclasses.replace(
-        sums, survey=survey, factor=None, parameters=expanded.all_parameters, constant=None
-    )
-    return linear.each(together, moments=mixed, noise=mixed, noise_of_source=mixed)
+    sums = sums.of_bins(*band).in_columns(of, expanded.all_parameters)
+    return dataclasses.replace(sums, survey=survey, factor=None, constant=None)

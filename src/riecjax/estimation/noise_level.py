@@ -7,8 +7,6 @@ Noise that comes out larger is not there: the motion itself, or a command, reach
 sampling rate and was taken for it. Then C is taken as large as it can be, and no larger.
 """
 
-from collections.abc import Mapping
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -49,25 +47,28 @@ def borne_out(equations: NormalEquations) -> NormalEquations:
     least = jnp.finfo(noise.dtype).tiny
     share = jnp.where(with_target > SCATTER, 1 / jnp.maximum(with_target, least), 1.0)
     share = jnp.minimum(share, MOST / jnp.maximum(regressors, least))
-    of_source = None if equations.of_source is None else share * equations.of_source
+    of_source = None if equations.noise_of_source is None else share * equations.noise_of_source
     return equations.with_noise(share * equations.noise, of_source)
 
 
 def level_covariance(
-    statistics: BlockStatistics,
-    stages: list[NormalEquations],
-    freedom: Float[Leaf, "records sources"],
-    values: Mapping[str, Array],
+    statistics: BlockStatistics, freedom: Float[Leaf, "records sources"]
 ) -> Float[Array, "p p"]:
     """Covariance of the estimates because the noise's variances were themselves estimated.
 
     A variance with nu degrees of freedom scatters by sqrt(2 / nu) of itself, and takes with it what
     is subtracted from the scores.
 
-    **Arguments:** `stages`, which tell sources of noise apart; `freedom` of their variances.
+    **Arguments:** `freedom` of the variances of each source.
     """
     totals = [stage.total() for stage in statistics.blocks]
-    moved = scores([stage.by_source() for stage in stages], statistics.unknowns, values)
+    # Sources of all records, one after the other, in place of blocks.
+    of_source = []
+    for stage in statistics.short_blocks:
+        assert stage.noise_of_source is not None
+        moments = stage.noise_of_source.reshape(-1, *stage.moments.shape[-2:])
+        of_source.append(NormalEquations(moments, jnp.zeros(len(moments)), stage.parameters))
+    moved = scores(of_source, statistics.unknowns, statistics.values)
     moved = solve_scaled(slope(totals, statistics.unknowns), moved.T)
     spread = moved * jnp.sqrt(2 / jnp.asarray(freedom)).ravel()[None, :]
     return spread @ spread.T

@@ -1,5 +1,6 @@
 """What is said of velocities that rest where the equation of motion jumps."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -36,7 +37,16 @@ def at_rest_findings(
     )
     masked = any(in_motion(model, record) is not model for record in records)
     other = with_rests(model, "keep" if model.at_rest == "mask" else "mask")
-    moved = _moved(found, other, otherwise) if masked or model.at_rest == "keep" else {}
+    # Parameters that the other treatment moves, with both values.
+    moved: dict[str, tuple[float, float]] = {}
+    if masked or model.at_rest == "keep":
+        with contextlib.suppress(RiecjaxError):
+            beside = otherwise(other)
+            errors = np.minimum(*(np.asarray(one.standard_errors) for one in (found, beside)))
+            for name, error in zip(found.parameters, errors):
+                pair = float(found[name]), float(beside[name])
+                if abs(pair[1] - pair[0]) > MOVED * error:
+                    moved[name] = pair
     width = max(rest.width for of in rests for rest in of.values())
     which = " and ".join(f"'{name}'" for name in names)
     if masked:
@@ -59,17 +69,3 @@ def at_rest_findings(
         message += f" {step}."
     options = ("--at-rest", "mask") if moved and not masked else ()
     return [Finding("at_rest", message, names, tuple(doubts), 0.0, doubts, options, step)]
-
-
-def _moved(
-    found: Estimate, other: Model, otherwise: Callable[[Model], Estimate]
-) -> dict[str, tuple[float, float]]:
-    """Parameters that the other treatment moves, with both values."""
-    try:
-        beside = otherwise(other)
-    except RiecjaxError:
-        return {}
-    pairs = {n: (float(found[n]), float(beside[n])) for n in found.parameters}
-    errors = np.minimum(*(np.asarray(one.standard_errors) for one in (found, beside)))
-    least = MOVED * errors
-    return {n: ab for (n, ab), by in zip(pairs.items(), least) if abs(ab[1] - ab[0]) > by}

@@ -135,7 +135,7 @@ class Order:
         first = self._first(sources)
         plan_parameters(self.model, 1, self.settings.known, ())
         if self.settings.says_of_criterion:
-            criterion = criterion_for(self.settings, self.model, self.model.band, ())
+            criterion = criterion_for(self.settings, self.model, ())
         else:
             criterion = default_criterion(self.model, first, self.settings.noise)
         if criterion.needs_key:
@@ -171,7 +171,7 @@ class Order:
                 f"{', '.join(unheeded)}. Leave that out, or give the recordings."
             )
         summary.require_model(self.model)
-        criterion = criterion_for(self.settings, self.model, self.model.band, ())
+        criterion = criterion_for(self.settings, self.model, ())
         asked_for = self.settings.says_of_criterion
         if asked_for and criterion.describe() != summary.criterion.describe():
             raise ModelError(

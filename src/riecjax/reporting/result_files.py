@@ -209,8 +209,7 @@ def save(estimate: AbstractEstimate, path: str | os.PathLike[str]) -> None:
     document["summary"] = None
     arrays: dict[str, np.ndarray] = {}
     if (summary := getattr(estimate, "summary", None)) is not None:
-        fields = {f.name: getattr(summary, f.name) for f in dataclasses.fields(summary)}
-        document["summary"], of_summary = packed(fields)
+        document["summary"], of_summary = packed(summary)
         arrays |= {f"summary/{name}": array for name, array in of_summary.items()}
     document["estimate"] = _pack(estimate, NAME, arrays)
     write_checked(path, NAME, document, arrays)

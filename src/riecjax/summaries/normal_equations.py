@@ -3,7 +3,8 @@
 import functools
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -15,6 +16,10 @@ from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record
+
+MOST_BLOCKS = 64
+"""Blocks of a record at most: enough for a quantile of Student's t, and long blocks forgive errors
+that stay correlated for long."""
 
 
 class NormalEquations(eqx.Module):
@@ -30,7 +35,7 @@ class NormalEquations(eqx.Module):
     - `parameters`: names of the p regressors, in the order of the matrix.
     - `noise`: what of `moments` sensor noise adds in expectation, shape `(..., 1 + p, 1 + p)`;
       `None` where nothing is known of it.
-    - `of_source`: what each of the noise's sources adds to all blocks of a record, shape
+    - `noise_of_source`: what each of the noise's sources adds to all blocks of a record, shape
       `(records, sources, 1 + p, 1 + p)`, as long as it is told apart.
     """
 
@@ -38,7 +43,7 @@ class NormalEquations(eqx.Module):
     count: Float[Array, "*blocks"]
     parameters: tuple[str, ...] = eqx.field(static=True)
     noise: Float[Array, "*blocks columns columns"] | None = None
-    of_source: Float[Array, "records sources columns columns"] | None = None
+    noise_of_source: Float[Array, "records sources columns columns"] | None = None
 
     @property
     def clean(self) -> Float[Array, "*blocks columns columns"]:
@@ -65,23 +70,17 @@ class NormalEquations(eqx.Module):
         moments, count, noise = jax.tree.map(of_blocks, (self.moments, self.count, self.noise))
         return NormalEquations(moments, count, self.parameters, noise)
 
-    def in_columns(
-        self, of_matrix: Callable[[Array], Array], parameters: tuple[str, ...]
-    ) -> "NormalEquations":
+    def in_columns(self, of_matrix: Callable[[Array], Array], parameters: tuple[str, ...]) -> Self:
         """The same of other columns: something linear done to every matrix."""
-        matrices = (self.moments, self.noise, self.of_source)
+        matrices = (self.moments, self.noise, self.noise_of_source)
         moments, noise, of_source = jax.tree.map(of_matrix, matrices)
-        return NormalEquations(moments, self.count, parameters, noise, of_source)
+        return replace(
+            self, moments=moments, parameters=parameters, noise=noise, noise_of_source=of_source
+        )
 
-    def with_noise(self, noise: Array | None, of_source: Array | None = None) -> "NormalEquations":
+    def with_noise(self, noise: Array | None, of_source: Array | None = None) -> Self:
         """The same moments, of which this is noise."""
-        return NormalEquations(self.moments, self.count, self.parameters, noise, of_source)
-
-    def by_source(self) -> "NormalEquations":
-        """What each source of noise adds, all records' one after the other along the first axis."""
-        assert self.of_source is not None
-        moments = self.of_source.reshape(-1, *self.of_source.shape[2:])
-        return NormalEquations(moments, jnp.zeros(len(moments)), self.parameters)
+        return replace(self, noise=noise, noise_of_source=of_source)
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
         if self.parameters != other.parameters:
@@ -89,31 +88,39 @@ class NormalEquations(eqx.Module):
                 f"normal equations of different parameters cannot be added: {self.parameters} and "
                 f"{other.parameters}. Bring both to the same ones by `embed`."
             )
-        moments, count = self.moments + other.moments, self.count + other.count
-        noise, of_source = (
+        pairs = ((self.noise, other.noise), (self.noise_of_source, other.noise_of_source))
+        added = (
             mine if theirs is None else theirs if mine is None else mine + theirs
-            for mine, theirs in ((self.noise, other.noise), (self.of_source, other.of_source))
+            for mine, theirs in pairs
         )
-        return NormalEquations(moments, count, self.parameters, noise, of_source)
+        moments, count = self.moments + other.moments, self.count + other.count
+        return NormalEquations(moments, count, self.parameters, *added)
 
     def total(self) -> "NormalEquations":
         """The sum over the axis of blocks."""
         return self.in_blocks(lambda blocks: blocks.sum(0))
-
-    def of_records(self) -> "NormalEquations":
-        """Of leading axes `(records, blocks)`, the sum over the second."""
-        summed = self.in_blocks(lambda blocks: blocks.sum(1))
-        return summed.with_noise(summed.noise, self.of_source)
 
     def flattened(self) -> "NormalEquations":
         """The same with one leading axis for all that there are."""
         axes = self.count.ndim
         return self.in_blocks(lambda blocks: blocks.reshape(-1, *blocks.shape[axes:]))
 
-    def embed(self, parameters: tuple[str, ...]) -> "NormalEquations":
+    def merged(
+        self, short: "ShortBlocks", used: Int[Array, " records"], most: int = MOST_BLOCKS
+    ) -> "NormalEquations":
+        """Those of longer blocks, of short ones with leading axes `(records, short blocks)`.
+
+        **Arguments:** `used`, into how many each record's are added up.
+
+        **Returns:** normal equations with one leading axis: `most` blocks of each record, of which
+        those beyond `used` are empty. No block holds anything of two records.
+        """
+        return self.in_blocks(lambda values: sum_blocks(values, short, used, most))
+
+    def embed(self, parameters: tuple[str, ...]) -> Self:
         """The same equations among more parameters, with zeros for those that do not occur."""
-        if missing := set(self.parameters) - set(parameters):
-            raise ModelError(f"cannot leave out {sorted(missing)}; fix them instead.")
+        if left_out := set(self.parameters) - set(parameters):
+            raise ModelError(f"cannot leave out {sorted(left_out)}; fix them instead.")
         if parameters == self.parameters:
             return self
         # Behind the columns stands one of zeros, which is taken where a parameter does not occur.
@@ -127,7 +134,7 @@ class NormalEquations(eqx.Module):
 
         return self.in_columns(embedded, parameters)
 
-    def fix(self, known: Mapping[str, Array | float]) -> "NormalEquations":
+    def fix(self, known: Mapping[str, Array | float]) -> Self:
         """The equations left when these parameters take these values: their columns join y.
 
         Names that do not occur here are ignored. Rows are not needed again, so that one set of
@@ -203,27 +210,24 @@ def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> N
         behind = ([(0, length - b.shape[0])] + [(0, 0)] * (b.ndim - 1) for b in blocks)
         return xp.stack([xp.pad(b, pad) for b, pad in zip(blocks, behind)])
 
-    noise = of_source = None
+    noise = noise_of_source = None
     if any(part.noise is not None for part in parts):
         each = [xp.zeros_like(p.moments) if p.noise is None else p.noise for p in parts]
         noise = stacked(each, most)
-    sources = [part.of_source for part in parts if part.of_source is not None]
+    sources = [part.noise_of_source for part in parts if part.noise_of_source is not None]
     if sources:
-        of_source = stacked(sources, max(len(each) for each in sources))
+        noise_of_source = stacked(sources, max(len(each) for each in sources))
     return NormalEquations(
         stacked([part.moments for part in parts], most),
         stacked([part.count for part in parts], most),
         parts[0].parameters,
         noise,
-        of_source,
+        noise_of_source,
     )
 
 
 # Short blocks of time that sums are kept for, and longer ones made of them.
 
-MOST_BLOCKS = 64
-"""Blocks of a record at most: enough for a quantile of Student's t, and long blocks forgive errors
-that stay correlated for long."""
 FEWEST_WINDOWS = 2
 """Longest windows to a block at the least."""
 
@@ -257,31 +261,13 @@ def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " r
     return xp.clip(short.number // each, 2, most).astype(np.int32)
 
 
-def merge_blocks(
-    equations: NormalEquations,
-    short: ShortBlocks,
-    used: Int[Array, " records"],
-    most: int = MOST_BLOCKS,
-) -> NormalEquations:
-    """Normal equations of longer blocks from those of short ones.
-
-    **Arguments:** `equations` with leading axes `(records, short blocks)`; `used`, into how many
-    each record's are added up.
-
-    **Returns:** normal equations with one leading axis: `most` blocks of each record, of which
-    those beyond `used` are empty. No block holds anything of two records.
-    """
-
-    return equations.in_blocks(lambda values: sum_blocks(values, short, used, most))
-
-
 def sum_blocks(
     values: Float[Array, "records short *shape"],
     short: ShortBlocks,
     used: Int[Array, " records"],
     most: int = MOST_BLOCKS,
 ) -> Float[Array, "blocks *shape"]:
-    """Sums over longer blocks of what is known of short ones; see [`merge_blocks`][]."""
+    """Sums over longer blocks of what is known of short ones; see [`NormalEquations.merged`][]."""
     number = short.number[:, None]
     place = np.arange(values.shape[1])[None, :]
     # What is left over is spread, so that no last block is shorter than the others.

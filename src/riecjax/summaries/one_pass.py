@@ -82,30 +82,6 @@ class Part(NamedTuple):
     held: Int[Array, ""] | None
 
 
-class PartSums(NamedTuple):
-    """What a part says of one equation, by blocks of starts.
-
-    **Fields:** `moments`, of windows that reach ever further; `survey`.
-    """
-
-    moments: tuple["BlockSums", ...]
-    survey: "Surveyed | None"
-
-
-class BlockSums(NamedTuple):
-    """Sums over windows of some lengths, blocks first (of `of_source` chunks) and then bins.
-
-    **Fields:** `moments`, `number` of windows, what `noise` adds to the moments, and each source of
-    it; `constant`, see `EquationSums`.
-    """
-
-    moments: Array
-    number: Array
-    constant: Array
-    noise: Array | None
-    of_source: Array | None
-
-
 class Surveyed(NamedTuple):
     """Rows of some windows in each block, and where they start; the same by the finest quadrature,
     and what noise adds to them; least and largest argument of each basis."""
@@ -116,6 +92,11 @@ class Surveyed(NamedTuple):
     start: Float[Array, "blocks rows"]
     valid: Bool[Array, "blocks rows"]
     reach: dict[str, Float[Array, "1 2"]]
+
+
+PartSums = tuple[tuple[EquationSums, ...], Surveyed | None]
+"""What a part says of one equation: sums over windows that reach ever further, with axes `(blocks,
+bins)` and of sources `(chunks, bins)`, and a survey."""
 
 
 @kept_jit
@@ -136,16 +117,14 @@ def of_all_windows(
     **Arguments:** `band`, shortest and longest lag of the law.
     """
 
-    def of_lengths(
-        noisy: NoisyColumns, record: Record, which: Lengths, blocks: StartBlocks
-    ) -> BlockSums:
+    def of_lengths(noisy: NoisyColumns, which: Lengths, blocks: StartBlocks) -> EquationSums:
         size, wider = blocks.size, 1
         if isinstance(size, int):
             while wider * size < which.reach and blocks.number % (2 * wider) == 0:
                 wider *= 2
             blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
 
-        def spread(sums: Array) -> Array:
+        def spread(sums: Leaf) -> Leaf:
             apart = jnp.swapaxes(sums, 0, 1)[:, None]
             behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
             return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
@@ -154,16 +133,15 @@ def of_all_windows(
             return criterion.test_function.moments(columns, which.lags, blocks, which.reach)
 
         found, number = moments_of(with_constant(noisy.columns))
-        added = criterion.noise_of(
-            noisy, record.noise, which.lags, blocks, lambda columns: moments_of(columns)[0]
-        )
-        total, of_source = (None, None) if added is None else (added.total, added.of_source[None])
+        added = criterion.noise_of(noisy, which.lags, blocks, lambda c: moments_of(c)[0])
         moments, constant = without_constant(found)
-        sums = jax.tree.map(spread, BlockSums(moments, number, constant, total, None))
-        return sums._replace(of_source=of_source)
+        sums = EquationSums(moments, number, noisy.columns.parameters, constant=constant)
+        if added is not None:
+            sums = sums.with_noise(added.total, added.of_source[None])
+        return sums.each(spread)
 
-    def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
-        return tuple(of_lengths(noisy, record, which, blocks) for which in lengths)
+    def sums_of(noisy: NoisyColumns, blocks: StartBlocks) -> tuple[EquationSums, ...]:
+        return tuple(of_lengths(noisy, which, blocks) for which in lengths)
 
     def some_windows(blocks: StartBlocks) -> WindowSet:
         # In each block, at places and of lengths that are drawn once for all.
@@ -181,7 +159,7 @@ def with_constant(columns: Columns) -> Columns:
     """The same with a column behind that is 1 at every sample."""
     ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
     values = jnp.concatenate([columns.values, ones], axis=1)
-    return Columns(values, columns.present, columns.time_step, (*columns.parameters, ""))
+    return dataclasses.replace(columns, values=values, parameters=(*columns.parameters, ""))
 
 
 def without_constant(moments: Array) -> tuple[Array, Array]:
@@ -200,14 +178,16 @@ def of_rows(
     """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
     drawn = criterion.draw(part.record, key, part.held)
 
-    def sums_of(noisy: NoisyColumns, record: Record, blocks: StartBlocks) -> tuple[BlockSums, ...]:
+    def sums_of(noisy: NoisyColumns, blocks: StartBlocks) -> tuple[EquationSums, ...]:
+        names = noisy.columns.parameters
         beside = noisy._replace(columns=with_constant(noisy.columns))
-        found = moments_of_drawn(criterion, beside, record, drawn, blocks)
+        found = moments_of_drawn(criterion, beside, drawn, blocks)
         _, constant = without_constant(found.moments)
-        found = found.in_columns(lambda matrix: matrix[..., :-1, :-1], noisy.columns.parameters)
-        sums = BlockSums(found.moments, found.count, constant, found.noise, None)
+        found = found.in_columns(lambda matrix: matrix[..., :-1, :-1], names)
+        sums = EquationSums(found.moments, found.count, names, found.noise, constant=constant)
         sums = jax.tree.map(lambda leaf: leaf[:, None], sums)
-        return (sums._replace(of_source=jax.tree.map(lambda s: s[None, None], found.of_source)),)
+        of_source = jax.tree.map(lambda leaf: leaf[None, None], found.noise_of_source)
+        return (sums.with_noise(sums.noise, of_source),)
 
     every = WindowSet(drawn.start[None], drawn.stop[None])
     return _in_chunks(model, criterion, part, sums_of, lambda _: every, 0, request)
@@ -231,7 +211,7 @@ def _in_chunks(
     model: Model,
     criterion: AbstractCriterion,
     part: Part,
-    sums_of: Callable[[NoisyColumns, Record, StartBlocks], tuple[BlockSums, ...]],
+    sums_of: Callable[[NoisyColumns, StartBlocks], tuple[EquationSums, ...]],
     surveyed_windows: Callable[[StartBlocks], WindowSet],
     reach: int,
     request: Request,
@@ -258,7 +238,7 @@ def _in_chunks(
                 added = sampled_columns(equation, disturbed, criterion.smoothness)
                 added = added - sampled_columns(equation, record, criterion.smoothness)
                 survey = surveyed(equation, noisy.columns, added, record, blocks)
-            return PartSums(sums_of(noisy, record, blocks), survey)
+            return sums_of(noisy, blocks), survey
 
         return [[of_equation(equation) for equation in stage] for stage in model.stages]
 
@@ -456,31 +436,23 @@ class OnePass:
         """Sums of all equations from those of each part, with so many blocks to one."""
         count = -(-(self.ends[1] - self.ends[0]) // block)
 
+        def in_bins(blocks: Leaf) -> Leaf:
+            bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
+            return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
+
         def of_equation(i: int, j: int) -> EquationSums:
             every = [part[i][j] for part in parts]
             # Blocks, or chunks, of all parts one after the other; then bins of all lengths.
             lengths = [
                 jax.tree.map(lambda *leaves: np.concatenate(leaves), *group)
-                for group in zip(*(part.moments for part in every))
+                for group in zip(*(sums for sums, _ in every))
             ]
-            sums: BlockSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
+            sums: EquationSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
+            sums = sums.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
 
-            def in_bins(blocks: Leaf) -> Leaf:
-                bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
-                return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
-
-            surveys = [part.survey for part in every if part.survey is not None]
-            found = EquationSums(
-                sums.moments,
-                sums.number,
-                _survey(surveys, float(self.record.skipped)) if surveys else None,
-                None,
-                self.model.stages[i][j].parameters,
-                sums.noise,
-                sums.of_source,
-                sums.constant,
-            )
-            return found.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
+            surveys = [survey for _, survey in every if survey is not None]
+            survey = _survey(surveys, float(self.record.skipped)) if surveys else None
+            return dataclasses.replace(sums, survey=survey)
 
         shape = [len(stage) for stage in self.model.stages]
         return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]

@@ -4,6 +4,8 @@ Equations of a stage, records and blocks of time add up, so that one table of mo
 equation, record and short block is all that needs to be kept.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from riecjax.compilation import kept_jit
-from riecjax.criteria.chunks import StartBlocks
+from riecjax.criteria.chunks import StartBlocks, in_chunks
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.equation import Equation
@@ -58,7 +60,7 @@ def traced_sums(
         parts = jax.tree.map(lambda leaf: leaf[None], parts)
     stages = tuple(
         tuple(
-            EquationSums(e.moments, e.count, None, None, e.parameters, e.noise, e.of_source)
+            EquationSums(e.moments, e.count, e.parameters, e.noise, e.noise_of_source)
             for e in stage
         )
         for stage in parts
@@ -91,21 +93,50 @@ def _of_equations(
     # Rows of a stage's equations are summed, never interleaved: one Gram matrix per equation.
     def of(equation: Equation) -> NormalEquations:
         if criterion.in_closed_form:
-            (moments, number), noise = criterion.sums(equation, record, apart)
-            added = (None, None) if noise is None else (noise.total, noise.of_source)
-            return NormalEquations(moments, number, equation.parameters, *added)
+            return moments_of_all(criterion, equation, record, apart)
         drawn = criterion.draw(record, key)
         cut = StartBlocks(0, jnp.asarray(samples), count, record.sample_count)
         noisy = criterion.noisy_columns(equation, record)
-        return moments_of_drawn(criterion, noisy, record, drawn, cut)
+        return moments_of_drawn(criterion, noisy, drawn, cut)
 
     return [[of(equation) for equation in stage] for stage in model.stages]
+
+
+def moments_of_all(
+    criterion: AbstractCriterion, equation: Equation, record: Record, apart: bool
+) -> NormalEquations:
+    """Sums over all windows, for blocks of starts; `apart`, of each of the law's lengths along a
+    leading axis."""
+    assert criterion.windows is not None
+    windows, weight, n = criterion.windows.every, criterion.test_function, record.sample_count
+    lags, reach = criterion.law(record), windows.reach(n)
+    if apart:
+        lags = jax.tree.map(lambda leaf: leaf[:, None], lags)
+
+    def flipped(sums: Any) -> Any:
+        return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), sums) if apart else sums
+
+    def of_chunk(part: Record, blocks: StartBlocks) -> Any:
+        noisy = criterion.noisy_columns(equation, part)
+
+        def products(columns: Columns) -> Array:
+            return weight.moments(columns, lags, blocks, reach)[0]
+
+        noise = criterion.noise_of(noisy, lags, blocks, products)
+        moments = weight.moments(noisy.columns, lags, blocks, reach)
+        total, of_source = (None, None) if noise is None else (noise.total, noise.of_source[None])
+        return flipped((*moments, total)), of_source
+
+    block, margin = windows.block(n), weight.margin
+    sums, of_source = in_chunks(record, of_chunk, block=block, reach=reach, margin=margin)
+    moments, number, total = flipped(sums)
+    of_source = None if of_source is None else of_source.sum(0)
+    return NormalEquations(moments, number, equation.parameters, total, of_source)
 
 
 def moments_of_drawn(
     criterion: AbstractCriterion,
     noisy: NoisyColumns,
-    record: Record,
     drawn: WindowSet,
     blocks: StartBlocks,
 ) -> NormalEquations:
@@ -117,7 +148,7 @@ def moments_of_drawn(
         rows = criterion.rows_of(columns, drawn, blocks.unpadded)
         return NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
 
-    noise = criterion.noise_of(noisy, record.noise, drawn, blocks, lambda c: sums(c).moments)
+    noise = criterion.noise_of(noisy, drawn, blocks, lambda c: sums(c).moments)
     found = sums(noisy.columns)
     return found if noise is None else found.with_noise(noise.total, noise.of_source)
 

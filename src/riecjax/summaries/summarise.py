@@ -80,9 +80,18 @@ def summed(
     windows, own = criterion.windows, None
     if bins is None and windows is not None and criterion.in_closed_form and is_concrete(windows):
         own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
-    kept_apart = None if bins is None else _bins(criterion, bins, traced)
-    if own is not None:
-        kept_apart = LengthBins(own, (0, len(own) - 1))
+    kept_apart = None if own is None else LengthBins(own, (0, len(own) - 1))
+    if bins is not None:
+        if traced or not criterion.in_closed_form or windows is None:
+            raise ModelError(
+                "bins of window lengths are kept of all windows, with numbers that are known: use "
+                "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
+            )
+        alpha, beta = float(windows.alpha), float(windows.beta)
+        if isinstance(bins, int | np.integer):
+            kept_apart = LengthBins.of_number(alpha, beta, int(bins))
+        else:
+            kept_apart = LengthBins.around(alpha, beta, bins)
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
@@ -93,16 +102,3 @@ def summed(
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)
-
-
-def _bins(criterion: AbstractCriterion, bins: int | ArrayLike, traced: bool) -> LengthBins:
-    windows = criterion.windows
-    if traced or not criterion.in_closed_form or windows is None:
-        raise ModelError(
-            "bins of window lengths are kept of all windows, with numbers that are known: use "
-            "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
-        )
-    alpha, beta = float(windows.alpha), float(windows.beta)
-    if isinstance(bins, int | np.integer):
-        return LengthBins.of_number(alpha, beta, int(bins))
-    return LengthBins.around(alpha, beta, bins)

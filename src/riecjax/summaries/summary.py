@@ -4,11 +4,12 @@ import dataclasses
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
@@ -87,11 +88,12 @@ class Summary(Shown, eqx.Module):
         every: dict[str, RecordingSums] = {}
         for one in (self, *others):
             require("what is merged", one, Summary, "summary.merge(other): one after the other")
+            mine, theirs = (() if s.edges is None else np.asarray(s.edges) for s in (self, one))
             differs = {
                 "other equations or parameters": not self.outline.is_of(one.outline),
                 "another criterion": one.criterion.describe() != self.criterion.describe(),
                 "other bins of window lengths": (one.in_law, one.band) != (self.in_law, self.band)
-                or not np.array_equal(_edges_of(one), _edges_of(self)),
+                or not np.array_equal(mine, theirs),
             }
             if why := [words for words, differ in differs.items() if differ]:
                 raise ModelError(f"summaries cannot be merged that were made for {why[0]}.")
@@ -162,16 +164,10 @@ class Summary(Shown, eqx.Module):
     def merge_length_bins(self) -> "Summary":
         """The same without bins of window lengths: the sums of those in use, in one (not under
         jit)."""
-        band = slice(*self.band)
-
-        def together(bins: Leaf) -> Leaf:
-            return np.asarray(bins)[band].sum(0, keepdims=True)
-
-        def of(equation: EquationSums) -> EquationSums:
-            return equation.each(together, noise_of_source=together)
-
         return dataclasses.replace(
-            self.of_recordings(one.of_equations(of) for one in self.recordings),
+            self.of_recordings(
+                one.of_equations(lambda sums: sums.of_bins(*self.band)) for one in self.recordings
+            ),
             edges=None,
             in_law=(0, 1),
             band=(0, 1),
@@ -222,14 +218,15 @@ class Summary(Shown, eqx.Module):
                 factor = joined_factor(
                     [factor_of_gram(g) if f is None else f for g, f in zip(grams, factors)]
                 )
+            every_sum: Any = np.concatenate([equation.moments for equation in sums], axis=1)
+            counts: Any = np.concatenate([equation.count for equation in sums], axis=1)
+            noises: Any = (np.concatenate(added, axis=1), by_source) if known else (None, None)
             return EquationSums(
-                moments=np.concatenate([equation.moments for equation in sums], axis=1),
-                count=np.concatenate([equation.count for equation in sums], axis=1),
-                survey=None,
+                every_sum,
+                counts,
+                sums[0].parameters,
+                *noises,
                 factor=factor,
-                parameters=sums[0].parameters,
-                noise=np.concatenate(added, axis=1) if known else None,
-                noise_of_source=by_source if known else None,
                 constant=np.concatenate(constant, axis=1) if len(constant) == len(sums) else None,
             )
 
@@ -315,15 +312,16 @@ class Summary(Shown, eqx.Module):
             room = min((number for number in ROOMS if number >= count), default=count)
 
         def in_band(recording: RecordingSums, i: int, j: int) -> NormalEquations:
+            def together(bins: Array) -> Array:
+                return bins[first:last].sum(0)
+
             sums = recording.stages[i][j]
-            moments, count, noise, of_source = jax.tree.map(
-                lambda bins: bins[first:last].sum(0),
-                (sums.moments, sums.count, sums.noise, sums.noise_of_source),
-            )
+            found, of_source = sums.in_blocks(together), sums.noise_of_source
             if of_source is None:
                 sources = len(recording.noise.sources)
-                of_source = namespace(moments).zeros((sources, *moments.shape[-2:]))
-            return NormalEquations(moments, count, sums.parameters, noise, of_source)
+                nothing = namespace(found).zeros((sources, *found.moments.shape[-2:]))
+                return found.with_noise(found.noise, nothing)
+            return found.with_noise(found.noise, together(of_source))
 
         return [
             [
@@ -350,9 +348,9 @@ class Summary(Shown, eqx.Module):
         **Raises:** `DataError` if the file cannot be written; `ModelError` for a criterion with a
         law that is a function, for sums that are traced or of a batch, or for more than 2 GiB.
         """
-        from riecjax.summaries.summary_files import write_parts
+        from riecjax.summaries.summary_files import DOCUMENT, packed, write_checked
 
-        write_parts(path, **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
+        write_checked(path, DOCUMENT, *packed(self))
 
     def to_bytes(self) -> bytes:
         """What [`Summary.save`][] writes, in memory: the same bytes for the same numbers.
@@ -361,7 +359,7 @@ class Summary(Shown, eqx.Module):
         """
         from riecjax.summaries.summary_files import to_bytes
 
-        return to_bytes({f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
+        return to_bytes(self)
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "Summary":
@@ -411,10 +409,6 @@ def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
     if not summaries:
         raise ModelError("at least one Summary is needed.")
     return summaries[0].merge(*summaries[1:])
-
-
-def _edges_of(summary: Summary) -> np.ndarray:
-    return np.zeros(0) if summary.edges is None else np.asarray(summary.edges)
 
 
 def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:

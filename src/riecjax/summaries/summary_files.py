@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -30,6 +30,9 @@ from riecjax.records.writing import write_npz
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
 from riecjax.whole_files import no_file, write_file
+
+if TYPE_CHECKING:
+    from riecjax.summaries.summary import Summary
 
 DOCUMENT = "summary"
 """Name of the JSON document among the arrays."""
@@ -47,11 +50,6 @@ Arrays = dict[str, np.ndarray]
 Document = dict[str, Any]
 
 
-def write_parts(path: str | os.PathLike[str], **parts: Any) -> None:
-    """Write the fields of a Summary to a file; see [`Summary.save`][]."""
-    write_checked(path, DOCUMENT, *packed(parts))
-
-
 def read_parts(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The fields of the Summary in a file; see [`load`][]."""
     document, arrays = read_checked(path, DOCUMENT, FORMAT, SCHEMA)
@@ -59,13 +57,13 @@ def read_parts(path: str | os.PathLike[str]) -> dict[str, Any]:
         return unpacked(document, arrays)
 
 
-def to_bytes(parts: Mapping[str, Any]) -> bytes:
-    """The fields of a Summary as bytes, the same for the same numbers, without a file's overhead.
+def to_bytes(summary: "Summary") -> bytes:
+    """A Summary as bytes, the same for the same numbers, without a file's overhead.
 
     Its length in eight bytes, the document, which lists the arrays, and their numbers; of symmetric
     matrices those of one half.
     """
-    document, arrays = packed(parts)
+    document, arrays = packed(summary)
     listed, numbers = [], []
     for name, array in sorted(arrays.items()):
         halved = array.ndim > 1 and array.shape[-1] == array.shape[-2] > 1
@@ -117,21 +115,20 @@ _upper = functools.lru_cache(maxsize=64)(np.triu_indices)
 version_of = functools.cache(version)
 
 
-def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
-    """The fields of a Summary as a document and arrays.
+def packed(summary: "Summary") -> tuple[Document, Arrays]:
+    """A Summary as a document and arrays.
 
     **Raises:** `ModelError` for what is traced or of a batch.
     """
-    recordings = parts["recordings"]
-    if not is_concrete(parts) or any(np.ndim(one.blocks) for one in recordings):
+    recordings, outline = summary.recordings, summary.outline
+    if not is_concrete(summary) or any(np.ndim(one.blocks) for one in recordings):
         raise ModelError(
             "sums of jax.jit or jax.vmap are saved outside of it, and one by one of a batch."
         )
     leaves, _ = jax.tree_util.tree_flatten_with_path(recordings)
     arrays = {_name(place): np.asarray(leaf) for place, leaf in leaves}
-    if parts["edges"] is not None:
-        arrays[EDGES] = np.asarray(parts["edges"])
-    outline: Outline = parts["outline"]
+    if summary.edges is not None:
+        arrays[EDGES] = np.asarray(summary.edges)
     document = {
         "format": FORMAT,
         "schema": SCHEMA,
@@ -141,9 +138,11 @@ def packed(parts: Mapping[str, Any]) -> tuple[Document, Arrays]:
         "parameters": outline.parameters,
         "units": outline.units,
         "fingerprint": outline.fingerprint,
-        "bins": parts["edges"] is not None,
-        **{name: parts[name] for name in ("in_law", "band", "asked")},
-        "criterion": to_plain_data(parts["criterion"]),
+        "bins": summary.edges is not None,
+        "in_law": summary.in_law,
+        "band": summary.band,
+        "asked": summary.asked,
+        "criterion": to_plain_data(summary.criterion),
         "recordings": [
             {
                 # Of what there may be, whether there is; of a survey, whose reaches it has.
@@ -272,17 +271,15 @@ def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
     names, structure = _frame(json.dumps(document["recordings"]))
     if set(names) != set(arrays):
         raise DataError("its arrays are not those that it lists.")
-    stages = (
+    stages = tuple(
         tuple((name, tuple(parameters)) for name, parameters in stage)
         for stage in document["stages"]
     )
-    units = tuple((name, unit) for name, unit in document["units"])
+    units, fingerprint = tuple(map(_pair, document["units"])), str(document["fingerprint"])
     return {
         "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
         "criterion": criterion_from_plain_data(document["criterion"]),
-        "outline": Outline(
-            tuple(stages), tuple(document["parameters"]), units, str(document["fingerprint"])
-        ),
+        "outline": Outline(stages, tuple(document["parameters"]), units, fingerprint),
         "edges": edges,
         "in_law": _pair(document["in_law"]),
         "band": _pair(document["band"]),

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int, UInt32
 
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.noise import Noise
+from riecjax.summaries.normal_equations import NormalEquations
 
 
 class Survey(eqx.Module):
@@ -33,33 +34,24 @@ class Survey(eqx.Module):
     reach: dict[str, Float[Leaf, "2"]]
 
 
-class EquationSums(eqx.Module):
-    """Sums over the windows of one equation on one recording.
+class EquationSums(NormalEquations):
+    """Normal equations of one equation on one recording, over windows by bins of their lengths.
 
-    **Fields:**
+    Leading axes are `(bins, blocks)`, blocks those of time in which windows start, and of
+    `noise_of_source` they are `(bins, sources)`.
 
-    - `moments`: `[y A]^T [y A]` of windows that start in each short block of time, by bin of
-      window lengths, shape `(bins, blocks, 1 + p, 1 + p)`.
-    - `count`: number of these windows, shape `(bins, blocks)`.
+    **Further fields:**
+
     - `survey`: `None` unless it was asked for.
     - `factor`: triangular factor of all rows, shape `(1 + p, 1 + p)`, where rows are so nearly
       collinear that their moments lose too many digits; else `None`.
-    - `parameters`: names of the p regressors.
-    - `noise`: what of the moments sensor noise adds in expectation, of the same shape, and
-      `noise_of_source`, what each of the noise's sources adds to all blocks, shape
-      `(bins, sources, 1 + p, 1 + p)`; `None` where nothing is known of it.
     - `constant`: products of the rows of a column that is 1 throughout with its own rows, the
       target's and the regressors', of shape `(bins, blocks, 2 + p)`: what tells means from motion.
       `None` where rows were summed under `jit` or `vmap`, or combined afterwards.
     """
 
-    moments: Float[Leaf, "bins blocks columns columns"]
-    count: Float[Leaf, "bins blocks"]
-    survey: Survey | None
-    factor: Float[Leaf, "columns columns"] | None
-    parameters: tuple[str, ...] = eqx.field(static=True)
-    noise: Float[Leaf, "bins blocks columns columns"] | None = None
-    noise_of_source: Float[Leaf, "bins sources columns columns"] | None = None
+    survey: Survey | None = None
+    factor: Float[Leaf, "columns columns"] | None = None
     constant: Float[Leaf, "bins blocks 1+columns"] | None = None
 
     def each(self, of_sums: Callable[[Leaf], Leaf], **others: Callable[[Leaf], Leaf]) -> Self:
@@ -68,6 +60,14 @@ class EquationSums(eqx.Module):
         there = {name: getattr(self, name) for name in by_name}
         changed = {n: by_name[n](leaf) for n, leaf in there.items() if leaf is not None}
         return dataclasses.replace(self, **changed)
+
+    def of_bins(self, first: int, last: int) -> Self:
+        """The sums of some bins of lengths, first and one beyond the last, in one."""
+
+        def together(bins: Leaf) -> Leaf:
+            return bins[first:last].sum(0, keepdims=True)
+
+        return self.each(together, noise_of_source=together)
 
 
 class RecordingSums(eqx.Module):

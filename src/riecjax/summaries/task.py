@@ -42,7 +42,7 @@ def default_criterion(
     """
     model = as_model(model)
     recordings = [each.record for each in ready(model, records, noise)]
-    return suited(model, getattr(model, "band", None), recordings)
+    return suited(model, model.band, recordings)
 
 
 class Task(NamedTuple):
@@ -71,15 +71,13 @@ def task(
     **Raises:** `ModelError` and `DataError` as [`identify`][].
     """
     model = with_rests(as_model(model), at_rest)
-    band = getattr(model, "band", None)
-    sampled = [each.record for each in recordings]
-    criterion = criterion_for(criterion, model, band, sampled)
+    plain = [each.record for each in recordings]
+    criterion = criterion_for(criterion, model, plain)
     _require_derivatives(model, criterion)
     require_key(key)
     if criterion.needs_key and key is None:
         raise ModelError("random windows need a key: key=jax.random.key(seed).")
-    for recording in recordings:
-        record = recording.record
+    for recording, record in zip(recordings, plain):
         with recording.explaining_errors():
             criterion.check(record)
             if not is_concrete(record.arrays):
@@ -96,7 +94,6 @@ def task(
                         f"finite. If that is a spike, repair it (--outliers repair; in Python "
                         f"rx.records.repair_outliers(record)); else scale the signals to SI units."
                     )
-    plain = [recording.record for recording in recordings]
     return Task(model, plain, criterion.fitted(plain), record_keys(key, len(plain)))
 
 

@@ -27,7 +27,6 @@ from riecjax.summaries.normal_equations import (
     NormalEquations,
     ShortBlocks,
     blocks_in_use,
-    merge_blocks,
     sum_blocks,
 )
 
@@ -182,7 +181,7 @@ def block_statistics(
     influence = flat.reshape(short.number.shape[0], -1, flat.shape[-1])
     length = block_length(short, longest_window, politis_white(influence, short))
     used = blocks_in_use(short, length)
-    blocks = [merge_blocks(stage, short, used) for stage in stages]
+    blocks = [stage.merged(short, used) for stage in stages]
     return BlockStatistics(
         unknowns_of(blocks, known),
         dict(known),

@@ -33,7 +33,6 @@ from riecjax.linear_algebra import (
 from riecjax.summaries.normal_equations import (
     MOST_BLOCKS,
     NormalEquations,
-    merge_blocks,
 )
 from riecjax.uncertainty.block_statistics import (
     BlockStatistics,
@@ -240,7 +239,7 @@ def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
     records = short.number.shape[0]
     most = max(MOST_HALVES // records, 2)
     halves = jnp.minimum(2 * used, jnp.minimum(short.number, most))
-    stages = [merge_blocks(stage, short, halves, most) for stage in statistics.short_blocks]
+    stages = [stage.merged(short, halves, most) for stage in statistics.short_blocks]
     totals = [stage.total() for stage in stages]
     whole, scale = unit_diagonal(slope(totals, unknowns))
     inverse = eliminate(whole, jnp.eye(scale.shape[0]))

@@ -30,7 +30,6 @@ from riecjax.summaries.normal_equations import (
     NormalEquations,
     ShortBlocks,
     blocks_in_use,
-    merge_blocks,
 )
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
@@ -379,7 +378,7 @@ def _estimates(
 
     def at_length(own: list[list[NormalEquations]]) -> tuple[Array, ...]:
         shared, _ = stages_over_records(own, table)
-        stages = [merge_blocks(stage, short, used) for stage in shared]
+        stages = [stage.merged(short, used) for stage in shared]
         solutions, values = solve_stages(stages, table.known)
         return (
             jnp.concatenate([stage.solution.theta for stage in solutions]),
