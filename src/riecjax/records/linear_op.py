@@ -6,10 +6,11 @@ compute near the record's two ends is cut off, for all signals. A signal of whic
 a `DataError`.
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ParamSpec, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -137,6 +138,38 @@ class LinearOp:
 def convolved_with(*taps: float) -> Callable[[SignalNoise], SignalNoise]:
     """Of a signal's noise that behind a filter, the middle tap for the same sample."""
     return lambda noise: noise.convolved(np.array(taps))
+
+
+Asked = ParamSpec("Asked")
+Operations: TypeAlias = Iterator[tuple[str, LinearOp]]
+"""What makes a record's signals, with the signal that each makes."""
+
+
+class Step(Protocol[Asked]):
+    """A step of preparation: what its operations, by the signal that each makes, make of a
+    record."""
+
+    ops: Callable[Asked, dict[str, LinearOp]]
+
+    def __call__(self, *args: Asked.args, **kwargs: Asked.kwargs) -> Record:
+        """The record after it."""
+        ...
+
+
+def step(operations: Callable[Asked, Operations]) -> Step[Asked]:
+    """The step of preparation that takes a record first, by its operations."""
+
+    def ops(*args: Asked.args, **kwargs: Asked.kwargs) -> dict[str, LinearOp]:
+        return dict(operations(*args, **kwargs))
+
+    @functools.wraps(operations)
+    def step_taken(*args: Asked.args, **kwargs: Asked.kwargs) -> Record:
+        record: Any = args[0] if args else kwargs["record"]
+        return record.through(ops(*args, **kwargs))
+
+    taken: Any = step_taken
+    taken.ops, taken.__annotations__["return"] = ops, Record
+    return taken
 
 
 def words_of(ops: Mapping[str, LinearOp]) -> Iterator[str]:
