@@ -1,5 +1,6 @@
 """Signals brought forward in time, by what is asked or by what recorded derivatives tell."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,7 +13,6 @@ from riecjax.records.consistency import compared
 from riecjax.records.faults.derivative_pairs import (
     LATE,
     PPM,
-    Pair,
     Pairs,
     Relation,
     relations,
@@ -157,7 +157,27 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
             continue
         if not pair.is_late or not cut_rows(*with_sum(record, relation)):
             found.append(pair)
-    late = _named(found, names) if names else _later(found)
+    late: dict[str, float] = {}
+    # By which each of these signals is later than the first one it is paired with.
+    for name, pair in itertools.product(names, found):
+        if name in pair.relation.names:
+            mine, _ = pair.relation.side(pair.suspect)
+            seconds = (pair.fit.delay + pair.fit.lag) * pair.step
+            late.setdefault(name, seconds if name in mine else -seconds)
+    if not names:
+        # By which signals are later than the earliest of those that they belong to.
+        groups: list[dict[str, float]] = []
+        for pair in found:
+            group = next((g for g in groups if {*pair.late} & {*g}), None)
+            if group is None:
+                groups.append(group := {})
+            # By a signal that both know.
+            both = (group[name] - seconds for name, seconds in pair.late.items() if name in group)
+            ahead = next(both, 0.0)
+            for name, seconds in pair.late.items():
+                group.setdefault(name, ahead + seconds)
+        after = ((name, s - min(g.values())) for g in groups for name, s in g.items())
+        late = {name: seconds for name, seconds in after if seconds > LATE * found[0].step}
     if not late:
         return Aligned(record)
     told = []
@@ -175,37 +195,6 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
         told.append(Finding("late_signal", message, (name,)))
     words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
     return Aligned(shift(record, late), words, tuple(told))
-
-
-def _named(pairs: Sequence[Pair], names: Sequence[str]) -> dict[str, float]:
-    """Seconds by which each of these signals is later than the first one it is paired with."""
-    found = {}
-    for name in names:
-        for pair in pairs:
-            seconds = (pair.fit.delay + pair.fit.lag) * pair.step
-            mine, _ = pair.relation.side(pair.suspect)
-            if name in pair.relation.names:
-                found.setdefault(name, seconds if name in mine else -seconds)
-    return found
-
-
-def _later(pairs: Sequence[Pair]) -> dict[str, float]:
-    """Seconds by which signals are later than the earliest of those that they belong to."""
-    groups: list[dict[str, float]] = []
-    for late in (pair.late for pair in pairs):
-        group = next((g for g in groups if {*late} & {*g}), None)
-        if group is None:
-            groups.append(group := {})
-        # By a signal that both know.
-        ahead = next((group[name] - late[name] for name in late if name in group), 0.0)
-        for name, seconds in late.items():
-            group.setdefault(name, ahead + seconds)
-    return {
-        name: seconds - min(group.values())
-        for group in groups
-        for name, seconds in group.items()
-        if seconds - min(group.values()) > LATE * pairs[0].step
-    }
 
 
 def declared_pairs(model: Any) -> list[tuple[str, str] | Relation]:

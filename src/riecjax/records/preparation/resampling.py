@@ -30,7 +30,6 @@ from riecjax.records.noise import (
     STRETCH,
     STRETCHES,
     Noise,
-    SignalNoise,
     shortened,
     usual_size,
 )
@@ -125,7 +124,7 @@ def _spaced(record: Record, words: str, spacing: float) -> Operations:
     op = LinearOp.of_stretches(
         words,
         lambda samples, places, first: band_limited(samples, places - first, spacing),
-        noise=lambda noise: resampled_noise(noise, spacing),
+        noise=lambda noise: noise.of_each(lambda kernel: resampled_taps(kernel, spacing)),
         shortest=2 * reach_beyond(spacing) + 1,
         spacing=spacing,
     )
@@ -334,26 +333,20 @@ def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
     return _weights(offsets, spacing) / _weights(np.arange(-reach, reach + 1), spacing).sum()
 
 
-def resampled_noise(noise: SignalNoise, spacing: float) -> SignalNoise:
-    """The noise of a signal whose samples are `spacing` of the old ones apart.
+def resampled_taps(
+    kernel: Float[np.ndarray, " taps"], spacing: float
+) -> Float[np.ndarray, " new_taps"]:
+    """The kernel on new samples, `spacing` of the old ones apart, of one on the old.
 
     With h the response of the resampler, w of unit size on the old samples, gives
     e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
     rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
     """
-    kernels = {s: resampled_taps(np.asarray(taps), spacing) for s, taps in noise.kernels.items()}
-    return SignalNoise(kernels, noise.freedom)
-
-
-def resampled_taps(
-    kernel: Float[np.ndarray, " taps"], spacing: float
-) -> Float[np.ndarray, " new_taps"]:
-    """The kernel on the new samples of one on the old; see [`resampled_noise`][]."""
     half = kernel.size // 2
     reach = math.ceil((half + reach_beyond(spacing)) / spacing)
     places = spacing * np.arange(-reach, reach + 1)
     through = response(places[:, None] - np.arange(-half, half + 1), spacing)
-    return shortened(math.sqrt(spacing) * through @ kernel)
+    return shortened(math.sqrt(spacing) * through @ np.asarray(kernel))
 
 
 def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"]:
