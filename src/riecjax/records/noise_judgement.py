@@ -316,7 +316,7 @@ def noise_of_level(
     freedom = np.asarray(max(seen - DIFFERENCE_ORDER, 1) / REPEATS)
     if xp is not np or samples.ndim > 1:
         return SignalNoise({name: level[..., None]}, {name: freedom})
-    known = _by_values(signal, level, freedom, others)
+    known = _by_values(signal, np.asarray(level), freedom, others)
     return (
         SignalNoise() if known is None else SignalNoise({name: known.taps}, {name: known.freedom})
     )

@@ -265,11 +265,12 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Operations:
     at = "" if frequency == "auto" else f" at {frequency:g} Hz"
     for name in record.arrays:
         values = record.signal(name).with_nan
-        spectrum, lines = spectrum_of(values, time_step), []
-        if spectrum is not None:
-            grids = MAINS if frequency == "auto" else (frequency,)
-            lines = [line for grid in grids for line in lines_of(spectrum, grid)]
-        if spectrum is not None and frequency != "auto":
+        spectrum = spectrum_of(values, time_step)
+        if spectrum is None:
+            continue
+        grids = MAINS if frequency == "auto" else (frequency,)
+        lines = [line for grid in grids for line in lines_of(spectrum, grid)]
+        if frequency != "auto":
             seen = spectrum.folded(frequency)
             if not spectrum.resolution < seen < spectrum.resolution * (spectrum.power.size - 2):
                 raise DataError(

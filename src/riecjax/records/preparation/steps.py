@@ -93,7 +93,7 @@ def prepare(
         if name in record.signals:
             continue
         record = judged(record, "auto", of)
-        record.signals[of]  # without it there is a helpful error, and no noise to look up
+        record.signal(of)  # without it there is a helpful error, and no noise to look up
         ops, kernel = differentiate.ops(record, of, name), record.noise.kernels[of].get(of)
         if of not in derived and kernel is not None and kernel.shape[-1] == 1:
             with contextlib.suppress(DataError):  # too short for them
