@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from griffe import Extension, Object
+from griffe import Extension, Function, Object
 
 REFERENCE = Path(__file__).parent / "reference"
 SHOWN = re.compile(r"^::: (\S+)", flags=re.MULTILINE)
@@ -32,6 +32,11 @@ class CrossReferences(Extension):
         """Rewrites one docstring."""
         if obj.docstring is not None:
             obj.docstring.value = SHORT.sub(self._complete, obj.docstring.value)
+
+    def on_function_instance(self, *, func: Function, **_: Any) -> None:
+        """A step of preparation is written as its operations, and makes a record."""
+        if any(str(decorator.value) == "step" for decorator in func.decorators):
+            func.returns = "Record"
 
     def _complete(self, reference: re.Match[str]) -> str:
         name = reference.group(1)

@@ -60,6 +60,18 @@ def test_a_force_that_drifts_is_named_with_what_it_drifts_by(noise, drift):
         assert left < (0.1 if noise == 0.05 and drift == 0.1 else 0.03)
 
 
+@pytest.mark.raises_finding("drifting_signal")
+def test_gaps_of_a_force_that_drifts_stay_gaps():
+    record, even = recorded(0, 0.2, 0.01), recorded(0, 0.0, 0.01)
+    u = np.array(record["u"])
+    for start in range(300, COUNT, 600):
+        u[start : start + 150] = np.nan
+    (finding,) = found(record.with_samples({"u": u}))
+    line = derived(finding.remedy[1].partition("=")[2], {"u": u, "t": np.asarray(record.time)}) - u
+    drift = np.asarray(record["u"] - even["u"])
+    assert np.nanmax(np.abs(line + drift)) < 0.03 * np.ptp(drift)
+
+
 @pytest.mark.no_finding("drifting_signal")
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
 def test_a_force_that_does_not_drift_is_not(noise):

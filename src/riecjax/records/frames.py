@@ -65,7 +65,20 @@ def from_dataset(dataset: Any, settings: Frame) -> Record:
     **Raises:** `DataError` without a time or for samples that do not make a record, `ModelError`
     for a formula.
     """
-    axis = None if settings.time_step is not None else _time_coordinate(dataset, settings.time)
+    axis = settings.time if settings.time_step is None else None
+    if axis is not None and axis not in dataset.coords:
+        there = ", ".join(map(str, dataset.coords))
+        raise DataError(f"there is no coordinate '{axis}'; there are: {there}.")
+    if axis is None and settings.time_step is None:
+        along = [name for name in dataset.dims if name in dataset.coords]
+        found = [name for name in TIME_COLUMNS if name in along][:1]
+        found = found or [name for name in along if dataset[name].dtype.kind in "mM"]
+        if len(found) != 1:
+            raise DataError(
+                "time= must name the coordinate that is time; there are:"
+                f" {', '.join(map(str, along)) or 'none'}."
+            )
+        axis = found[0]
     arrays: dict[str, np.ndarray] = {}
     stated: dict[str, str] = {}
     left_out: dict[str, str] = {}
@@ -98,23 +111,6 @@ def from_dataset(dataset: Any, settings: Frame) -> Record:
     channels = replace(vectors(arrays), units=stated, left_out=left_out)
     selection = replace(settings, rename=renamed)
     return record_from_channels(channels, selection).record
-
-
-def _time_coordinate(dataset: Any, time: str | None) -> Any:
-    if time is not None:
-        if time not in dataset.coords:
-            there = ", ".join(map(str, dataset.coords))
-            raise DataError(f"there is no coordinate '{time}'; there are: {there}.")
-        return time
-    along = [name for name in dataset.dims if name in dataset.coords]
-    found = [name for name in TIME_COLUMNS if name in along][:1]
-    found = found or [name for name in along if dataset[name].dtype.kind in "mM"]
-    if len(found) != 1:
-        raise DataError(
-            "time= must name the coordinate that is time; there are:"
-            f" {', '.join(map(str, along)) or 'none'}."
-        )
-    return found[0]
 
 
 def _numbers(series: Any) -> np.ndarray | None:

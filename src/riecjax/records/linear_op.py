@@ -6,10 +6,11 @@ compute near the record's two ends is cut off, for all signals. A signal of whic
 a `DataError`.
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ParamSpec, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -106,12 +107,34 @@ class LinearOp:
         filtered = [sources[name] for name, op in ops.items() if op.noise is not None]
         record = judged(record, "auto", *filtered) if filtered else record
         signals = {name: record.signal(source) for name, source in sources.items()}
-        samples, times = {name: signal.with_nan for name, signal in signals.items()}, []
+        samples = {name: signal.with_nan for name, signal in signals.items()}
+        times: list[Samples] = []
         if self.spacing is None:
             rows = np.arange(record.sample_count)
             columns = {name: op.at(samples[name], rows) for name, op in ops.items()}
         else:
-            times, columns = _on_new_times(record, samples, ops, self.spacing)
+            # Stretches of one even grid lie between pauses, which no signal spans. Of each, rows
+            # at its ends where nothing could be computed are left out.
+            old_time, step = np.asarray(record.time), float(record.time_step)
+            missing = np.all([np.isnan(values) for values in samples.values()], axis=0)
+            pieces = [np.zeros((len(ops), 0))]
+            for begin, end in runs(~missing | (record.stamps is None)).T.tolist():
+                size = end - begin
+                # Stamps may be rounded; together they tell the start more precisely than its first.
+                start = np.mean(old_time[begin:end] - step * np.arange(size))
+                places = np.arange(int((size - 1) / self.spacing + SAME_TIME) + 1) * self.spacing
+                made = np.array([op.at(samples[n][begin:end], places) for n, op in ops.items()])
+                some = np.flatnonzero(~np.isnan(made).all(0))
+                if some.size:
+                    # One missing sample between each two is the pause, its time the middle of it.
+                    ended = [(0, 0), (0, 1)]
+                    made = np.pad(made[:, : some[-1] + 1], ended, constant_values=np.nan)
+                    pieces.append(made[:, some[0] :])
+                    new = np.arange(some[0], some[-1] + 2)
+                    times.append(start + self.spacing * step * new)
+            for stretch, following in itertools.pairwise(times):
+                stretch[-1] = 0.5 * (stretch[-2] + following[0])
+            columns = {name: column[:-1] for name, column in zip(ops, np.hstack(pieces))}
         first, after = (max(lost) for lost in zip(*(op.lost for op in ops.values())))
         for name, op in ops.items():
             if np.isnan(columns[name][first : columns[name].size - after]).all():
@@ -139,6 +162,38 @@ def convolved_with(*taps: float) -> Callable[[SignalNoise], SignalNoise]:
     return lambda noise: noise.convolved(np.array(taps))
 
 
+Asked = ParamSpec("Asked")
+Operations: TypeAlias = Iterator[tuple[str, LinearOp]]
+"""What makes a record's signals, with the signal that each makes."""
+
+
+class Step(Protocol[Asked]):
+    """A step of preparation: what its operations, by the signal that each makes, make of a
+    record."""
+
+    ops: Callable[Asked, dict[str, LinearOp]]
+
+    def __call__(self, *args: Asked.args, **kwargs: Asked.kwargs) -> Record:
+        """The record after it."""
+        ...
+
+
+def step(operations: Callable[Asked, Operations]) -> Step[Asked]:
+    """The step of preparation that takes a record first, by its operations."""
+
+    def ops(*args: Asked.args, **kwargs: Asked.kwargs) -> dict[str, LinearOp]:
+        return dict(operations(*args, **kwargs))
+
+    @functools.wraps(operations)
+    def step_taken(*args: Asked.args, **kwargs: Asked.kwargs) -> Record:
+        record: Any = args[0] if args else kwargs["record"]
+        return record.through(ops(*args, **kwargs))
+
+    taken: Any = step_taken
+    taken.ops, taken.__annotations__["return"] = ops, Record
+    return taken
+
+
 def words_of(ops: Mapping[str, LinearOp]) -> Iterator[str]:
     """What operations do, those in one sentence whose words begin alike before the signal."""
     signals: dict[str, list[str]] = {}
@@ -148,37 +203,6 @@ def words_of(ops: Mapping[str, LinearOp]) -> Iterator[str]:
         said = signals.setdefault(op.words.format(name) if alone else before, [])
         said += [] if alone else [f"{name}{after}"]
     return (before + ", ".join(each) for before, each in signals.items())
-
-
-def _on_new_times(
-    record: Record,
-    samples: Mapping[str, Samples],
-    ops: Mapping[str, LinearOp],
-    spacing: float,
-) -> tuple[list[Samples], dict[str, Samples]]:
-    """Times of each stretch of the new time base and of the pause behind it, and signals.
-
-    Stretches of one even grid lie between pauses, which no signal spans. Of each, rows at its ends
-    where nothing could be computed are left out.
-    """
-    old_time, step = np.asarray(record.time), float(record.time_step)
-    missing = np.all([np.isnan(values) for values in samples.values()], axis=0)
-    times, pieces = [], [np.zeros((len(ops), 0))]
-    for begin, end in runs(~missing | (record.stamps is None)).T.tolist():
-        size = end - begin
-        # Stamps may be rounded; together they tell the run's start more precisely than its first.
-        start = np.mean(old_time[begin:end] - step * np.arange(size))
-        places = spacing * np.arange(int((size - 1) / spacing + SAME_TIME) + 1)
-        rows = np.array([op.at(samples[n][begin:end], places) for n, op in ops.items()])
-        some = np.flatnonzero(~np.isnan(rows).all(0))
-        if some.size:
-            # One missing sample between each two is the pause, and its time the middle of it.
-            rows = np.pad(rows[:, : some[-1] + 1], [(0, 0), (0, 1)], constant_values=np.nan)
-            pieces.append(rows[:, some[0] :])
-            times.append(start + spacing * step * np.arange(some[0], some[-1] + 2))
-    for stretch, following in itertools.pairwise(times):
-        stretch[-1] = 0.5 * (stretch[-2] + following[0])
-    return times, {name: column[:-1] for name, column in zip(ops, np.hstack(pieces))}
 
 
 def longest_stretch(record: Record, signal: str) -> int:

@@ -11,7 +11,7 @@ so covariances between signals, and between samples of one, all follow from the 
 """
 
 import dataclasses
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -75,8 +75,12 @@ class SignalNoise:
         xp = namespace(taps)
         return xp.sqrt(sum((xp.sum(xp.asarray(t) ** 2, axis=-1) for t in taps), np.zeros(())))
 
+    def of_each(self, made: Callable[[Any], Leaf]) -> "SignalNoise":
+        """The same sources through other taps, made of the kernel of each."""
+        return SignalNoise({s: made(taps) for s, taps in self.kernels.items()}, self.freedom)
+
     def __mul__(self, factor: Any) -> "SignalNoise":
-        return SignalNoise({s: factor * taps for s, taps in self.kernels.items()}, self.freedom)
+        return self.of_each(lambda taps: factor * taps)
 
     __rmul__ = __mul__
 
@@ -88,8 +92,7 @@ class SignalNoise:
 
     def convolved(self, taps: Float[np.ndarray, " taps"]) -> "SignalNoise":
         """The noise behind a filter of an odd number of taps, centred on the same sample."""
-        kernels = {s: shortened(np.convolve(k, taps)) for s, k in self.kernels.items()}
-        return SignalNoise(kernels, self.freedom)
+        return self.of_each(lambda kernel: shortened(np.convolve(kernel, taps)))
 
     def thinned(self, count: int, wide: Collection[str]) -> "SignalNoise":
         """The noise of every `count`-th sample.

@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Complex, Float
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, ModelError
@@ -33,6 +33,7 @@ from riecjax.records.noise import (
     shortened,
 )
 from riecjax.records.record import Record
+from riecjax.records.signal import Signal
 
 SEGMENT = 256
 """Samples of a piece whose spectrum is taken."""
@@ -271,11 +272,10 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
     for name in names or record.arrays:
         if name not in record.arrays or known.by_name[name].noise is not None:
             continue
-        samples, present = record.by_name[name].values, record.by_name[name].present
+        signal = record.by_name[name]
         others = [values for other, values in record.arrays.items() if other != name]
         with np.errstate(all="ignore"):
-            level = noise_level(record.by_name[name].with_nan)
-            found[name] = noise_of_level(name, level, samples, present, others)
+            found[name] = noise_of_level(name, noise_level(signal.with_nan), signal, others)
     return known.with_noise(Noise.of(found))
 
 
@@ -303,44 +303,38 @@ def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:
 
 
 def noise_of_level(
-    name: str,
-    level: Leaf,
-    samples: Float[Leaf, "*batch n"],
-    present: Bool[Leaf, "*batch n"] | None = None,
-    others: Sequence[Leaf] = (),
+    name: str, level: Leaf, signal: Signal, others: Sequence[Leaf] = ()
 ) -> SignalNoise:
     """The noise on a signal, by its differences' level and by which values it takes.
 
     **Arguments:** `others`, the record's other signals.
     """
-    xp = namespace(level, samples, present)
-    samples = xp.asarray(samples)
-    level = xp.where(level > MOST_NOISE * xp.std(samples, axis=-1), 0.0, level)
+    xp = namespace(level, signal.values, signal.present)
+    samples = xp.asarray(signal.values)
+    level = xp.asarray(xp.where(level > MOST_NOISE * xp.std(samples, axis=-1), 0.0, level))
     seen = min(samples.shape[-1], STRETCHES * STRETCH)
     freedom = np.asarray(max(seen - DIFFERENCE_ORDER, 1) / REPEATS)
-    if xp is np and samples.ndim == 1:
-        there = None if present is None else np.asarray(present)
-        known = _by_values(np.asarray(samples), there, np.asarray(level), freedom, others)
-        if known is None:
-            return SignalNoise()
-        return SignalNoise({name: known.taps}, {name: known.freedom})
-    return SignalNoise({name: xp.asarray(level)[..., None]}, {name: freedom})
+    if xp is not np or samples.ndim > 1:
+        return SignalNoise({name: level[..., None]}, {name: freedom})
+    known = _by_values(signal, np.asarray(level), freedom, others)
+    return (
+        SignalNoise() if known is None else SignalNoise({name: known.taps}, {name: known.freedom})
+    )
 
 
 def _by_values(
-    samples: np.ndarray,
-    present: np.ndarray | None,
-    level: np.ndarray,
-    freedom: np.ndarray,
-    others: Sequence[Leaf],
+    signal: Signal, level: np.ndarray, freedom: np.ndarray, others: Sequence[Leaf]
 ) -> Floor | None:
     """The noise by what values a signal takes; `None` of a command."""
+    samples = signal.with_nan
     rows = np.arange(samples.size)[None]
     if samples.size > STRETCHES * STRETCH:
         starts = np.linspace(0, samples.size - STRETCH, STRETCHES).astype(int)
         rows = starts[:, None] + np.arange(STRETCH)
-    there = np.ones(rows.shape, bool) if present is None else present[rows]
-    values = np.where(there, samples[rows], np.nan)
+    values = samples[rows]
+    there = np.ones(rows.shape, bool)
+    if signal.present is not None:
+        there = np.asarray(signal.present)[rows]
     known = values[there]
     if known.size <= DIFFERENCE_ORDER or not np.isfinite(known).all():
         return None

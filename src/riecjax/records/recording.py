@@ -24,7 +24,7 @@ from riecjax.records.reading.selection import record_from_channels
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import same, split_unit
 from riecjax.records.record import Record, Records, as_records
-from riecjax.settings import Reading, Select, taking
+from riecjax.settings import Reading, taking
 from riecjax.shows import Drawn
 
 
@@ -228,7 +228,22 @@ def _recording(
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
         read = tuple(record.arrays)
-        record, mismatches = _in_model_units(record, model, settings)
+        # The record in the model's units, and what the file says against them.
+        stated, mismatches = dict(record.units), {}
+        units = {name: unit for name, unit in units.items() if unit}
+        for name, unit in units.items():
+            column = settings.rename.get(name, name)
+            converted = {column, name} & {*settings.scale} or name in settings.derive
+            if name in stated and not converted and not same(stated[name], unit):
+                mismatches[name] = (
+                    f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}, "
+                    f"and nothing converts one to the other; correct the file's unit: "
+                    f"units={{'{name}': ...}} (on the command line: --unit {name}=UNIT), or "
+                    f"convert it: --scale {name}=FACTOR."
+                )
+        record = record.with_signals(
+            {n: replace(s, unit=units[n]) for n, s in record.by_name.items() if n in units}
+        )
         idle = idle_cuts(settings, record)
         before, after = halves(settings)
         record, repeated = without_repetitions(record)
@@ -307,27 +322,6 @@ def _explaining(
         prefix = "" if message.startswith(f"{name}: ") else f"{name}: "
         said = " ".join(printable(prefix + message).split())
         raise DataError(said[:LONGEST_MESSAGE]) from None
-
-
-def _in_model_units(record: Record, model: Any, selection: Select) -> tuple[Record, dict[str, str]]:
-    """The record in the model's units, and what the file says against them, by signal."""
-    stated = dict(record.units)
-    units = {signal.name: signal.unit for signal in getattr(model, "signals", ()) if signal.unit}
-    mismatches = {}
-    for name, unit in units.items():
-        column = selection.rename.get(name, name)
-        converted = {column, name} & {*selection.scale} or name in selection.derive
-        if name in stated and not converted and not same(stated[name], unit):
-            mismatches[name] = (
-                f"the file gives {column} in {stated[name]}, the model reads {name} in {unit}, and "
-                f"nothing converts one to the other; correct the file's unit: units={{'{name}': "
-                f"...}} (on the command line: --unit {name}=UNIT), or convert it: --scale "
-                f"{name}=FACTOR."
-            )
-    signals = record.by_name.items()
-    return record.with_signals(
-        {name: replace(signal, unit=units[name]) for name, signal in signals if name in units}
-    ), mismatches
 
 
 def common_steps(recordings: Sequence[Recording]) -> list[str]:

@@ -60,11 +60,6 @@ class Signal:
         values = xp.array(self.values, float)
         return values if self.present is None else xp.where(self.present, values, np.nan)
 
-    def through_taps(self, taps: Float[np.ndarray, " taps"]) -> SignalNoise | None:
-        """What is known of its noise behind a filter of an odd number of taps, the middle one for
-        the same sample."""
-        return None if self.noise is None else self.noise.convolved(taps)
-
     def __mul__(self, factor: Any) -> "Signal":
         noise = self.noise and factor * self.noise
         return dataclasses.replace(self, values=factor * self._array, noise=noise)

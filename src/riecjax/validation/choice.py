@@ -51,8 +51,8 @@ class EquationWindows(eqx.Module):
     - `error_share`: root mean square error relative to the target's in windows of each length,
       predicted for these parameters, shape `(lengths,)`.
     - `current_share`: the same for the current law of windows.
-    - `mean_gain`, `mean_square_gain`: expected |H| and |H|^2 of the current law at the spectrum's
-      frequencies, shape `(frequencies,)`.
+    - `mean_gain`: expected |H| of the current law at the spectrum's frequencies, shape
+      `(frequencies,)`.
     """
 
     name: str = eqx.field(static=True)
@@ -61,7 +61,6 @@ class EquationWindows(eqx.Module):
     error_share: Float[np.ndarray, " lengths"]
     current_share: float
     mean_gain: Float[np.ndarray, " frequencies"]
-    mean_square_gain: Float[np.ndarray, " frequencies"]
 
 
 class WindowChoice(eqx.Module):
@@ -157,11 +156,8 @@ def window_choice(
         squares = weight.gain(spectrum.frequency, length) ** 2
         mean_square = weight.mean_gain(spectrum.frequency, alpha, beta, power=2)
         mean = weight.mean_gain(spectrum.frequency, alpha, beta)
-        share = spectrum.share(squares)
-        current = float(spectrum.share(mean_square))
-        equations.append(
-            EquationWindows(error.name, error.unit, spectrum, share, current, mean, mean_square)
-        )
+        shares = spectrum.share(squares), float(spectrum.share(mean_square))
+        equations.append(EquationWindows(error.name, error.unit, spectrum, *shares, mean))
     # The range around the best length in which no equation is far above its least, and why.
     shares = np.stack([np.maximum(each.error_share, NEGLIGIBLE) for each in equations])
     above = shares / np.min(shares, axis=1, keepdims=True)

@@ -54,14 +54,7 @@ def nrmse_fit(
     100 is perfect, 0 as good as the measured mean, below 0 worse than it. Samples that are not
     `present` are left out. NaN of a signal that does not vary.
     """
-    error, valid = _error(predicted, measured, present)
-    spread = _spread(measured, valid)
-    varies = spread > 0
-    share = jnp.sum(error**2, axis=-1) / jnp.where(varies, spread, 1.0)
-    # The root of 0 has no derivative, and a perfect prediction is where a fit wants to go.
-    imperfect = share > 0
-    root = jnp.where(imperfect, jnp.sqrt(jnp.where(imperfect, share, 1.0)), 0.0)
-    return jnp.where(varies, 100 * (1 - root), jnp.nan)
+    return _measures(predicted, measured, present)[1]
 
 
 def variance_accounted_for(
@@ -74,11 +67,7 @@ def variance_accounted_for(
     100 for a prediction that is off by a constant only. Samples that are not `present` are left
     out. NaN of a signal that does not vary.
     """
-    error, valid = _error(predicted, measured, present)
-    spread = _spread(measured, valid)
-    varies = spread > 0
-    share = _spread(error, valid) / jnp.where(varies, spread, 1.0)
-    return jnp.where(varies, 100 * (1 - share), jnp.nan)
+    return _measures(predicted, measured, present)[2]
 
 
 def percentage_error(
@@ -90,25 +79,33 @@ def percentage_error(
 
     0 is perfect; predicting zero gives 100. Samples that are not `present` are left out.
     """
-    error, valid = _error(predicted, measured, present)
-    reference = jnp.where(valid, measured, 0.0)
-    distance = jnp.sqrt(jnp.sum(error**2, axis=-1))
-    return 100 * distance / jnp.sqrt(jnp.sum(reference**2, axis=-1))
+    return _measures(predicted, measured, present)[0]
 
 
-def _error(
+def _measures(
     predicted: Array, measured: Array, present: Array | None
-) -> tuple[Float[Array, "*batch n"], Bool[Array, "*batch n"]]:
-    """Error, zero where a sample is missing, and the mask of the samples that are not."""
+) -> tuple[Array, Array, Array]:
+    """p, NRMSE fit and VAF in percent, over the last axis."""
     valid = jnp.broadcast_to(True if present is None else present, measured.shape)
-    return jnp.where(valid, predicted - measured, 0.0), valid
-
-
-def _spread(values: Array, valid: Array) -> Array:
-    """Sum of squares about the mean."""
     count = jnp.maximum(jnp.sum(valid, axis=-1, keepdims=True), 1)
-    mean = jnp.sum(jnp.where(valid, values, 0.0), axis=-1, keepdims=True) / count
-    return jnp.sum(jnp.where(valid, values - mean, 0.0) ** 2, axis=-1)
+
+    def spread(values: Array) -> Array:
+        """Sum of squares about the mean."""
+        mean = jnp.sum(jnp.where(valid, values, 0.0), axis=-1, keepdims=True) / count
+        return jnp.sum(jnp.where(valid, values - mean, 0.0) ** 2, axis=-1)
+
+    error, reference = (jnp.where(valid, each, 0.0) for each in (predicted - measured, measured))
+    energy, whole = jnp.sum(error**2, axis=-1), spread(measured)
+    varies = whole > 0
+    scale = jnp.where(varies, whole, 1.0)
+    # The root of 0 has no derivative, and a perfect prediction is where a fit wants to go.
+    imperfect = energy / scale > 0
+    root = jnp.where(imperfect, jnp.sqrt(jnp.where(imperfect, energy / scale, 1.0)), 0.0)
+    return (
+        100 * jnp.sqrt(energy) / jnp.sqrt(jnp.sum(reference**2, axis=-1)),
+        jnp.where(varies, 100 * (1 - root), jnp.nan),
+        jnp.where(varies, 100 * (1 - spread(error) / scale), jnp.nan),
+    )
 
 
 class Validation(dict[str, Array]):
@@ -158,18 +155,6 @@ class SignalFit(NamedTuple):
         if fit >= PREDICTS_ROUGHLY:
             return "roughly"
         return "not" if fit >= 0 else "worse than its mean"
-
-
-def signal_fit(
-    predicted: Float[Array, " n"], measured: Float[Array, " n"], present: Bool[Array, " n"] | None
-) -> SignalFit:
-    """All measures of one signal's prediction over the samples that are `present`."""
-    return SignalFit(
-        percentage_error(predicted, measured, present),
-        nrmse_fit(predicted, measured, present),
-        variance_accounted_for(predicted, measured, present),
-        measured.size if present is None else int(jnp.sum(present)),
-    )
 
 
 SHORTEST_STRETCH = 20
@@ -373,8 +358,24 @@ def validate_held_out(
         padded = Record(levels, inputs.time_step)
         simulation = simulate(system, padded, method=method, initial_state=first)
         runs.append(_Run(start, stop, simulation, min(int(simulation.samples_reached), count)))
-    record, simulated = _joined(system, measured, runs)
-    fits = {name: signal_fit(*in_both(record, measured, name)) for name in compared}
+    # All that was simulated on the time of the measured record.
+    made = [n for n in runs[0].simulation.record.arrays if n not in system.input_names]
+    simulated = np.zeros(measured.sample_count, bool)
+    arrays = {name: np.full(measured.sample_count, np.nan) for name in made}
+    for run in runs:
+        part = slice(run.start, run.start + run.reached)
+        simulated[part] = True
+        for name in made:
+            arrays[name][part] = np.asarray(run.simulation.record[name])[: run.reached]
+    units = dict(runs[0].simulation.record.units) | dict(measured.units)
+    record = measured.with_signals(
+        {name: Signal.of(values, units.get(name, "")) for name, values in arrays.items()}
+    ).select(*system.input_names, *made)
+    fits = {}
+    for name in compared:
+        values, truth, present = in_both(record, measured, name)
+        samples = truth.size if present is None else int(jnp.sum(present))
+        fits[name] = SignalFit(*_measures(values, truth, present), samples)
     reason = ""
     for run in runs:
         if run.reached < run.stop - run.start and not reason:
@@ -401,60 +402,9 @@ def validate_held_out(
         influence = jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
         place = system.state_names.index
         drifting = [q for q in drifting if not bool(jnp.any(influence[:, :, place(q)]))]
-    grades = {fits[name].grade for name in judged} - {"unknown"}
-    predicts = not reason and bool(grades) and grades <= {"well", "roughly"}
-    return HeldOut(
-        fits,
-        record,
-        judged,
-        not reason,
-        reason,
-        predicts,
-        _verdict(
-            reason, predicts, {n: fits[n] for n in judged}, drifting, system, sources, horizon
-        ),
-        tuple((run.start, run.stop) for run in runs),
-        tuple(sources.items()),
-        tuple(drifting),
-        horizon,
-        measured.select(*compared),
-    )
-
-
-def _joined(
-    system: AbstractSystem, measured: Record, runs: Sequence[_Run]
-) -> tuple[Record, np.ndarray]:
-    """All that was simulated on the time of the measured record, and a mask of where it was."""
-    made = [n for n in runs[0].simulation.record.arrays if n not in system.input_names]
-    simulated = np.zeros(measured.sample_count, bool)
-    arrays = {name: np.zeros(measured.sample_count) for name in made}
-    for run in runs:
-        part = slice(run.start, run.start + run.reached)
-        simulated[part] = True
-        for name in made:
-            values = np.asarray(run.simulation.record[name])
-            arrays[name][part] = values[: run.reached]
-            # Missing samples hold the last value before them, as in every record.
-            arrays[name][part.stop :] = values[run.reached - 1]
-    units = dict(runs[0].simulation.record.units) | dict(measured.units)
-    present = None if simulated.all() else simulated
-    record = measured.with_signals(
-        {name: Signal(values, present, units.get(name, "")) for name, values in arrays.items()}
-    )
-    return record.select(*system.input_names, *made), simulated
-
-
-def _verdict(
-    reason: str,
-    predicts: bool,
-    fits: Mapping[str, SignalFit],
-    drifting: Sequence[str],
-    system: AbstractSystem,
-    sources: Mapping[str, str],
-    horizon: float | None,
-) -> str:
-    if reason:
-        return f"It did not run: {reason}"
+    grades = {name: fits[name].grade for name in judged}
+    told = {*grades.values()} - {"unknown"}
+    predicts = not reason and bool(told) and told <= {"well", "roughly"}
     phrases = {
         "well": "predicted well",
         "roughly": "predicted roughly",
@@ -464,11 +414,10 @@ def _verdict(
     }
     parts = []
     for grade, phrase in phrases.items():
-        if names := [name for name, one in fits.items() if one.grade == grade]:
+        if names := [name for name in judged if grades[name] == grade]:
             shown = ", ".join(f"{max(float(fits[name].fit), -999.0):.1f}" for name in names)
-            parts.append(
-                f"{_are(names)} {phrase}" + ("" if grade == "unknown" else f" (fit {shown} %)")
-            )
+            of_fit = "" if grade == "unknown" else f" (fit {shown} %)"
+            parts.append(f"{_are(names)} {phrase}{of_fit}")
     parts += [
         f"{name} drifts since it only adds up {system.velocity_of[name]}, which is predicted, and "
         f"nothing in the model pulls it back"
@@ -479,7 +428,21 @@ def _verdict(
             parts.append(f"{_are(names)} not recorded and started from {start}")
     head = "predicts the record" if predicts else "does not predict the record"
     anew = "" if horizon is None else f", anew from the recording every {horizon:.3g} s,"
-    return f"It ran{anew} {'and' if predicts else 'but'} {head}: {'; '.join(parts)}."
+    verdict = f"It ran{anew} {'and' if predicts else 'but'} {head}: {'; '.join(parts)}."
+    return HeldOut(
+        fits,
+        record,
+        judged,
+        not reason,
+        reason,
+        predicts,
+        f"It did not run: {reason}" if reason else verdict,
+        tuple((run.start, run.stop) for run in runs),
+        tuple(sources.items()),
+        tuple(drifting),
+        horizon,
+        measured.select(*compared),
+    )
 
 
 def _are(names: Sequence[str]) -> str:

@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -68,7 +67,7 @@ def drifting_inputs(
         # How much less is left of a line and of a constant, for each that is taken off.
         unit, response, others = abs(left.line[0]), [], []
         for shape in (line, np.ones_like(line)):
-            less = record.with_signals({name: record[name] - jnp.asarray(unit * shape)})
+            less = record.with_signals({name: record.signal(name) - unit * shape})
             others.append(again([less]))
             (still,) = errors_over_records(model, [less], others[-1].values)[index]
             rest = _left(still, np.asarray(still.centred(less[name])))

@@ -3,6 +3,8 @@ import pytest
 
 import riecjax as rx
 from riecjax.records import check_signals, notch
+from riecjax.records.preparation.steps import prepare
+from riecjax.settings import Prepare
 
 PAIRS = [("x", "v")]
 
@@ -101,6 +103,15 @@ def test_a_notch_takes_off_the_line_and_nothing_else(count, asked):
     record = rx.Record.from_samples({"u": u}, time_step=1 / 400)
     left = np.asarray(notch(record, asked)["u"]) - clean["u"]
     assert np.std(left) < 0.01 * clean["u"].std()
+
+
+@pytest.mark.parametrize("hum", [0.0, 0.1])
+def test_only_lines_that_stand_out_are_said_to_be_taken_off(hum):
+    signals, t = motion()
+    signals["u"] = line(signals["u"], t, 50.0, hum)
+    record = rx.Record.from_samples(signals, time_step=1 / 200)
+    _, words = prepare(record, {}, Prepare(notches=("auto",)))
+    assert words == ["lines of the mains taken off"] * (hum > 0)
 
 
 def test_a_notch_beside_a_gap_loses_nothing():

@@ -32,18 +32,10 @@ def motion(time, order=0):
 
 STEPS = {
     "low_pass": (lambda r: low_pass(r, {"q": 20.0}), 50, motion),
-    "unfilter": (
-        lambda r: unfilter(r, {"q": TAU}),
-        3,
-        lambda t: motion(t) + TAU * motion(t, 1),
-    ),
+    "unfilter": (lambda r: unfilter(r, {"q": TAU}), 3, lambda t: motion(t) + TAU * motion(t, 1)),
     "shift": (lambda r: shift(r, {"q": 0.37 * STEP}), 44, lambda t: motion(t + 0.37 * STEP)),
     "shift back": (lambda r: shift(r, {"q": -2 * STEP}), 2, lambda t: motion(t - 2 * STEP)),
-    "set_clocks": (
-        lambda r: set_clocks(r, {"q": PPM}),
-        50,
-        lambda t: motion(t * (1 + 1e-6 * PPM)),
-    ),
+    "set_clocks": (lambda r: set_clocks(r, {"q": PPM}), 50, lambda t: motion(t + 1e-6 * PPM * t)),
     "upsample": (lambda r: upsample(r, 3), 44, motion),
     "resample": (lambda r: resample(r, 173.3), 31, motion),
     "resample up": (lambda r: resample(r, 333.3), 44, motion),

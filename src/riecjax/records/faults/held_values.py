@@ -97,7 +97,12 @@ def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:
     inside = np.pad(sign * (extreme - signal.values), 4, constant_values=np.nan)
     for edges, outward in ((starts, -1), (starts + lengths - 1, 1)):
         near, far = (inside[4 + edges + k * outward] for k in (2, 4))
-        steep &= (near > STEEP * quantum) & ~_comes_to_rest(near, far, quantum)
+        # At a deceleration a, k samples before the extreme seems reached, the distance is
+        # a (k + s)^2 / 2, where the last quantum q = a s^2 / 2 hides the end for s samples. Hence
+        # sqrt(far / near) = (4 + s) / (2 + s) = 2 - sqrt(q / near), and more where the deceleration
+        # falls. On a straight approach far / near is 2 to 3.
+        hidden = np.sqrt(np.minimum(quantum / np.maximum(near, quantum), 1.0))
+        steep &= (near > STEEP * quantum) & ~(near * (2 - hidden) ** 2 <= far)
     # Noise takes it far off and back at once, which no motion does.
     gaps = np.stack([starts[:-1] + lengths[:-1], starts[1:]], axis=1)
     if len(gaps):
@@ -105,18 +110,6 @@ def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:
         away = (np.diff(gaps)[:, 0] <= AWAY) & (depth > STEEP * quantum)
         steep |= np.pad(away, (0, 1)) | np.pad(away, (1, 0))
     return Visits(which, float(extreme), starts, samples, int(steep.sum()))
-
-
-def _comes_to_rest(near: np.ndarray, far: np.ndarray, quantum: float) -> np.ndarray:
-    """Whether an approach to an extreme, 2 and 4 samples before it, may end there as a parabola.
-
-    At a deceleration a, k samples before the extreme seems reached, the distance is
-    a (k + s)^2 / 2, where the last quantum q = a s^2 / 2 hides the end for s samples. Hence
-    sqrt(far / near) = (4 + s) / (2 + s) = 2 - sqrt(q / near), and more where the deceleration
-    falls. On a straight approach far / near is 2 to 3.
-    """
-    hidden = np.sqrt(np.minimum(quantum / np.maximum(near, quantum), 1.0))
-    return near * (2 - hidden) ** 2 <= far
 
 
 def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]) -> bool:

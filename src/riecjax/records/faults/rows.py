@@ -156,8 +156,23 @@ def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
             if across and pair not in found:
                 starts = max(shift, 0), max(-shift, 0)
                 rows = _rows_in_common(chosen[first], chosen[second], starts)
-                if rows:
-                    found[pair] = _duplicate([recordings[i] for i in pair], starts, rows)
+                if not rows:
+                    continue
+                one, other = (recordings[number] for number in pair)
+                counts = [each.record.sample_count for each in (one, other)]
+                shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
+                step = float(one.record.time_step)
+                what = (
+                    f"all of {shorter.name} lies in {longer.name}"
+                    if rows >= min(counts)
+                    else f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, "
+                    f"are those of {one.name} from {starts[0] * step:.4g} s on"
+                )
+                found[pair] = Finding(
+                    "duplicate_recording",
+                    f"{what}, sample by sample: a copy tells nothing new, and makes intervals up "
+                    f"to 1.4 times too narrow.",
+                )
     return [found[pair] for pair in sorted(found)]
 
 
@@ -229,23 +244,6 @@ def _rows_in_common(
             if np.mean(np.abs(one - other) <= within) < (ALIKE if stride == 1 else 0.5):
                 return 0
     return rows
-
-
-def _duplicate(pair: Sequence[NamedRecord], starts: tuple[int, int], rows: int) -> Finding:
-    one, other = pair
-    step, counts = float(one.record.time_step), [each.record.sample_count for each in pair]
-    shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
-    what = (
-        f"all of {shorter.name} lies in {longer.name}"
-        if rows >= min(counts)
-        else f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, are those of "
-        f"{one.name} from {starts[0] * step:.4g} s on"
-    )
-    return Finding(
-        "duplicate_recording",
-        f"{what}, sample by sample: a copy tells nothing new, and makes intervals up to 1.4 times "
-        f"too narrow.",
-    )
 
 
 def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:

@@ -358,56 +358,44 @@ def fits(
     padded = np.pad(values, LONGEST, constant_values=np.nan)
     median = np.full(values.size, np.nan)
     median[used] = medians(np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used])
-    parts = np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE))
-    each = zip(*(_at_once(values, median, part, noise, stretch, local) for part in parts))
-    return Fits(*(np.concatenate(columns) for columns in each))
-
-
-def _at_once(
-    values: np.ndarray,
-    median: np.ndarray,
-    places: np.ndarray,
-    noise: np.ndarray,
-    stretch: np.ndarray,
-    local: Local,
-) -> Fits:
-    offsets = np.arange(-BESIDE, BESIDE + 1)
-    near = places[:, None] + offsets
-    inside = np.clip(near, 0, values.size - 1)
-    there = (near == inside) & (stretch[inside] == stretch[places][:, None])
-    there &= (offsets != 0) & ~np.isnan(values[inside])
-    window = np.where(there, values[inside], np.nan)
-    digits = LAST_DIGITS * (1 + np.abs(medians(window)))
-    least = noise[places] + digits
-    window = np.where(there, window, 0.0)
-    off = np.where(there, np.abs(window - median[inside]), np.nan)
-    spread = medians(off) / NORMAL
-    start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
-    weight, grams, fitted, scale = start, *(np.zeros(0) for _ in range(3))
+    offsets, parts = np.arange(-BESIDE, BESIDE + 1), []
     count, middle = local.columns.shape[1], local.columns[BESIDE]
-    ridge = RIDGE * np.eye(count)
-    for i in range(ROUNDS):
-        grams = (weight @ local.products).reshape(-1, count, count) + ridge
-        fitted = np.linalg.solve(grams, (weight * window @ local.columns)[..., None])[..., 0]
-        off = np.where(there, np.abs(window - fitted @ local.columns.T), np.nan)
-        own = medians(off) / NORMAL
-        scale, spread = np.fmax(least, own), np.fmin(spread, own)
-        share = np.nan_to_num(off) / scale[:, None]
-        # Absolute values first, whose least sum is one, so that weights do not settle elsewhere.
-        weight = (
-            start / np.maximum(share, 1.0)
-            if i < FIRST
-            else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
-        )
-    enough = np.sum(weight > 0, axis=1) > count
-    reach = np.linalg.solve(grams, middle) @ middle
-    clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
-    before, after = off[:, :BESIDE], off[:, BESIDE + 1 :]
-    for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
-        nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
-        clear = np.fmax(clear, NEIGHBOUR * nearest)
-    scale = np.where(enough, scale, np.inf) * np.sqrt(1 + reach)
-    return Fits(fitted @ middle, scale, clear, np.nan_to_num(spread - digits))
+    for some in np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE)):
+        near = some[:, None] + offsets
+        inside = np.clip(near, 0, values.size - 1)
+        there = (near == inside) & (stretch[inside] == stretch[some][:, None])
+        there &= (offsets != 0) & ~np.isnan(values[inside])
+        window = np.where(there, values[inside], np.nan)
+        digits = LAST_DIGITS * (1 + np.abs(medians(window)))
+        least = noise[some] + digits
+        window = np.where(there, window, 0.0)
+        off = np.where(there, np.abs(window - median[inside]), np.nan)
+        spread = medians(off) / NORMAL
+        start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
+        weight, grams, fitted, scale = start, *(np.zeros(0) for _ in range(3))
+        for i in range(ROUNDS):
+            grams = (weight @ local.products).reshape(-1, count, count) + RIDGE * np.eye(count)
+            fitted = np.linalg.solve(grams, (weight * window @ local.columns)[..., None])[..., 0]
+            off = np.where(there, np.abs(window - fitted @ local.columns.T), np.nan)
+            own = medians(off) / NORMAL
+            scale, spread = np.fmax(least, own), np.fmin(spread, own)
+            share = np.nan_to_num(off) / scale[:, None]
+            # Absolute values first, whose least sum is one: weights then do not settle elsewhere.
+            weight = (
+                start / np.maximum(share, 1.0)
+                if i < FIRST
+                else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
+            )
+        enough = np.sum(weight > 0, axis=1) > count
+        reach = np.linalg.solve(grams, middle) @ middle
+        clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
+        before, after = off[:, :BESIDE], off[:, BESIDE + 1 :]
+        for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
+            nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
+            clear = np.fmax(clear, NEIGHBOUR * nearest)
+        scale = np.where(enough, scale, np.inf) * np.sqrt(1 + reach)
+        parts.append((fitted @ middle, scale, clear, np.nan_to_num(spread - digits)))
+    return Fits(*map(np.concatenate, zip(*parts)))
 
 
 def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:

@@ -1,5 +1,6 @@
 """Signals brought forward in time, by what is asked or by what recorded derivatives tell."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,14 +13,20 @@ from riecjax.records.consistency import compared
 from riecjax.records.faults.derivative_pairs import (
     LATE,
     PPM,
-    Pair,
     Pairs,
     Relation,
     relations,
     with_sum,
 )
 from riecjax.records.faults.rows import cut_rows
-from riecjax.records.linear_op import SAME_TIME, LinearOp, convolved_with, longest_stretch
+from riecjax.records.linear_op import (
+    SAME_TIME,
+    LinearOp,
+    Operations,
+    convolved_with,
+    longest_stretch,
+    step,
+)
 from riecjax.records.preparation.resampling import band_limited, reach_beyond, response
 from riecjax.records.record import Record
 
@@ -40,7 +47,8 @@ class Aligned(NamedTuple):
     findings: tuple[Finding, ...] = ()
 
 
-def shift(record: Record, seconds: Mapping[str, float]) -> Record:
+@step
+def shift(record: Record, seconds: Mapping[str, float]) -> Operations:
     """Advance signals by so many seconds: those that are late by as much are in time then.
 
     By whole samples as they are; between samples band-limited, which loses 44 at both ends, and
@@ -52,35 +60,33 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, a time that is no number, or a
     record or stretches too short for it.
     """
-    return record.through({n: advance(record, n, late) for n, late in seconds.items()})
+    reach = reach_beyond(1.0)
+    for name, late in seconds.items():
+        record.signal(name)  # an error that helps, if there is none
+        by = late / float(record.time_step)
+        if not abs(by) < record.sample_count / 2:
+            raise DataError(
+                f"cannot shift '{name}' by {late:g} s, which is {by:.4g} samples of "
+                f"{record.sample_count}. Give seconds, less than half the record."
+            )
+        whole = math.floor(by + SAME_TIME)
+        between, at, taps = by - whole, np.zeros(1, int), np.ones(1)
+        if between >= 2 * SAME_TIME:
+            if longest_stretch(record, name) >= 2 * MOST_LOST * reach:
+                at = np.arange(1 - reach, reach + 1)
+                taps = response(at - between, 1.0)
+            else:
+                at = POINTS
+                taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
+        taps = taps / taps.sum()
+        # A shift between samples leaves white noise nearly white, but a little less of it.
+        noise = convolved_with(float(np.linalg.norm(taps)))
+        words = f"advanced: {{}} by {late:g} s"
+        yield name, LinearOp.of_taps(words, taps, whole + int(at[0]), noise=noise)
 
 
-def advance(record: Record, name: str, seconds: float) -> LinearOp:
-    """The operation of [`shift`][] on one signal."""
-    record.signal(name)  # an error that helps, if there is none
-    by = seconds / float(record.time_step)
-    if not abs(by) < record.sample_count / 2:
-        raise DataError(
-            f"cannot shift '{name}' by {seconds:g} s, which is {by:.4g} samples of "
-            f"{record.sample_count}. Give seconds, less than half the record."
-        )
-    whole, reach = math.floor(by + SAME_TIME), reach_beyond(1.0)
-    between, at, taps = by - whole, np.zeros(1, int), np.ones(1)
-    if between >= 2 * SAME_TIME:
-        if longest_stretch(record, name) >= 2 * MOST_LOST * reach:
-            at = np.arange(1 - reach, reach + 1)
-            taps = response(at - between, 1.0)
-        else:
-            at = POINTS
-            taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
-    taps = taps / taps.sum()
-    # A shift between samples leaves white noise nearly white, but a little less of it.
-    noise = convolved_with(float(np.linalg.norm(taps)))
-    words = f"advanced: {{}} by {seconds:g} s"
-    return LinearOp.of_taps(words, taps, whole + int(at[0]), noise=noise)
-
-
-def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
+@step
+def set_clocks(record: Record, ppm: Mapping[str, float]) -> Operations:
     """Bring signals to the record's time of which a clock runs slow or fast.
 
     What falls behind evenly, by so many millionths of the time since the recording's first sample,
@@ -92,33 +98,30 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a signal that the record lacks, a clock that is off by more than
     10 %, or stretches too short for it.
     """
-    return record.through({name: clock(record, name, rate) for name, rate in ppm.items()})
-
-
-def clock(record: Record, name: str, ppm: float) -> LinearOp:
-    """The operation of [`set_clocks`][] on one signal."""
-    if not abs(ppm) < MOST_PPM:
-        raise DataError(
-            f"the clock of '{name}' is off by {ppm:g} ppm, which is no clock. Give millionths "
-            f"of the time, less than {MOST_PPM:g}."
-        )
     reach = reach_beyond(1.0)
-    late = PPM * ppm * np.asarray(record.elapsed) / float(record.time_step)
-    lost = reach + math.ceil(np.max(np.abs(late[[0, -1]])))
     # The interpolator's gain of white noise, over all places between two samples.
     phases = response(np.arange(1 - reach, reach + 1) - np.linspace(0, 1, 21)[:, None], 1.0)
     white = np.sqrt(np.mean(np.sum(phases**2, axis=1)))
-
-    def set_(samples: np.ndarray, places: np.ndarray, first: int) -> np.ndarray:
-        return band_limited(samples, places - first + late[places], 1.0)
-
-    return LinearOp.of_stretches(
-        f"clocks: {{}} by {ppm:g} ppm",
-        set_,
-        lost=(lost, lost),
-        noise=convolved_with(float(white)),
-        shortest=2 * reach + 1,
-    )
+    for name, rate in ppm.items():
+        if not abs(rate) < MOST_PPM:
+            raise DataError(
+                f"the clock of '{name}' is off by {rate:g} ppm, which is no clock. Give millionths "
+                f"of the time, less than {MOST_PPM:g}."
+            )
+        late = PPM * rate * np.asarray(record.elapsed) / float(record.time_step)
+        lost = reach + math.ceil(np.max(np.abs(late[[0, -1]])))
+        yield (
+            name,
+            LinearOp.of_stretches(
+                f"clocks: {{}} by {rate:g} ppm",
+                lambda x, places, first, late=late: band_limited(
+                    x, places - first + late[places], 1.0
+                ),
+                lost=(lost, lost),
+                noise=convolved_with(float(white)),
+                shortest=2 * reach + 1,
+            ),
+        )
 
 
 def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Aligned:
@@ -154,7 +157,27 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
             continue
         if not pair.is_late or not cut_rows(*with_sum(record, relation)):
             found.append(pair)
-    late = _named(found, names) if names else _later(found)
+    late: dict[str, float] = {}
+    # By which each of these signals is later than the first one it is paired with.
+    for name, pair in itertools.product(names, found):
+        if name in pair.relation.names:
+            mine, _ = pair.relation.side(pair.suspect)
+            seconds = (pair.fit.delay + pair.fit.lag) * pair.step
+            late.setdefault(name, seconds if name in mine else -seconds)
+    if not names:
+        # By which signals are later than the earliest of those that they belong to.
+        groups: list[dict[str, float]] = []
+        for pair in found:
+            group = next((g for g in groups if {*pair.late} & {*g}), None)
+            if group is None:
+                groups.append(group := {})
+            # By a signal that both know.
+            both = (group[name] - seconds for name, seconds in pair.late.items() if name in group)
+            ahead = next(both, 0.0)
+            for name, seconds in pair.late.items():
+                group.setdefault(name, ahead + seconds)
+        after = ((name, s - min(g.values())) for g in groups for name, s in g.items())
+        late = {name: seconds for name, seconds in after if seconds > LATE * found[0].step}
     if not late:
         return Aligned(record)
     told = []
@@ -172,37 +195,6 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
         told.append(Finding("late_signal", message, (name,)))
     words = tuple(f"{name}: advanced by {seconds:.4g} s" for name, seconds in late.items())
     return Aligned(shift(record, late), words, tuple(told))
-
-
-def _named(pairs: Sequence[Pair], names: Sequence[str]) -> dict[str, float]:
-    """Seconds by which each of these signals is later than the first one it is paired with."""
-    found = {}
-    for name in names:
-        for pair in pairs:
-            seconds = (pair.fit.delay + pair.fit.lag) * pair.step
-            mine, _ = pair.relation.side(pair.suspect)
-            if name in pair.relation.names:
-                found.setdefault(name, seconds if name in mine else -seconds)
-    return found
-
-
-def _later(pairs: Sequence[Pair]) -> dict[str, float]:
-    """Seconds by which signals are later than the earliest of those that they belong to."""
-    groups: list[dict[str, float]] = []
-    for late in (pair.late for pair in pairs):
-        group = next((g for g in groups if {*late} & {*g}), None)
-        if group is None:
-            groups.append(group := {})
-        # By a signal that both know.
-        ahead = next((group[name] - late[name] for name in late if name in group), 0.0)
-        for name, seconds in late.items():
-            group.setdefault(name, ahead + seconds)
-    return {
-        name: seconds - min(group.values())
-        for group in groups
-        for name, seconds in group.items()
-        if seconds - min(group.values()) > LATE * pairs[0].step
-    }
 
 
 def declared_pairs(model: Any) -> list[tuple[str, str] | Relation]:

@@ -1,5 +1,6 @@
 """Filters without phase, offsets, drifts and derivatives."""
 
+import functools
 import math
 from collections.abc import Mapping
 
@@ -9,7 +10,7 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
-from riecjax.records.linear_op import LinearOp, convolved_with, longest_stretch
+from riecjax.records.linear_op import LinearOp, Operations, convolved_with, longest_stretch, step
 from riecjax.records.noise_judgement import blackman_harris, judged
 from riecjax.records.record import Record
 
@@ -22,7 +23,8 @@ SLOPE = np.linalg.inv(np.vander(np.arange(-3, 4), increasing=True))[1]
 """Weights of samples around a place whose sum is a derivative of sixth order over a sample."""
 
 
-def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
+@step
+def low_pass(record: Record, cutoffs: Mapping[str, float]) -> Operations:
     """Filter signals by a zero-phase Butterworth low-pass of 4th order (run both ways).
 
     Five periods of the lowest cut-off are cut from both ends, where the filter still feels the
@@ -33,42 +35,43 @@ def low_pass(record: Record, cutoffs: dict[str, float]) -> Record:
     **Raises:** `DataError` for a cut-off beyond half the sampling rate, a missing signal, or a
     record whose stretches are too short for the filter.
     """
-    return record.through({name: butterworth(record, name, f) for name, f in cutoffs.items()})
-
-
-def butterworth(record: Record, name: str, cutoff: float) -> LinearOp:
-    """The operation of [`low_pass`][] on one signal."""
     nyquist = 0.5 / float(record.time_step)
-    if not 0 < cutoff < nyquist:
-        raise DataError(
-            f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
-            f"the sampling rate, {nyquist:g} Hz."
+    for name, cutoff in cutoffs.items():
+        if not 0 < cutoff < nyquist:
+            raise DataError(
+                f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
+                f"the sampling rate, {nyquist:g} Hz."
+            )
+        lost = math.ceil(SETTLING_PERIODS / cutoff / float(record.time_step))
+        shortest = max(2 * lost + 2, FILTER_PADDING) + 1
+        if record.sample_count < shortest:
+            raise DataError(
+                f"the record is too short to be filtered at {cutoff:g} Hz: {lost} "
+                f"samples are lost at each end. Raise the cut-off, or record for longer."
+            )
+        sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
+        impulse = np.zeros(4 * lost + FILTER_PADDING + 1)
+        impulse[impulse.size // 2] = 1.0
+        yield (
+            name,
+            LinearOp.of_stretches(
+                f"zero-phase {FILTER_ORDER}th-order Butterworth low-pass: {{}} at {cutoff:g} Hz",
+                functools.partial(_settled, sections, lost),
+                lost=(lost, lost),
+                noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
+                shortest=shortest,
+            ),
         )
-    lost = math.ceil(SETTLING_PERIODS / cutoff / float(record.time_step))
-    shortest = max(2 * lost + 2, FILTER_PADDING) + 1
-    if record.sample_count < shortest:
-        raise DataError(
-            f"the record is too short to be filtered at {cutoff:g} Hz: {lost} "
-            f"samples are lost at each end. Raise the cut-off, or record for longer."
-        )
-    sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
-    impulse = np.zeros(4 * lost + FILTER_PADDING + 1)
-    impulse[impulse.size // 2] = 1.0
-
-    def both_ways(samples: np.ndarray, *_: object) -> np.ndarray:
-        settled = scipy.signal.sosfiltfilt(sections, samples)[lost:-lost]
-        return np.pad(settled, lost, constant_values=np.nan)
-
-    return LinearOp.of_stretches(
-        f"zero-phase {FILTER_ORDER}th-order Butterworth low-pass: {{}} at {cutoff:g} Hz",
-        both_ways,
-        lost=(lost, lost),
-        noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
-        shortest=shortest,
-    )
 
 
-def unfilter(record: Record, lags: Mapping[str, float]) -> Record:
+def _settled(sections: np.ndarray, lost: int, samples: np.ndarray, *_: object) -> np.ndarray:
+    """Samples through a filter both ways, NaN where it still feels the ends."""
+    settled = scipy.signal.sosfiltfilt(sections, samples)[lost:-lost]
+    return np.pad(settled, lost, constant_values=np.nan)
+
+
+@step
+def unfilter(record: Record, lags: Mapping[str, float]) -> Operations:
     """Undo a first-order low-pass in front of a signal: s = z + tau z' of what it left, z.
 
     It raises noise above its cut-off, 1 / (2 pi tau), as the record's noise then says. Three
@@ -79,28 +82,25 @@ def unfilter(record: Record, lags: Mapping[str, float]) -> Record:
     **Raises:** `DataError` for a time constant that is not positive, a signal that the record
     lacks, or stretches of fewer than seven samples.
     """
-    return record.through({name: low_pass_undone(record, name, tau) for name, tau in lags.items()})
-
-
-def low_pass_undone(record: Record, name: str, seconds: float) -> LinearOp:
-    """The operation of [`unfilter`][] on one signal."""
-    if not 0 < seconds < np.inf:
-        raise DataError(
-            f"the time constant of the low-pass before '{name}' must be positive; got "
-            f"{seconds:g} s."
-        )
-    return lead(record, seconds)
+    for name, seconds in lags.items():
+        if not 0 < seconds < np.inf:
+            raise DataError(
+                f"the time constant of the low-pass before '{name}' must be positive; got "
+                f"{seconds:g} s."
+            )
+        yield name, lead(record, seconds)
 
 
 def lead(record: Record, seconds: float) -> LinearOp:
-    """The same of any time constant, one that is not positive too."""
+    """What [`unfilter`][] does, with any time constant."""
     half = SLOPE.size // 2
     taps = seconds / float(record.time_step) * SLOPE
     taps[half] += 1.0
     return LinearOp.of_taps(f"low-pass undone: {{}} of {seconds:g} s", taps, -half)
 
 
-def remove_offset(record: Record, *signals: str) -> Record:
+@step
+def remove_offset(record: Record, *signals: str) -> Operations:
     """Subtract from each of these signals its mean over the samples that are not missing.
 
     Instruments add offsets, which an equation with a stiffness reads as a force.
@@ -110,7 +110,8 @@ def remove_offset(record: Record, *signals: str) -> Record:
     return _without_polynomial(record, signals, 0)
 
 
-def remove_drift(record: Record, *signals: str) -> Record:
+@step
+def remove_drift(record: Record, *signals: str) -> Operations:
     """Subtract from each of these signals its least-squares straight line over time.
 
     Time is the true one: a pause counts as long as it lasted.
@@ -120,26 +121,25 @@ def remove_drift(record: Record, *signals: str) -> Record:
     return _without_polynomial(record, signals, 1)
 
 
-def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -> Record:
+def _without_polynomial(record: Record, signals: tuple[str, ...], degree: int) -> Operations:
     if not signals:
         raise DataError(
             f"name the signals to remove the {('offset', 'drift')[degree]} from; there are: "
             f"{', '.join(record.arrays)}."
         )
-    return record.through({name: without_polynomial(record, name, degree) for name in signals})
+    time, words = np.asarray(record.time), f"{{}}: {('mean', 'straight line')[degree]} removed"
+    for name in signals:
+        values = record.signal(name).with_nan
+        known = ~np.isnan(values)
+        # `fit` maps time to [-1, 1], so that seconds since 1970 lose no digits.
+        trend = np.polynomial.Polynomial.fit(
+            time[known], values[known], min(degree, known.sum() - 1)
+        )
+        yield name, LinearOp.of_values(words, values - trend(time))
 
 
-def without_polynomial(record: Record, name: str, degree: int) -> LinearOp:
-    """The operation of [`remove_offset`][] and, of the first degree, [`remove_drift`][]."""
-    time, values = np.asarray(record.time), record.signal(name).with_nan
-    there = ~np.isnan(values)
-    # `fit` maps time to [-1, 1], so that seconds since 1970 lose no digits.
-    trend = np.polynomial.Polynomial.fit(time[there], values[there], min(degree, there.sum() - 1))
-    words = "{}: straight line removed" if degree else "{}: mean removed"
-    return LinearOp.of_values(words, values - trend(time))
-
-
-def differentiate(record: Record, signal: str, name: str) -> Record:
+@step
+def differentiate(record: Record, signal: str, name: str) -> Operations:
     """Add the time derivative of a signal, by central differences of second order.
 
     Differentiation raises noise in proportion to frequency; prefer an integral criterion, which
@@ -150,23 +150,21 @@ def differentiate(record: Record, signal: str, name: str) -> Record:
 
     **Raises:** `DataError` for a missing signal, or one without two samples in succession.
     """
-    return record.through({name: central_differences(record, signal)})
-
-
-def central_differences(record: Record, signal: str) -> LinearOp:
-    """The operation of [`differentiate`][]."""
-    step = float(record.time_step)
+    spacing = float(record.time_step)
 
     def differences(samples: np.ndarray, *_: object) -> np.ndarray:
-        return np.gradient(samples, step, edge_order=2 if samples.size > 2 else 1)
+        return np.gradient(samples, spacing, edge_order=2 if samples.size > 2 else 1)
 
-    return LinearOp.of_stretches(
-        f"{{}}: central differences of {signal}",
-        differences,
-        noise=convolved_with(0.5 / step, 0.0, -0.5 / step),
-        source=signal,
-        unit="/s",
-        shortest=2,
+    yield (
+        name,
+        LinearOp.of_stretches(
+            f"{{}}: central differences of {signal}",
+            differences,
+            noise=convolved_with(0.5 / spacing, 0.0, -0.5 / spacing),
+            source=signal,
+            unit="/s",
+            shortest=2,
+        ),
     )
 
 
@@ -211,16 +209,16 @@ def with_local_derivative(record: Record, signal: str, name: str) -> tuple[Recor
 
 def local_slope(record: Record, signal: str) -> LinearOp:
     """The operation of [`with_local_derivative`][]."""
-    record, step = judged(record, "auto", signal), float(record.time_step)
+    record, spacing = judged(record, "auto", signal), float(record.time_step)
     longest = longest_stretch(record, signal)
-    count = _widest(record, signal, step) if longest > 2 * NARROWEST else NARROWEST
+    count = _widest(record, signal, spacing) if longest > 2 * NARROWEST else NARROWEST
     if longest < 2 * count + 1 or record.sample_count < 2 * count + 2:
         raise DataError(
             f"'{signal}' has no derivative by local polynomials: they take {2 * count + 1} samples "
             f"in succession, and its longest stretch has {longest}. Repair the gaps."
         )
-    words = f"{{}}: slope of {signal} by local polynomials, {count * step:.3g} s to each side"
-    taps = derivative_taps(count, step)[::-1]
+    words = f"{{}}: slope of {signal} by local polynomials, {count * spacing:.3g} s to each side"
+    taps = derivative_taps(count, spacing)[::-1]
     return LinearOp.of_taps(words, taps, -count, source=signal, unit="/s")
 
 

@@ -20,7 +20,7 @@ from riecjax.records.faults.spikes import (
     finding_of,
     too_many,
 )
-from riecjax.records.linear_op import LinearOp
+from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -109,7 +109,8 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     return record.with_samples(changed) if changed else record
 
 
-def leave_out(record: Record, *signals: str) -> Record:
+@step
+def leave_out(record: Record, *signals: str) -> Operations:
     """Mark as missing what a stuck sensor showed, or one at the end of its range.
 
     These are the samples of which `stuck_sensor` and `clipped` speak: a long run of one value, and
@@ -120,23 +121,22 @@ def leave_out(record: Record, *signals: str) -> Record:
     """
     if not signals:
         raise DataError(f"name the signals to leave out of; there are: {', '.join(record.arrays)}.")
-    return record.through({name: without_limits(record, name) for name in signals})
-
-
-def without_limits(record: Record, name: str) -> LinearOp:
-    """The operation of [`leave_out`][] on one signal."""
-    signal = sampled_signal(record, name)
-    others = [sampled_signal(record, other) for other in record.arrays if other != name]
-    values = signal.values.copy()
-    stuck = np.isin(np.arange(signal.run_starts.size), stuck_runs(signal, others))
-    values[np.repeat(stuck, signal.run_lengths)] = np.nan
-    # Limits that may be real among them.
-    for side in limits(signal):
-        sign = 1.0 if side.which == "maximum" else -1.0
-        values[sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
-    if np.isnan(values).all():
-        raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
-    return LinearOp.of_values("{}: left out where it is stuck or at its limit", values)
+    every = {
+        name: sampled_signal(record, name) for name in dict.fromkeys([*signals, *record.arrays])
+    }
+    for name in signals:
+        signal = every[name]
+        others = [every[other] for other in record.arrays if other != name]
+        values = signal.values.copy()
+        stuck = np.isin(np.arange(signal.run_starts.size), stuck_runs(signal, others))
+        values[np.repeat(stuck, signal.run_lengths)] = np.nan
+        # Limits that may be real among them.
+        for side in limits(signal):
+            sign = 1.0 if side.which == "maximum" else -1.0
+            values[sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
+        if np.isnan(values).all():
+            raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
+        yield name, LinearOp.of_values("{}: left out where it is stuck or at its limit", values)
 
 
 def treat_all(

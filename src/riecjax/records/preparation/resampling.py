@@ -24,13 +24,12 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.memory import in_gigabytes, require_memory
-from riecjax.records.linear_op import SAME_TIME, LinearOp
+from riecjax.records.linear_op import SAME_TIME, LinearOp, Operations, step
 from riecjax.records.noise import (
     DIFFERENCE_ORDER,
     STRETCH,
     STRETCHES,
     Noise,
-    SignalNoise,
     shortened,
     usual_size,
 )
@@ -73,7 +72,8 @@ EVEN = 1e-4
 FEWEST_KNOTS = 4
 
 
-def resample(record: Record, rate: float) -> Record:
+@step
+def resample(record: Record, rate: float) -> Operations:
     """Bring a record to another rate, without phase.
 
     To a faster rate, band-limited: errors below 1e-6 up to 0.9 of half the record's rate; 44
@@ -90,10 +90,11 @@ def resample(record: Record, rate: float) -> Record:
     """
     _check_rate(rate)
     spacing = 1.0 / (rate * float(record.time_step))
-    return record.through(spaced(record, f"resampled to {rate:g} Hz", spacing))
+    yield from _spaced(record, f"resampled to {rate:g} Hz", spacing)
 
 
-def upsample(record: Record, factor: int) -> Record:
+@step
+def upsample(record: Record, factor: int) -> Operations:
     """Insert `factor - 1` samples between every two, by band-limited interpolation.
 
     For records of few samples per period, where a trapezoid between samples is not the area under
@@ -104,20 +105,15 @@ def upsample(record: Record, factor: int) -> Record:
     **Raises:** `DataError` for a factor below 1, too many samples, or a signal whose
     stretches are all too short.
     """
-    return record.through(finer(record, factor))
-
-
-def finer(record: Record, factor: int) -> dict[str, LinearOp]:
-    """The operations of [`upsample`][], by signal."""
     if not 1 <= factor < np.inf or int(factor) != factor:
         raise DataError(f"the factor must be a whole number of at least 1; got {factor:g}.")
-    return spaced(record, f"band-limited up-sampling by {factor}", 1.0 / factor)
+    yield from _spaced(record, f"band-limited up-sampling by {factor}", 1.0 / factor)
 
 
-def spaced(record: Record, words: str, spacing: float) -> dict[str, LinearOp]:
-    """The operations, by signal, that make samples so many of the old ones apart."""
+def _spaced(record: Record, words: str, spacing: float) -> Operations:
+    """Operations that make samples so many of the old ones apart."""
     if abs(spacing - 1) < SAME_TIME:
-        return {}
+        return
     recorded = len(record.arrays) * record.sample_count
     _require_room(
         recorded / spacing,
@@ -128,11 +124,11 @@ def spaced(record: Record, words: str, spacing: float) -> dict[str, LinearOp]:
     op = LinearOp.of_stretches(
         words,
         lambda samples, places, first: band_limited(samples, places - first, spacing),
-        noise=lambda noise: resampled_noise(noise, spacing),
+        noise=lambda noise: noise.of_each(lambda kernel: resampled_taps(kernel, spacing)),
         shortest=2 * reach_beyond(spacing) + 1,
         spacing=spacing,
     )
-    return dict.fromkeys(record.arrays, op)
+    yield from dict.fromkeys(record.arrays, op).items()
 
 
 def on_grid(
@@ -217,8 +213,7 @@ def on_grid_noise(
         if name in given.kernels:
             noise = given[name]
         else:
-            level, held = uneven_level(time, values), Signal.of(values).values
-            noise = noise_of_level(name, level, held, ~np.isnan(values))
+            noise = noise_of_level(name, uneven_level(time, values), Signal.of(values))
         channel = _channel(name, time, values)
         taps = (
             resampled_taps(np.ones(1), 1 / (rate * channel.step))
@@ -338,26 +333,20 @@ def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
     return _weights(offsets, spacing) / _weights(np.arange(-reach, reach + 1), spacing).sum()
 
 
-def resampled_noise(noise: SignalNoise, spacing: float) -> SignalNoise:
-    """The noise of a signal whose samples are `spacing` of the old ones apart.
+def resampled_taps(
+    kernel: Float[np.ndarray, " taps"], spacing: float
+) -> Float[np.ndarray, " new_taps"]:
+    """The kernel on new samples, `spacing` of the old ones apart, of one on the old.
 
     With h the response of the resampler, w of unit size on the old samples, gives
     e(t) = sum_j h(t - j) w[j], of autocovariance int h(u) h(u + t) du as h is band-limited to both
     rates. A source of unit size on the new samples has that with taps sqrt(spacing) h(i spacing).
     """
-    kernels = {s: resampled_taps(np.asarray(taps), spacing) for s, taps in noise.kernels.items()}
-    return SignalNoise(kernels, noise.freedom)
-
-
-def resampled_taps(
-    kernel: Float[np.ndarray, " taps"], spacing: float
-) -> Float[np.ndarray, " new_taps"]:
-    """The kernel on the new samples of one on the old; see [`resampled_noise`][]."""
     half = kernel.size // 2
     reach = math.ceil((half + reach_beyond(spacing)) / spacing)
     places = spacing * np.arange(-reach, reach + 1)
     through = response(places[:, None] - np.arange(-half, half + 1), spacing)
-    return shortened(math.sqrt(spacing) * through @ kernel)
+    return shortened(math.sqrt(spacing) * through @ np.asarray(kernel))
 
 
 def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"]:

@@ -1,26 +1,27 @@
 """From a record as read to the records that a model's equations are estimated and validated on."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.linear_op import LinearOp, words_of
+from riecjax.records.linear_op import Step, words_of
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation.alignment import advance, clock
+from riecjax.records.preparation.alignment import set_clocks, shift
 from riecjax.records.preparation.filtering import (
-    butterworth,
-    central_differences,
+    differentiate,
     local_slope,
-    low_pass_undone,
-    without_polynomial,
+    low_pass,
+    remove_drift,
+    remove_offset,
+    unfilter,
 )
-from riecjax.records.preparation.hum import lines_off
-from riecjax.records.preparation.repair import without_limits
-from riecjax.records.preparation.resampling import finer
+from riecjax.records.preparation.hum import notch
+from riecjax.records.preparation.repair import leave_out
+from riecjax.records.preparation.resampling import upsample
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
 from riecjax.settings import Prepare
@@ -45,22 +46,23 @@ def idle_cuts(preparation: Prepare, record: Record) -> dict[str, str]:
     return idle
 
 
-def operations(preparation: Prepare) -> Iterator[Callable[[Record], Mapping[str, LinearOp]]]:
-    """The operations in the order in which they are carried out, each of the record that those
-    before it made; but for alignment and missing derivatives, which depend on what is found."""
+def steps_of(preparation: Prepare) -> Iterator[tuple[Step[...], Sequence[Any]]]:
+    """The steps in the order in which they are taken, each of the record that those before it
+    made, and what is asked of it; but for alignment and missing derivatives, which depend on what
+    is found."""
     p = preparation
-    yield from ((lambda r, n=n: {n: without_limits(r, n)}) for n in p.left_out)
-    yield lambda r: {n: advance(r, n, seconds) for n, seconds in p.shifts.items()}
-    yield lambda r: {n: clock(r, n, ppm) for n, ppm in p.clocks.items()}
-    yield lambda r: {n: low_pass_undone(r, n, seconds) for n, seconds in p.lags.items()}
-    yield lambda r: {n: without_polynomial(r, n, 0) for n in p.offsets}
-    yield lambda r: {n: without_polynomial(r, n, 1) for n in p.drifts}
-    yield from (partial(lines_off, frequency=hertz) for hertz in p.notches)
-    yield lambda r: {n: butterworth(r, n, hertz) for n, hertz in p.cutoffs.items()}
-    yield lambda r: finer(r, p.upsample)
-    yield from (
-        (lambda r, n=n, of=of: {n: central_differences(r, of)}) for n, of in p.derivatives.items()
-    )
+    yield from ((leave_out, (name,)) for name in p.left_out)
+    yield shift, (p.shifts,)
+    yield set_clocks, (p.clocks,)
+    yield unfilter, (p.lags,)
+    if p.offsets:
+        yield remove_offset, p.offsets
+    if p.drifts:
+        yield remove_drift, p.drifts
+    yield from ((notch, (hertz,)) for hertz in p.notches)
+    yield low_pass, (p.cutoffs,)
+    yield upsample, (p.upsample,)
+    yield from ((differentiate, (signal, name)) for name, signal in p.derivatives.items())
 
 
 def prepare(
@@ -83,21 +85,21 @@ def prepare(
         low = "the start" if start is None else f"{start:g} s"
         high = "the end" if stop is None else f"{stop:g} s"
         words.append(f"cut from {low} to {high}")
-    for operation in operations(preparation):
-        ops = operation(record)
+    for step, asked in steps_of(preparation):
+        ops = step.ops(record, *asked)
         record = record.through(ops)
         words += words_of(ops)
     for name, of in derived.items():
         if name in record.signals:
             continue
         record = judged(record, "auto", of)
-        record.signals[of]  # without it there is a helpful error, and no noise to look up
-        op, kernel = central_differences(record, of), record.noise.kernels[of].get(of)
+        record.signal(of)  # without it there is a helpful error, and no noise to look up
+        ops, kernel = differentiate.ops(record, of, name), record.noise.kernels[of].get(of)
         if of not in derived and kernel is not None and kernel.shape[-1] == 1:
             with contextlib.suppress(DataError):  # too short for them
-                op = local_slope(record, of)
-        record = record.through({name: op})
-        words.append(op.words.format(name))
+                ops = {name: local_slope(record, of)}
+        record = record.through(ops)
+        words += words_of(ops)
     if (every := preparation.every) > 1:
         tens, ones = divmod(every % 100, 10)
         ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"

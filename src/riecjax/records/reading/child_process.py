@@ -147,8 +147,21 @@ def _unpacked(out: Path) -> Channels:
 
 
 def _serve(folder: str) -> None:
-    """Read the files that are asked for, a line each, until nobody can ask any more."""
-    _limit_resources()
+    """Read the files that are asked for, a line each, until nobody can ask any more.
+
+    Damaged sizes are kept from the machine's memory, and crashes from its disk. Windows has neither
+    limit, but a dialog after a crash, for which reading would wait.
+    """
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.SetErrorMode(msvcrt.SEM_FAILCRITICALERRORS | msvcrt.SEM_NOGPFAULTERRORBOX)
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        memory = int(max(min(MEMORY, free_memory()), LEAST_MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     # What a library prints is no answer.
     answers = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -176,23 +189,6 @@ def _pack(module: str, function: str, file: str, out: Path, arguments: list[obje
         described = {"memory": str(error)}
     arrays: dict[str, Any] = {str(i): values for i, values in enumerate(columns.values())}
     np.savez(out, described=np.frombuffer(json.dumps(described).encode(), np.uint8), **arrays)
-
-
-def _limit_resources() -> None:
-    """Keep damaged sizes from the machine's memory, and crashes from its disk.
-
-    Windows has neither limit, but a dialog after a crash, for which reading would wait.
-    """
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.SetErrorMode(msvcrt.SEM_FAILCRITICALERRORS | msvcrt.SEM_NOGPFAULTERRORBOX)
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        memory = int(max(min(MEMORY, free_memory()), LEAST_MEMORY))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
 
 
 def _limit_time(limit: float) -> None:

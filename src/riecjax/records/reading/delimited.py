@@ -536,7 +536,16 @@ def read_table(
 
     **Arguments:** `units` by position, where the table has no row of them.
     """
-    lines = _first_lines(content)
+    end = SAMPLE
+    most = min(len(content), FEWEST_LINES * LONGEST_LINE)
+    while end < most and content.count(b"\n", 0, end) < FEWEST_LINES:
+        end *= 4
+    lines = content[:end].decode(errors="replace").split("\n")
+    if max(map(len, lines)) > LONGEST_LINE:
+        raise DataError(
+            f"a line has more than {LONGEST_LINE} characters; the file is no table of numbers."
+        )
+    lines = (lines if end >= len(content) else lines[:-1])[:MOST_LINES]
     found = layout(lines, delimiter, decimal, columns)
     check_column_count(found.width)
     notes = []
@@ -563,22 +572,22 @@ def read_table(
         differ = readings(other) and readings(unit) and not same(other, unit)
         stated |= {name: f"{other} or {unit}" if differ else unit} if unit else {}
     stated |= dict.fromkeys(stamped, "s")
-    notes = [*_notes(found, lines, comments, stamped, delimiter is not None), *notes, *numbered]
+    sign, header = found.dialect.delimiter, found.header
+    above = sum(bool(line.strip()) for line in lines[: max(header, 0)])
+    decided = {
+        f"delimiter {NAMES.get(sign, sign)}": sign != "," and delimiter is None,
+        "decimal comma": found.dialect.decimal == ",",
+        "columns without names, called by their number": header < 0 and found.numbered,
+        f"{above} line{'s' * (above > 1)} above the column names skipped": above,
+        "column names taken from a comment": header >= 0
+        and Dialect(",", ".").comment(lines[header]),
+        "units taken from the row below the column names": found.units,
+        f"{comments} comment line{'s' * (comments > 1)} skipped": comments,
+    }
+    since = [f"column '{k}': time stamps, as seconds from {first}" for k, first in stamped.items()]
+    notes = [*(note for note, holds in decided.items() if holds), *since, *notes, *numbered]
     notes += [f"column '{name}' left out: {why}" for name, why in left_out.items()]
     return Channels(read, {k: u for k, u in stated.items() if k in read}, {}, left_out, notes)
-
-
-def _first_lines(content: bytes) -> list[str]:
-    end = SAMPLE
-    most = min(len(content), FEWEST_LINES * LONGEST_LINE)
-    while end < most and content.count(b"\n", 0, end) < FEWEST_LINES:
-        end *= 4
-    lines = content[:end].decode(errors="replace").split("\n")
-    if max(map(len, lines)) > LONGEST_LINE:
-        raise DataError(
-            f"a line has more than {LONGEST_LINE} characters; the file is no table of numbers."
-        )
-    return (lines if end >= len(content) else lines[:-1])[:MOST_LINES]
 
 
 def _body(content: bytes, found: Layout) -> tuple[bytes, int]:
@@ -698,26 +707,6 @@ def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
             f"line {table.line_of(row)}: {text[row].as_py()!r} has a decimal comma or"
             " commas between thousands; pass decimal=',' or decimal='.'."
         )
-
-
-def _notes(
-    found: Layout, lines: list[str], comments: int, stamped: dict[str, str], given: bool
-) -> list[str]:
-    sign, header = found.dialect.delimiter, found.header
-    above = sum(bool(line.strip()) for line in lines[: max(header, 0)])
-    commented = header >= 0 and Dialect(",", ".").comment(lines[header])
-    notes = {
-        f"delimiter {NAMES.get(sign, sign)}": sign != "," and not given,
-        "decimal comma": found.dialect.decimal == ",",
-        "columns without names, called by their number": header < 0 and found.numbered,
-        f"{above} line{'s' * (above > 1)} above the column names skipped": above,
-        "column names taken from a comment": commented,
-        "units taken from the row below the column names": found.units,
-        f"{comments} comment line{'s' * (comments > 1)} skipped": comments,
-    }
-    return [note for note, holds in notes.items() if holds] + [
-        f"column '{name}': time stamps, as seconds from {first}" for name, first in stamped.items()
-    ]
 
 
 def distinct(names: list[str], table: Any) -> tuple[list[str], list[int], list[str]]:

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -44,13 +44,18 @@ class Selected(NamedTuple):
 
 class _Signals(NamedTuple):
     """Signals by name, with the column each comes from, its unit, the one before conversion, and
-    why a column is left out."""
+    why a column is left out. What is decided changes them in place."""
 
     values: dict[str, np.ndarray]
     column: dict[str, str]
     units: dict[str, str]
-    converted: Mapping[str, str] = {}
-    left_out: Mapping[str, str] = {}
+    converted: dict[str, str]
+    left_out: dict[str, str]
+
+    def keep(self, names: Iterable[str]) -> None:
+        """Drop all other signals."""
+        for name in self.values.keys() - {*names}:
+            del self.values[name]
 
 
 def record_from_channels(
@@ -96,11 +101,11 @@ def record_from_channels(
                     f"out one of them."
                 )
             stated[signal], asked_of[signal] = unit, name
-    signals = signals._replace(units=stated)
+    signals.units.update(stated)
     for name, column in rename.items():
         if name not in signals.units and not {name, column} & {*selection.scale}:
             require_sure_unit(name, column, units_read.get(name, ""))
-    signals = _scaled(signals, channels, selection.scale, asked_of)
+    _scale(signals, channels, selection.scale, asked_of)
     time = find_time(
         signals.values,
         signals.units,
@@ -111,7 +116,7 @@ def record_from_channels(
     notes, times = (), {}
     if selection.time_step is not None:
         notes = (f"column '{time.name}' is not used: the time step is given",) if time else ()
-        signals = _evenly_timed(signals, rename, time)
+        _keep_usual_length(signals, rename, time)
     else:
         notes = time.notes if time else ()
         times = _times(signals, channels, time)
@@ -121,12 +126,12 @@ def record_from_channels(
                 raise DataError(
                     f"column '{rename[name]}' has another length than the time, {size} samples."
                 )
-        signals = signals._replace(values={name: signals.values[name] for name in times})
+        signals.keep(times)
     # What is read, by the model or by what the user asks for; all where none is.
     words = re.findall(r"\w+", " ".join(selection.derive.values()))
     asked = {*units_read, *rename, *selection.scale, *selection.units, *words}
     asked &= signals.values.keys()
-    signals = _converted(signals, units_read, asked or (signals.values if read is None else ()))
+    _convert(signals, units_read, asked or ({*signals.values} if read is None else ()))
     if not signals.values:
         why = _first_reason(replace(channels, left_out={**channels.left_out, **signals.left_out}))
         raise DataError(f"a record needs at least one signal besides its time{why}.")
@@ -141,7 +146,7 @@ def record_from_channels(
             axes = {} if axis is None else dict.fromkeys(columns, axis)
         of_matter = {name: values for name, values in columns.items() if name in matter}
         treated, words, findings = treat_all(of_matter, axes, signals.units, step, how, formulas)
-        signals = signals._replace(values={**columns, **treated})
+        signals = signals._replace(values=columns | treated)
         if selection.resample is not None:
             record = _resampled(signals, times, selection, matter)
         else:
@@ -216,7 +221,7 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, l
         units |= {name: unit} if unit else {}
         if name not in rename and np.isnan(values[name]).all():
             del values[name]
-    return _Signals(values, column, units), registers
+    return _Signals(values, column, units, {}, {}), registers
 
 
 def _with_labels(signals: _Signals, selection: Select) -> dict[str, str]:
@@ -224,24 +229,21 @@ def _with_labels(signals: _Signals, selection: Select) -> dict[str, str]:
     return signals.units | {k: u for k, u in selection.units.items() if k in selection.derive}
 
 
-def _converted(signals: _Signals, read: Mapping[str, str], matter: Collection[str]) -> _Signals:
-    """Signals in SI units; of those that do not matter, one whose unit is in doubt is left out."""
-    values, units, converted, left_out = dict(signals.values), dict(signals.units), {}, {}
-    for name in signals.values:
-        if name not in units:
-            continue
+def _convert(signals: _Signals, read: Mapping[str, str], matter: Collection[str]) -> None:
+    """To SI units; of those that do not matter, one whose unit is in doubt is left out."""
+    for name in [name for name in signals.values if name in signals.units]:
+        unit = signals.units[name]
         try:
-            found = conversion(name, units[name], read.get(name) or None)
+            found = conversion(name, unit, read.get(name) or None)
         except DataError as error:
             if name in matter:
                 raise
-            del values[name]
-            left_out[signals.column[name]] = str(error).rstrip(".")
+            del signals.values[name]
+            signals.left_out[signals.column[name]] = str(error).rstrip(".")
             continue
         if found is not None:
-            values[name] = values[name] * found.factor
-            units[name], converted[name] = found.unit, units[name]
-    return signals._replace(values=values, units=units, converted=converted, left_out=left_out)
+            signals.values[name] = signals.values[name] * found.factor
+            signals.units[name], signals.converted[name] = found.unit, unit
 
 
 def _signals_called(name: str, signals: _Signals, channels: Channels) -> list[str]:
@@ -257,33 +259,33 @@ def _signals_called(name: str, signals: _Signals, channels: Channels) -> list[st
     return [signal for signal in signals.values if signals.column[signal] == source]
 
 
-def _scaled(
+def _scale(
     signals: _Signals,
     channels: Channels,
     scale: Mapping[str, float],
     asked_of: Mapping[str, str],
-) -> _Signals:
-    """Scaled signals; what is scaled no longer has the unit that the file states.
+) -> None:
+    """What is scaled no longer has the unit that the file states.
 
     **Arguments:** `asked_of`, under which names signals were given a unit.
     """
-    values, units, done = dict(signals.values), dict(signals.units), set()
+    called = {name: _signals_called(name, signals, channels) for name in scale}
+    done = set()
     for name, factor in scale.items():
         if not (np.isfinite(factor) and factor != 0):
             raise DataError(f"the scale of '{name}' must be a number other than 0; got {factor:g}.")
-        for target in _signals_called(name, signals, channels):
+        for target in called[name]:
             if target in done:
                 raise DataError(f"'{target}' is scaled twice.")
             if target in asked_of:
                 both = " and ".join(f"'{word}'" for word in dict.fromkeys((name, asked_of[target])))
                 raise DataError(f"{both} is given both a scale and a unit; leave out one of them.")
-            values[target] = values[target] * factor
-            units.pop(target, None)
+            signals.values[target] = signals.values[target] * factor
+            signals.units.pop(target, None)
             # Scaled to seconds, whatever its name says.
-            states = clocks.is_called_time(target, {}) and clocks.unit_of_time(target)
-            units |= {target: "s"} if states else {}
+            if clocks.is_called_time(target, {}) and clocks.unit_of_time(target):
+                signals.units[target] = "s"
             done.add(target)
-    return signals._replace(values=values, units=units)
 
 
 def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> dict[str, np.ndarray]:
@@ -320,23 +322,21 @@ def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> di
     )
 
 
-def _evenly_timed(
+def _keep_usual_length(
     signals: _Signals, rename: Mapping[str, str], time: TimeColumn | None
-) -> _Signals:
+) -> None:
     """Signals at an even step, whatever a column of time says: those of the length most have."""
-    values = {k: v for k, v in signals.values.items() if time is None or k != time.name}
-    lengths = [values[name].size for name in values if name in rename]
-    lengths = lengths or [array.size for array in values.values()]
+    sizes = {k: v.size for k, v in signals.values.items() if time is None or k != time.name}
+    lengths = [size for name, size in sizes.items() if name in rename] or [*sizes.values()]
     if not lengths:
         raise DataError("a record needs at least one signal besides its time.")
     usual = max(lengths, key=lambda length: (lengths.count(length), length))
-    alike = {name: array for name, array in values.items() if array.size == usual}
+    signals.keep(name for name, size in sizes.items() if size == usual)
     for name in rename:
-        if name not in alike and name != "t":
+        if name not in signals.values and name != "t":
             raise DataError(
                 f"column '{rename[name]}' has another length than the others, {usual} samples."
             )
-    return signals._replace(values=alike)
 
 
 def _on_one_axis(

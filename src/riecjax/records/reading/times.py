@@ -309,7 +309,9 @@ def find_time(
     """
     if given is not None:
         return _timed(given, values, units, (), shortest)
-    called = sorted((name for name in values if is_called_time(name, units)), key=_preference)
+    called = [name for name in values if is_called_time(name, units)]
+    preferred = {name: place - len(TIME_COLUMNS) for place, name in enumerate(TIME_COLUMNS)}
+    called.sort(key=lambda name: preferred.get(split_unit(name)[0], 0))
     found = next((name for name in called if _rises(values[name])), None)
     notes = ()
     if found is not None and len(called) > 1:
@@ -454,11 +456,6 @@ def _suffix(name: str) -> tuple[str, str]:
     found = _BEHIND.fullmatch(name)
     unit = (found["unit"] or found["capital"]).lower() if found else ""
     return (found["name"], unit) if found and unit in SECONDS and unit != "d" else (name, "")
-
-
-def _preference(name: str) -> int:
-    short = split_unit(name)[0]
-    return TIME_COLUMNS.index(short) if short in TIME_COLUMNS else len(TIME_COLUMNS)
 
 
 def _rises(values: np.ndarray) -> bool:
