@@ -7,9 +7,10 @@ import contextlib
 import re
 from collections.abc import Iterator
 
+from riecjax.equations.expressions import signals_read
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
-from riecjax.errors import DataError, MissingSignalError
+from riecjax.errors import DataError
 from riecjax.records.reading.channels import Channels
 from riecjax.records.reading.selection import column_named, record_from_channels
 from riecjax.records.reading.times import find_time, is_called_time
@@ -76,25 +77,11 @@ def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterat
 
 
 def signals_of(model: "Model") -> "list[Quantity]":
-    """What a model reads; of a user's own equation, found by asking it."""
+    """What a model reads; of a user's own equation, found by asking its expressions."""
     if model.signals:
         return list(model.signals)
-    import numpy as np
-
-    from riecjax.records.record import Record
-
-    names: list[str] = ["t"]
-    zeros = np.zeros(8)
-    equations = model.equations
-    for _ in range(100):
-        record = Record.from_samples(dict.fromkeys(names[1:] or ["_"], zeros), time_step=1.0)
-        try:
-            for equation in equations:
-                equation.signals_read(record, 2)
-            break
-        except MissingSignalError as error:
-            names.append(error.signal)
-    return [Quantity(name, "", "") for name in names[1:]]
+    read = (of for e in model.equations for of in (*(term.of for term in e.terms), e.where) if of)
+    return [Quantity(n, "", "") for n in dict.fromkeys(n for of in read for n in signals_read(of))]
 
 
 def _guess(signal: "Quantity", columns: list[str], channels: "Channels") -> tuple[str | None, str]:

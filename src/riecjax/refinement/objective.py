@@ -218,9 +218,11 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
     if isinstance(model, Model):
         quantities = model.simulation_parameters
         defaults = {q.name: q.default for q in quantities if q.default is not None}
-        if model.system is not None and model.has_own_system(record):
+        if model.has_own_system(record):
             units = tuple((quantity.name, quantity.unit) for quantity in quantities)
-            return ByFunction(model.system, tuple(q.name for q in quantities), units, defaults)
+            return ByFunction(
+                model.system.build, tuple(q.name for q in quantities), units, defaults
+            )
         known = defaults if model.is_driven_by(record) else {}
         return ByCoefficients.of(model, model.driven_rates(record), known)
     if callable(model):
