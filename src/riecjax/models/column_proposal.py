@@ -29,7 +29,10 @@ def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterat
     given, read = selection.rename, {}
     times = [c for c in channels.columns if is_called_time(c, channels.units)]
     taken = {*given.values(), *times}
-    signals = signals_of(model)
+    # Of a user's own equation, what its expressions read.
+    every = (of for e in model.equations for of in (*(term.of for term in e.terms), e.where) if of)
+    names = dict.fromkeys(name for of in every for name in signals_read(of))
+    signals = model.signals or tuple(Quantity(name, "", "") for name in names)
     wanted = [s for s in signals if s.name not in given]
     lacking = []
     for signal in wanted:
@@ -74,14 +77,6 @@ def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterat
         record_from_channels(channels, selection, units)
     except DataError as error:
         yield _commented(f"# as it stands: {error}")
-
-
-def signals_of(model: "Model") -> "list[Quantity]":
-    """What a model reads; of a user's own equation, found by asking its expressions."""
-    if model.signals:
-        return list(model.signals)
-    read = (of for e in model.equations for of in (*(term.of for term in e.terms), e.where) if of)
-    return [Quantity(n, "", "") for n in dict.fromkeys(n for of in read for n in signals_read(of))]
 
 
 def _guess(signal: "Quantity", columns: list[str], channels: "Channels") -> tuple[str | None, str]:

@@ -47,6 +47,7 @@ class Phase(str):
     sensor: str
 
     def __new__(cls, name: str, sensor: str = ""):
+        """A text; what unpickles it sets the sensor later."""
         phase = super().__new__(cls, name)
         phase.sensor = sensor
         return phase
