@@ -846,14 +846,18 @@ def _channels(
             f"the records hold nothing that is simulated, so there is nothing to compare; needed "
             f"is one of: {', '.join(available)}."
         )
-    # Signals that were made of others among these tell nothing new, for their noise is the others',
-    # sample by sample; and compared as if they did would have noise that hangs together in time.
-    own = set()
-    for record in records:
-        sources = {name: record.noise.sensors(name) for name in chosen}
-        sensed = {name for name in chosen if name in sources[name]}
-        own |= {n for n in chosen if n in sensed or not sources[n] or not sources[n] <= sensed}
-    return tuple(name for name in chosen if name in own)
+    computed = [_computed(record, chosen) for record in records]
+    return tuple(name for name in chosen if not all(name in of for of in computed))
+
+
+def _computed(record: Record, names: Sequence[str]) -> set[str]:
+    """Signals that were made of others among these: their noise is the others', sample by sample.
+
+    They tell nothing new, and compared as if they did would have noise that hangs together in time.
+    """
+    sources = {name: record.noise.sensors(name) for name in names}
+    sensed = {n for n in names if n in sources[n]}
+    return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
 
 
 def _estimated(
