@@ -12,13 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
-from tests.machines import (
-    DRAG,
-    Signals,
-    drag_oscillator,
-    noisy,
-    slide,
-)
+from tests.machines import DRAG, Signals, drag_oscillator, noisy, slide
 
 import riecjax as rx
 from riecjax.paper.published import TABLE_2

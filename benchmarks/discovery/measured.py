@@ -12,11 +12,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.io
-from jaxtyping import Array, Float
 
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
-from benchmarks.measured.emps_axis import Axis
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.bases import AbstractShape
 from riecjax.equations.model import as_model
@@ -27,27 +25,10 @@ from riecjax.simulation.method import FixedStep
 from riecjax.simulation.system import AbstractSystem
 from riecjax.validation.residuals import residual_tests
 
-LAWS = ("viscous", "asymmetry", "coulomb", "offset", "limited_friction_slope")
-"""What of an axis can be simulated exactly."""
 EXACT = (0.005, 1e-6)
 """Least shares of a term in the circuit, which is measured more exactly than machines are."""
 MR_TRAIN = 1000
 """Samples of the damper's 1501 that the search reads."""
-
-
-class LimitedAxis(Axis):
-    """An axis whose dry friction grows with the speed up to a limit.
-
-    **Fields:** those of an axis, `slope` in N s/m up to the speed `limit` in m/s.
-    """
-
-    slope: Float[Array, ""]
-    limit: Float[Array, ""]
-
-    def levels(self, velocity: Array) -> tuple[Array, Array]:
-        """Both and slope min(|v|, limit)."""
-        more = self.slope * jnp.minimum(jnp.abs(velocity), self.limit)
-        return self.Fc_pos + more, self.Fc_neg + more
 
 
 def told(found: Discovery) -> dict[str, Any]:
@@ -71,7 +52,8 @@ def silverbox_found(data: Path) -> dict[str, Any]:
     finer = rx.differentiate(upsample(train, silverbox.FACTOR // 2), "y", "dy")
     model = rx.Model("circuit", "", stages=start, band=(20, 150))
     found = rx.discover(model, finer, least=EXACT[0], smallest=EXACT[1])
-    identified, widths = told(found)["values"], _widths(found)
+    identified = told(found)["values"]
+    widths = {f"{name}_width": width for name, width in told(found)["widths"].items()}
     values = {**identified, **widths}
     by = OutputError(
         Tiles(samples=silverbox_refined.WINDOW * silverbox.FACTOR),
@@ -100,12 +82,6 @@ def _shaped(model: rx.Model) -> list[tuple[str, AbstractShape]]:
     every = (term for equation in model.equations for term in equation.terms)
     named = [(str(term.name), term.basis) for term in every if term.basis is not None]
     return [(name, basis) for name, basis in named if isinstance(basis, AbstractShape)]
-
-
-def _widths(found: Discovery) -> dict[str, float]:
-    return {
-        f"{one.candidate.name}_width": one.width for one in found.chosen if one.width is not None
-    }
 
 
 def _by_widths(found: Discovery) -> Callable[[Mapping[str, Any]], AbstractSystem]:
@@ -145,29 +121,18 @@ def emps_found(data: Path) -> dict[str, Any]:
     alone = rx.identify(start, record, rx.RIEC(rx.AllWindows(0.01, 0.1)))
     return {
         **told(found),
-        "loop_before": _loop(rig, {"M": float(alone["M"])}, {}),
-        "loop_after": _loop(rig, told(found)["values"], told(found)["widths"]),
+        "loop_before": _loop(rig, start, alone),
+        "loop_after": _loop(rig, found.model, found.estimate),
     }
 
 
 def _loop(
-    rig: emps_closed_loop.Rig, values: dict[str, float], widths: dict[str, float]
+    rig: emps_closed_loop.Rig, model: rx.Equation | rx.Model, estimate: rx.Estimate
 ) -> dict[str, float]:
-    """Errors in percent of the axis under its controller, as far as it can be simulated exactly."""
-    of = {name: values.get(name, 0.0) for name in LAWS}
-    numbers = {
-        "M": values["M"],
-        "Fv_pos": of["viscous"] + of["asymmetry"],
-        "Fv_neg": of["viscous"] - of["asymmetry"],
-        "Fc_pos": of["coulomb"],
-        "Fc_neg": of["coulomb"],
-        "offset": of["offset"],
-        "slope": of["limited_friction_slope"],
-        "limit": widths.get("limited_friction", 1.0),
-    }
-    if unknown := {*values} - {*LAWS, "M"}:
-        raise ValueError(f"the axis has no {', '.join(sorted(unknown))}")
-    axis = LimitedAxis(**{name: jnp.asarray(value) for name, value in numbers.items()})
+    """Errors in percent of the axis under its controller, which knows its position and velocity."""
+    axis = rx.equation_system(model, estimate.values)
+    if unknown := {*axis.state_names} - {"q", "dq"}:
+        raise ValueError(f"the loop has no {', '.join(sorted(unknown))}")
     return emps_closed_loop.errors(rig, emps_closed_loop.sampled(rig, axis, delay=0))
 
 

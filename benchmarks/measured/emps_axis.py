@@ -105,15 +105,17 @@ class StribeckBalance(rx.refinement.AbstractBalance):
         return viscous * v + level * jnp.tanh(v / self.width) - signals["force"]
 
 
-class Axis(rx.simulation.AbstractSystem):
-    """A mass with friction that may differ between the directions, driven by a force."""
+class StribeckAxis(rx.simulation.AbstractSystem):
+    """A mass driven by a force, whose Coulomb friction is higher near rest, and may differ between
+    the directions; fields as of `StribeckBalance`."""
 
     M: Float[Array, ""]
     Fv_pos: Float[Array, ""]
     Fc_pos: Float[Array, ""]
     Fv_neg: Float[Array, ""]
     Fc_neg: Float[Array, ""]
-    offset: Float[Array, ""]
+    excess: Float[Array, ""]
+    vs: Float[Array, ""]
     states: ClassVar = (("q", "m"), ("dq", "m/s"))
     inputs: ClassVar = (("force", "N"),)
 
@@ -122,38 +124,19 @@ class Axis(rx.simulation.AbstractSystem):
         """The velocity, with whose sign the friction changes."""
         return ("dq",)
 
-    def levels(self, velocity: Array) -> tuple[Array, Array]:
-        """The Coulomb levels in both directions at a velocity."""
-        return self.Fc_pos, self.Fc_neg
-
     def derivative(self, state: Array, inputs: Array) -> Array:
         """Velocity and acceleration."""
-        velocity = state[1]
-        ahead, back = self.levels(velocity)
-        forward, backward = self.Fv_pos * velocity + ahead, self.Fv_neg * velocity - back
-        friction = jnp.where(velocity > 0, forward, jnp.where(velocity < 0, backward, 0.0))
-        return jnp.stack([velocity, (inputs[0] - self.offset - friction) / self.M])
-
-
-class StribeckAxis(Axis):
-    """An axis whose Coulomb friction is higher near rest.
-
-    **Fields:** those of `Axis`, `excess` of static over Coulomb friction, and `vs` in m/s.
-    """
-
-    excess: Float[Array, ""]
-    vs: Float[Array, ""]
-
-    def levels(self, velocity: Array) -> tuple[Array, Array]:
-        """Both times 1 + excess e^-(v/vs)^2."""
-        factor = 1 + self.excess * jnp.exp(-((velocity / self.vs) ** 2))
-        return factor * self.Fc_pos, factor * self.Fc_neg
+        v = state[1]
+        factor = 1 + self.excess * jnp.exp(-((v / self.vs) ** 2))
+        ahead, back = self.Fv_pos * v + factor * self.Fc_pos, self.Fv_neg * v - factor * self.Fc_neg
+        friction = jnp.where(v > 0, ahead, jnp.where(v < 0, back, 0.0))
+        return jnp.stack([v, (inputs[0] - friction) / self.M])
 
 
 def stribeck_axis(parameters: Mapping[str, Array]) -> StribeckAxis:
     """The axis with a balance's parameters, but for the width, which exact sticking needs not."""
     fields = {name: value for name, value in parameters.items() if name != "width"}
-    return StribeckAxis(**fields, offset=jnp.zeros(()))
+    return StribeckAxis(**fields)
 
 
 def stribeck_balance(start: Mapping[str, Array | float]) -> StribeckBalance:

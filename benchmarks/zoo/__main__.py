@@ -11,7 +11,7 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-from benchmarks.recorded import filled_in
+from benchmarks import recorded
 from benchmarks.zoo import binary, programs, spellings, stamps, text  # noqa: F401
 from benchmarks.zoo.case import CASES, Case, Outcome, compared, outcome
 from benchmarks.zoo.measured import measured
@@ -35,25 +35,19 @@ def table() -> str:
     """How many files there are and every one, in Markdown."""
     plain = sum(not one.options and not one.refused for one in CASES.values())
     counts = f"{len(CASES)} files, {plain} of which need no option beside `--model` and `--map`:"
-    rows = [
-        counts,
-        "",
-        "| file | as written by | options beside `--model` and `--map` |",
-        "|---|---|---|",
-    ]
-    return "\n".join([*rows, *(_row(one) for one in CASES.values())])
+    head = ("file", "as written by", "options beside `--model` and `--map`")
+    return f"{counts}\n\n{recorded.table(head, [_row(one) for one in CASES.values()])}"
 
 
-def _row(one: Case) -> str:
+def _row(one: Case) -> list[str]:
     options = f"`{' '.join(one.options)}`" if one.options else ""
-    if one.refused:
-        options = "refused, with the reason"
-    return f"| `{one.name}{one.suffix}` | {one.follows} | {options} |"
+    options = "refused, with the reason" if one.refused else options
+    return [f"`{one.name}{one.suffix}`", one.follows, options]
 
 
 def page() -> str:
     """The page of the documentation with the table as it is."""
-    return filled_in(PAGE, BEGIN, table())
+    return recorded.filled_in(PAGE, BEGIN, table())
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ from riecjax.uncertainty.intervals import Naive
 IDENTIFIED = [name for name, model in MODELS.items() if model.stages]
 SIMULATED = [*MODELS]
 ROUND_TRIPS = [
-    name for name in IDENTIFIED if name in SIMULATED and not MODELS[name].own_simulation_parameters
+    name for name in IDENTIFIED if name in SIMULATED and not MODELS[name].system.parameters
 ]
 EXCITATION = {
     "quarter-car": 0.55,

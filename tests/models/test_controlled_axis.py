@@ -5,13 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
-from benchmarks.measured.emps_axis import (
-    RISE,
-    Axis,
-    sampled_control,
-    stribeck_axis,
-    stribeck_balance,
-)
+from benchmarks.measured.emps_axis import RISE, sampled_control, stribeck_axis, stribeck_balance
 
 import riecjax as rx
 from riecjax.records.record import Record
@@ -26,8 +20,10 @@ VALUES = {
 }
 
 
-def axis() -> Axis:
-    return Axis(**{name: jnp.asarray(value) for name, value in VALUES.items()})
+def axis() -> rx.simulation.AbstractSystem:
+    offset = rx.Term("offset", rx.constant, unit="N")
+    model = rx.find_model("emps-asymmetric").with_terms({"emps-asymmetric": [offset]})
+    return model.build_system(VALUES)
 
 
 def ramp_and_hold(count: int = 1500) -> Record:

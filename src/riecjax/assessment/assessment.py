@@ -177,8 +177,7 @@ class Assessment(Drawn):
         smoothness, record = self.estimate.criterion.smoothness, self.recordings[0].record
         reading = [
             equation
-            for stage in self.model.stages
-            for equation in stage
+            for equation in self.model.equations
             if equation.signals_read(record, smoothness) & set(finding.signals)
         ]
         return table.concerned(name for equation in reading for name in equation.parameters)

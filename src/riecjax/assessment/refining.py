@@ -29,7 +29,7 @@ from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
-from riecjax.refinement.refine import Refined, refine_with_misfit
+from riecjax.refinement.refine import Refined, refined_of
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
@@ -156,18 +156,11 @@ def _search(
     that calls Python back cannot be kept for the next time.
     """
     settings = asked.settings
-    refined, misfit = refine_with_misfit(
-        asked.model,
-        asked.records,
-        within(estimate, settings.bounds),
-        by,
-        key=settings.key,
-        intervals=asked.intervals,
-        bounds=settings.bounds or None,
-        priors=settings.priors or None,  # type: ignore[arg-type]
-        max_steps=max_steps,
-        progress=progress,
-    )
+    by, start = by.suited(asked.model), within(estimate, settings.bounds)
+    specified = by.specify(asked.model, asked.records, start, key=settings.key)
+    constraints: Any = settings.bounds, settings.priors
+    each = asked.intervals, None, max_steps, progress
+    refined, misfit = refined_of(by, specified, *constraints, *each)
     refined, left = on_host(refined), None
     if isinstance(misfit, OutputMisfit):
         left = whiteness(misfit, refined.theta, refined.initial_states, asked.records)

@@ -74,7 +74,7 @@ def _table(model: Any) -> Table:
     roles = (
         ("parameter", model.parameters),
         ("signal", model.signals),
-        ("to simulate", model.own_simulation_parameters),
+        ("to simulate", model.system.parameters),
         ("input", model.inputs),
     )
     for role, quantities in roles:

@@ -11,5 +11,6 @@ from .memories import Elapsed as Elapsed
 from .model import AtRest as AtRest
 from .model import as_model as as_model
 from .model import with_rests as with_rests
+from .quantity import Machine as Machine
 from .quantity import Quantity as Quantity
 from .term import AbstractTerm as AbstractTerm

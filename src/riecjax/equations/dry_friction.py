@@ -108,9 +108,9 @@ def in_motion(model: Model, record: Record) -> Model:
             return equation
         return equation.of_terms(*terms)
 
-    stages = tuple(tuple(map(of, stage)) for stage in model.stages)
-    unchanged = all(a is b for s, t in zip(stages, model.stages) for a, b in zip(s, t))
-    return model if unchanged else replace(model, stages=stages)
+    weighted = replace(model, stages=model.by_stage(of))
+    unchanged = all(a is b for a, b in zip(weighted.equations, model.equations))
+    return model if unchanged else weighted
 
 
 def rests_of(model: Model, record: Record) -> dict[str, Rest]:

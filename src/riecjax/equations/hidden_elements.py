@@ -34,7 +34,7 @@ linear in K.
 """
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -45,17 +45,24 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
+from riecjax.equations.expressions import constant, difference, label_of, signals_read
+from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, Column, Term
-from riecjax.errors import ModelError, require
+from riecjax.errors import ModelError, require, users_code
 from riecjax.leaves import Leaf, is_number
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 
 KNOWN_UNITS = {"N s/m": "N/m", "N": "N/m", "N m s/rad": "N m/rad", "N m": "N m/rad"}
 """Unit of a spring by that of the element's coefficients."""
+Values = Mapping[str, Array]
 MASSES, STIFFNESSES = ("kg", "kg m^2"), ("N/m", "N m/rad")
 """Units of coefficients whose terms are no force elements."""
+
+
+def _ending(number: int) -> str:
+    """Of the names that an element with this number has, from 0: `_2` of the second."""
+    return "" if number == 0 else f"_{number + 1}"
 
 
 class SeriesSpring(eqx.Module):
@@ -77,14 +84,25 @@ class SeriesSpring(eqx.Module):
     def __check_init__(self):
         require("what a spring is in series with", self.of, str, "rx.SeriesSpring(of='c')")
 
-    def element(self, equation: Equation) -> AbstractTerm | None:
+    @property
+    def on(self) -> str:
+        """What it acts on, the element."""
+        return self.of
+
+    @property
+    def hz(self) -> None:
+        """No frequency is near which to look for a lag."""
+        return None
+
+    def term_in(self, equation: Equation) -> AbstractTerm | None:
         """The element's term in an equation, if it has one."""
         return next((term for term in equation.terms if self.of in term.parameters), None)
 
-    def unit(self, equations: Iterable[Equation]) -> str:
-        """Unit of the stiffness, by that of the element's coefficient."""
+    def quantities(self, number: int, equations: Sequence[Equation]) -> list[Quantity]:
+        """The stiffness of the spring with this number, in a unit by the element's coefficient."""
         named = [e.units[self.of] for e in equations if self.of in e.units]
-        return KNOWN_UNITS.get(named[0], "") if named else ""
+        unit = KNOWN_UNITS.get(named[0], "") if named else ""
+        return [Quantity(SpringParameters.of(number, self).stiffness, unit, "spring in series")]
 
 
 class Shape(NamedTuple):
@@ -124,7 +142,7 @@ class SpringParameters(NamedTuple):
     @classmethod
     def of(cls, number: int, spring: SeriesSpring) -> "SpringParameters":
         """Of the spring with this number, from 0."""
-        return cls(spring.of, stiffness_name(number))
+        return cls(spring.of, f"K_series{_ending(number)}")
 
     @property
     def linear(self) -> str:
@@ -202,17 +220,22 @@ def force_elements(
     return {t.parameters[0]: t for t in terms if not why_no_element(t, equations)}
 
 
-def stiffness_name(number: int) -> str:
-    """Of the spring with this number, from 0."""
-    return "K_series" if number == 0 else f"K_series_{number + 1}"
-
-
 LEAST_SLOPE = 0.01
 """Of a map, as a share of its mean slope."""
+Reading = Callable[[AbstractTerm], Array]
+"""A term's expression at a point of a simulation, differentiated as the term says."""
 
 
 class SpringElement(eqx.Module):
-    """A force element with a spring in series.
+    """A force element with a spring in series, whose force is a state of a simulation.
+
+    With f the force of both, v the velocity across them and v_in(f) that across the element alone,
+
+        f' = K (v - v_in(f)),
+
+    v_in being the inverse of the element's law: f / c of a linear one, and of a piecewise linear
+    map through (v_i, F_i) the map through (F_i, v_i). The law must rise; where values tried on the
+    way to an answer do not, a least slope stands in for them.
 
     **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
     `stiffness`, the name of the spring's parameter.
@@ -223,33 +246,72 @@ class SpringElement(eqx.Module):
     unit: str = eqx.field(static=True)
     stiffness: str = eqx.field(static=True)
 
+    @classmethod
+    def of(
+        cls, number: int, spring: SeriesSpring, equations: Sequence[Equation]
+    ) -> "SpringElement":
+        """Of the spring with this number, from 0, that some of the equations have.
+
+        **Raises:** `ModelError` for an element whose law has no inverse that is known.
+        """
+        first, force = next((t, e.unit) for e in equations if (t := spring.term_in(e)) is not None)
+        if not (first.is_linear or isinstance(first.basis, RoofFunctions)):
+            raise ModelError(
+                f"a spring in series with {first.name} needs the inverse of its law, which is "
+                f"known of one coefficient and of roof functions (rx.roof) only."
+            )
+        stiffness = SpringParameters.of(number, spring).stiffness
+        return cls(first, f"series{_ending(number)}_force", force, stiffness)
+
+    @property
+    def states(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of the force."""
+        return ((self.state, self.unit),)
+
+    @property
+    def divisor(self) -> str | None:
+        """The coefficient of a linear element, which its velocity is divided by."""
+        return self.element.parameters[0] if self.element.is_linear else None
+
+    words = ", a spring in series,"
+
+    def written_out(self, equation: Equation) -> Equation:
+        """The equation with the force in the element's place."""
+        placed = {*self.element.parameters}
+        return equation.of_terms(
+            *(Term(t.factor, self.state) if placed & {*t.parameters} else t for t in equation.terms)
+        )
+
     @property
     def points(self) -> Float[Array, " points"] | None:
         """Break points of the element's law, `None` of a linear one."""
         basis = self.element.basis
         return basis.break_points if isinstance(basis, RoofFunctions) else None
 
-    def rate(
-        self, velocity: Float[Array, " 1"], force: Float[Array, " 1"], values: Mapping[str, Array]
-    ) -> Float[Array, " 1"]:
+    def rates(self, signals: Values, values: Values, read: Reading) -> dict[str, Array]:
         """Time derivative of the force."""
         own = jnp.stack([values[n] for n in self.element.parameters])
-        points = self.points
+        points, force = self.points, signals[self.state]
         if points is None:
             inner = force / own[0]
         else:
             inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
-        return values[self.stiffness] * (velocity - inner)
+        return {self.state: values[self.stiffness] * (read(self.element) - inner)}
 
-    def static(
-        self, velocity: Float[Array, " n"], values: Mapping[str, Array]
-    ) -> Float[Array, " n"]:
-        """The force at a velocity that does not change: the spring takes up none of it."""
+    def at_rest(self, signals: Values, values: Values) -> dict[str, Array]:
+        """The force at a velocity that does not change, where signals tell it: the spring takes up
+        none of it."""
+        of = self.element.of
+        if self.element.derivative or not set(signals_read(of)) <= signals.keys():
+            return {}
+        with users_code(f"the expression {label_of(of)}"):
+            across = signals[of] if isinstance(of, str) else of(Signals(dict(signals)))
+        velocity = jnp.asarray(across)
         own = jnp.stack([values[n] for n in self.element.parameters])
         points = self.points
         if points is None:
-            return own[0] * velocity
-        return RoofFunctions(points).interpolate(_rising(own, points), velocity)
+            return {self.state: own[0] * velocity}
+        return {self.state: RoofFunctions(points).interpolate(_rising(own, points), velocity)}
 
 
 def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
@@ -260,33 +322,8 @@ def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Arr
     return forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
 
 
-def with_springs(
-    equations: tuple[Equation, ...], springs: Sequence[SeriesSpring]
-) -> tuple[tuple[Equation, ...], tuple[SpringElement, ...]]:
-    """Equations that hold elements' forces in the elements' places, and these elements.
-
-    **Raises:** `ModelError` for an element whose law has no inverse that is known.
-    """
-    elements = []
-    for number, spring in enumerate(springs):
-        first, force = next((t, e.unit) for e in equations if (t := spring.element(e)) is not None)
-        if not (first.is_linear or isinstance(first.basis, RoofFunctions)):
-            raise ModelError(
-                f"a spring in series with {first.name} needs the inverse of its law, which is "
-                f"known of one coefficient and of roof functions (rx.roof) only."
-            )
-        name = "series_force" if number == 0 else f"series_{number + 1}_force"
-        elements.append(SpringElement(first, name, force, stiffness_name(number)))
-        equations = tuple(
-            e.of_terms(*(Term(t.factor, name) if spring.of in t.parameters else t for t in e.terms))
-            for e in equations
-        )
-    return equations, tuple(elements)
-
-
 TARGET = "target"
 """What a known term is called once it is differentiated."""
-Values = Mapping[str, Array]
 
 
 class HiddenMode(eqx.Module):
@@ -312,7 +349,7 @@ class HiddenMode(eqx.Module):
         ):
             raise ModelError(f"a mode's frequency is a positive number of hertz; got {self.hz}.")
 
-    def inertia(self, equation: Equation) -> AbstractTerm | None:
+    def term_in(self, equation: Equation) -> AbstractTerm | None:
         """The term of an equation that accelerates the body, if it has one."""
         for term in equation.terms:
             velocity = term.measured[0] if term.measured else f"d{term.signal}"
@@ -323,13 +360,15 @@ class HiddenMode(eqx.Module):
                 return term
         return None
 
-    def units(self, number: int, equations: Sequence[Equation]) -> dict[str, str]:
-        """Units of the parameters of the mode with this number, by the body's own."""
-        terms = [term for e in equations if (term := self.inertia(e)) is not None]
+    def quantities(self, number: int, equations: Sequence[Equation]) -> list[Quantity]:
+        """The parameters of the mode with this number, in units by the body's own."""
+        terms = [term for e in equations if (term := self.term_in(e)) is not None]
         mass = next((str(term.unit) for term in terms if term.unit), "")
         known = {"kg": ("N/m", "N s/m"), "kg m^2": ("N m/rad", "N m s/rad"), "": ("", "")}
         others = known.get(mass, (f"{mass}/s^2", f"{mass}/s"))
-        return dict(zip(ModeParameters.of(number), (mass, *others)))
+        named = zip(ModeParameters.of(number)._asdict().items(), (mass, *others))
+        words = f"of the hidden mode on {self.on}"
+        return [Quantity(name, unit, f"{part} {words}") for (part, name), unit in named]
 
 
 class ModeParameters(NamedTuple):
@@ -342,8 +381,7 @@ class ModeParameters(NamedTuple):
     @classmethod
     def of(cls, number: int) -> "ModeParameters":
         """Of the mode with this number, from 0."""
-        ending = "" if number == 0 else f"_{number + 1}"
-        return cls(f"M_mode{ending}", f"K_mode{ending}", f"B_mode{ending}")
+        return cls(*(f"{part}_mode{_ending(number)}" for part in "MKB"))
 
     @property
     def linear(self) -> str:
@@ -388,7 +426,79 @@ class ModeParameters(NamedTuple):
         return {self.stiffness: stiffness, self.damping: stiffness * q}
 
 
+class ModeElement(eqx.Module):
+    """An oscillator on a body, whose deflection and velocity are states of a simulation.
+
+    With velocity v of the body, w of the mass, and deflection d,
+
+        d' = v - w,    M w' = f,    f = K d + B (v - w),
+
+    and every equation that accelerates the body gains f, with the sign of its inertia. No
+    acceleration is in f, so that the equations have no more unknowns than without modes.
+
+    **Fields:** `mode`; `parameters`; `deflection`, the state that is body minus mass; `velocity` of
+    the mass; `body`, the signal that is the body's velocity; `units` of the two states.
+    """
+
+    mode: HiddenMode
+    parameters: ModeParameters = eqx.field(static=True)
+    deflection: str = eqx.field(static=True)
+    velocity: str = eqx.field(static=True)
+    body: str = eqx.field(static=True)
+    units: tuple[str, str] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, number: int, mode: HiddenMode, equations: Sequence[Equation]) -> "ModeElement":
+        """Of the mode with this number, from 0, that some of the equations have."""
+        mass = mode.quantities(number, equations)[0].unit
+        units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(mass, ("", ""))
+        # The signal that is the velocity of the mode's body.
+        body = mode.on
+        inertia = next(term for e in equations if (term := mode.term_in(e)) is not None)
+        if inertia.derivative != 1:
+            terms = [t for e in equations for t in e.terms if t.of == inertia.of]
+            named = (t for t in terms if t.derivative and t.measured)
+            body = next((t.measured[0] for t in named), f"d{inertia.of}")
+        deflection, velocity = (f"mode{_ending(number)}_{s}" for s in ("deflection", "velocity"))
+        return cls(mode, ModeParameters.of(number), deflection, velocity, body, units)
+
+    @property
+    def states(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of each."""
+        return tuple(zip((self.deflection, self.velocity), self.units))
+
+    @property
+    def divisor(self) -> str:
+        """The mass, which its force is divided by."""
+        return self.parameters.mass
+
+    words = ""
+
+    def written_out(self, equation: Equation) -> Equation:
+        """The equation with the force of the mode, if that is on a body that it accelerates."""
+        inertia = self.mode.term_in(equation)
+        if inertia is None:
+            return equation
+        _, stiffness, damping = self.parameters
+        sign, stretching = inertia_sign(inertia), difference(self.body, self.velocity)
+        force = Term(stiffness, self.deflection, sign=sign), Term(damping, stretching, sign=sign)
+        return equation.of_terms(*equation.terms, *force)
+
+    def rates(self, signals: Values, values: Values, read: Reading) -> dict[str, Array]:
+        """Time derivatives of the two states."""
+        mass, stiffness, damping = (jnp.asarray(values[name]) for name in self.parameters)
+        stretching = signals[self.body] - signals[self.velocity]
+        force = stiffness * signals[self.deflection] + damping * stretching
+        return {self.deflection: stretching, self.velocity: force / mass}
+
+    def at_rest(self, signals: Values, values: Values) -> dict[str, Array]:
+        """The mass moves as its body does, where signals tell how."""
+        return {self.velocity: signals[self.body]} if self.body in signals else {}
+
+
 HiddenParameters = ModeParameters | SpringParameters
+Hidden = Mapping[HiddenParameters, HiddenMode | SeriesSpring]
+"""Elements that equations leave out, by their parameters: modes come before springs."""
 
 
 class Expanded(eqx.Module):
@@ -406,34 +516,21 @@ class Expanded(eqx.Module):
     elements: tuple[tuple[HiddenParameters, str], ...] = eqx.field(static=True)
 
     @classmethod
-    def of(
-        cls,
-        equation: Equation,
-        modes: Sequence[HiddenMode],
-        springs: Sequence[SeriesSpring] = (),
-    ) -> "Expanded":
-        """An equation with those of some modes whose bodies it accelerates, and of some springs
-        those that are in series with a linear element of it."""
+    def of(cls, equation: Equation, hidden: Hidden) -> "Expanded":
+        """An equation with those modes whose bodies it accelerates, and those springs that are in
+        series with a linear element of it."""
         terms, carried = list(equation.terms), []
-        for number, mode in enumerate(modes):
-            inertia = mode.inertia(equation)
-            if inertia is None:
+        for names, element in hidden.items():
+            term = element.term_in(equation)
+            if term is None or not term.is_linear:
                 continue
-            column = inertia.name
+            column = term.name
             if column is None:
                 # A known mass is part of the target: the acceleration needs a column of its own.
-                column = f"acceleration of {mode.on}"
-                order, measured = inertia.derivative, inertia.measured
-                sign = inertia_sign(inertia)
-                unit_inertia = Term(
-                    column, inertia.of, derivative=order, measured=measured, sign=sign
-                )
-                terms.append(unit_inertia)
-            carried.append((ModeParameters.of(number), column))
-        for number, spring in enumerate(springs):
-            element = spring.element(equation)
-            if element is not None and element.is_linear:
-                carried.append((SpringParameters.of(number, spring), spring.of))
+                column = f"acceleration of {element.on}"
+                order, measured, sign = term.derivative, term.measured, inertia_sign(term)
+                terms.append(Term(column, term.of, derivative=order, measured=measured, sign=sign))
+            carried.append((names, column))
         own = Equation(*terms, name=equation.name)
         columns = (TARGET, *own.parameters) if own.has_target else own.parameters
         most = sum(names.order for names, _ in carried)
@@ -520,7 +617,7 @@ def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]
 def accelerated(equation: Equation) -> tuple[str, ...]:
     """Signals of bodies on which an equation could hide a mode."""
     signals = dict.fromkeys(t.signal for t in equation.terms if t.derivative and t.signal)
-    return tuple(of for of in signals if HiddenMode(of).inertia(equation) is not None)
+    return tuple(of for of in signals if HiddenMode(of).term_in(equation) is not None)
 
 
 def inertia_sign(inertia: AbstractTerm) -> Leaf:

@@ -6,8 +6,7 @@ without: each mode adds the term M w'. A linear element behind a spring is its c
 what passes 1 / (1 + tau s). So whatever reads an equation sample by sample need not know of them.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,6 @@ from jaxtyping import Array, Float
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, evaluate
 from riecjax.equations.hidden_elements import (
-    ModeParameters,
     Shape,
     SpringParameters,
     inertia_sign,
@@ -43,60 +41,50 @@ def with_hidden_motion(
 
     **Raises:** `ModelError` for a spring in series with a map.
     """
-    added = _Added(record, {})
-    stages = tuple(
-        tuple(_without_hidden(equation, model, added, values) for equation in stage)
-        for stage in model.stages
-    )
-    return Model(stages=stages), record.with_signals(added.signals)
+    signals: dict[str, Signal] = {}
 
+    def following(name: str, of: Expression, shape: Shape) -> None:
+        """Add what follows an expression by this shape."""
+        if name not in signals and (callable(of) or of in record.arrays):
+            signals[name] = filtered(evaluate(of, record), record.time_step, shape)
 
-class _Added(NamedTuple):
-    """Signals that are made of a record's."""
+    def without_hidden(equation: Equation) -> Equation:
+        terms = list(equation.terms)
+        for names, element in model.hidden.items():
+            shape = names.shape(values)
+            if isinstance(names, SpringParameters):
+                terms = [
+                    _lagging(term, names, shape, following)
+                    if names.coefficient in term.parameters
+                    else term
+                    for term in terms
+                ]
+            elif (inertia := element.term_in(equation)) is not None:
+                moving = (str(inertia.of), *inertia.measured)
+                of, *measured = (f"{body} of {names.mass}" for body in moving)
+                terms.append(
+                    Term(
+                        names.mass,
+                        of,
+                        derivative=inertia.derivative,
+                        measured=tuple(measured),
+                        sign=inertia_sign(inertia),
+                        unit=inertia.unit,
+                    )
+                )
+                for body, name in zip(moving, (of, *measured)):
+                    following(name, body, shape)
+        return equation.of_terms(*terms)
 
-    record: Record
-    signals: dict[str, Signal]
-
-    def add(self, name: str, of: Expression, shape: Shape) -> None:
-        """What follows an expression by this shape."""
-        if name not in self.signals:
-            step = self.record.time_step
-            self.signals[name] = filtered(evaluate(of, self.record), step, shape)
-
-
-def _without_hidden(
-    equation: Equation, model: Model, added: _Added, values: Mapping[str, Array]
-) -> Equation:
-    terms = list(equation.terms)
-    for number, spring in enumerate(model.springs):
-        names = SpringParameters.of(number, spring)
-        for place, term in enumerate(terms):
-            if spring.of in term.parameters:
-                terms[place] = _lagging(term, names, added, values)
-    for number, mode in enumerate(model.modes):
-        names = ModeParameters.of(number)
-        inertia = mode.inertia(equation)
-        if inertia is None:
-            continue
-        moving = (str(inertia.of), *inertia.measured)
-        terms.append(
-            Term(
-                names.mass,
-                f"{inertia.of} of {names.mass}",
-                derivative=inertia.derivative,
-                measured=tuple(f"{name} of {names.mass}" for name in inertia.measured),
-                sign=inertia_sign(inertia),
-                unit=inertia.unit,
-            )
-        )
-        for body in moving:
-            if body in added.record.arrays:
-                added.add(f"{body} of {names.mass}", body, names.shape(values))
-    return equation.of_terms(*terms)
+    stages = model.by_stage(without_hidden)
+    return Model(stages=stages), record.with_signals(signals)
 
 
 def _lagging(
-    term: AbstractTerm, names: SpringParameters, added: _Added, values: Mapping[str, Array]
+    term: AbstractTerm,
+    names: SpringParameters,
+    shape: Shape,
+    following: Callable[[str, Expression, Shape], None],
 ) -> AbstractTerm:
     """An element's term, of what its spring leaves of the motion across both."""
     if not term.is_linear:
@@ -107,8 +95,7 @@ def _lagging(
     of = f"{term.of if isinstance(term.of, str) else names.coefficient} behind {names.stiffness}"
     made = [of, *(f"{name} behind {names.stiffness}" for name in term.measured)]
     for name, read in zip(made, (term.of, *term.measured)):
-        if callable(read) or read in added.record.arrays:
-            added.add(name, read, names.shape(values))
+        following(name, read, shape)
     return term.with_fields(of=of, measured=tuple(made[1:]))
 
 

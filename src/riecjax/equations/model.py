@@ -16,7 +16,7 @@ measured: what is simulated of them is what the sensors would show.
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,19 +27,20 @@ from riecjax.equations.expressions import Expression, constant, signals_read
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
+    HiddenParameters,
     ModeParameters,
     SeriesSpring,
+    SpringParameters,
     force_elements,
-    stiffness_name,
     why_no_element,
 )
 from riecjax.equations.memories import Memory
-from riecjax.equations.quantity import FrozenDict, Quantity
+from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require, users_code
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.faults.derivative_pairs import Relation
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Signals
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
@@ -61,21 +62,14 @@ PROBES, EXACT = 32, 1e-5
 """Values that an expression is tried with, and how nearly it must be a sum of them."""
 
 
-class _Probe(dict[str, np.ndarray]):
-    """Random values of whatever signals are asked for."""
-
-    def __missing__(self, name: str) -> np.ndarray:
-        rng = np.random.default_rng(len(self))
-        return self.setdefault(name, rng.standard_normal(PROBES))
-
-
 def relation_of(signal: str, rate: Expression) -> Relation | None:
     """The relation that a rate of a signal stands for; `None` unless it is a sum of signals."""
     if isinstance(rate, str):
         return Relation(signal, ((rate, 1.0),))
-    probe = _Probe()
     try:
-        values = np.asarray(rate(probe), float)  # pyright: ignore[reportArgumentType]
+        read = signals_read(rate)
+        probe = {n: np.random.default_rng(i).standard_normal(PROBES) for i, n in enumerate(read)}
+        values = np.asarray(rate(Signals(probe)), float)  # pyright: ignore[reportArgumentType]
     except Exception:  # of the user's function, which says so where it is used
         return None
     if values.shape != (PROBES,) or not 0 < len(probe) < PROBES // 2 or signal in probe:
@@ -94,6 +88,7 @@ AtRest: TypeAlias = Literal["mask", "keep"]
 the sums, or it stays as any other sample."""
 
 
+Made = TypeVar("Made")
 OWN = "your own equation"
 """What a model says of itself where it is not described."""
 Stages = tuple[tuple[Equation, ...], ...]
@@ -131,9 +126,8 @@ class Model(Shown, eqx.Module):
     - `inputs`: what drives it. Recordings that hold these are simulated with `rates`.
     - `rates`: of states whose derivative no equation holds, such as x1' = v_r - x3: signal to an
       expression, see [`Model.with_rates`][].
-    - `system`: builds what is simulated from parameter values, where no equation that is linear in
-      these can say it; `own_simulation_parameters`, what that takes, with defaults; the identified
-      ones unless given.
+    - `system`: what is simulated, where no equation that is linear in its parameters can say it: a
+      function of these by name, or a [`Machine`][riecjax.equations.Machine] of others.
     - `band`: lowest and highest frequency in hertz that the model should explain. Windows are half
       its periods long (eq. 26) unless other lengths are asked for.
     - `written`: signals that a simulated recording holds; all by default.
@@ -151,8 +145,7 @@ class Model(Shown, eqx.Module):
     parameters: tuple[Quantity, ...] = eqx.field(static=True, default=())
     inputs: tuple[Quantity, ...] = eqx.field(static=True, default=())
     rates: Mapping[str, Expression] = eqx.field(static=True, default=FrozenDict())
-    system: Callable[[Mapping[str, Any]], Any] | None = eqx.field(static=True, default=None)
-    own_simulation_parameters: tuple[Quantity, ...] = eqx.field(static=True, default=())
+    system: Any = eqx.field(static=True, default=BY_EQUATIONS)
     band: tuple[float, float] | None = eqx.field(static=True, default=None)
     written: tuple[str, ...] = eqx.field(static=True, default=())
     note: str = eqx.field(static=True, default="")
@@ -164,28 +157,24 @@ class Model(Shown, eqx.Module):
     def __post_init__(self) -> None:
         # The field's converter comes after, for what stands here is needed first.
         self.stages = _in_stages(self.stages)
-        for field_name in ("signals", "parameters", "own_simulation_parameters", "inputs"):
+        self.system = self.system if isinstance(self.system, Machine) else Machine(self.system)
+        for field_name in ("signals", "parameters", "inputs"):
             for quantity in getattr(self, field_name):
                 write = f"{field_name}=(Quantity('x', 'm', 'position'), ...)"
                 require(f"what is in {field_name}", quantity, Quantity, write)
         self.derived, self.rates = FrozenDict(self.derived), FrozenDict(self.rates)
         for mode in self.modes:
             require("a mode", mode, HiddenMode, "rx.HiddenMode(on='x4')")
-            if not any(mode.inertia(e) is not None for e in self.equations):
+            if not any(mode.term_in(e) is not None for e in self.equations):
                 raise ModelError(
                     f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
         self._require_elements()
-        listed, units = {quantity.name for quantity in self.parameters}, self.units
-        meanings = {name: "" for equation in self.equations for name in equation.parameters}
-        for number, mode in enumerate(self.modes):
-            for part, parameter in ModeParameters.of(number)._asdict().items():
-                meanings[parameter] = f"{part} of the hidden mode on {mode.on}"
-        springs = map(stiffness_name, range(len(self.springs)))
-        meanings |= dict.fromkeys(springs, "spring in series")
-        added = [Quantity(n, units[n], said) for n, said in meanings.items() if n not in listed]
-        self.parameters = (*self.parameters, *added)
+        units, listed = self.units, {quantity.name for quantity in self.parameters}
+        names = dict.fromkeys(name for equation in self.equations for name in equation.parameters)
+        every = {name: Quantity(name, units[name], "") for name in names} | self._of_hidden
+        self.parameters += tuple(q for name, q in every.items() if name not in listed)
 
     def _require_elements(self) -> None:
         """Raise `ModelError` for a spring in series with what it cannot be in series with."""
@@ -244,7 +233,9 @@ class Model(Shown, eqx.Module):
 
         **Raises:** `ModelError` for a mode on a signal whose derivative no equation holds.
         """
-        return self._simulated_by_equations(modes=(*self.modes, *modes)).with_values(values or {})
+        return replace(self, system=BY_EQUATIONS, modes=(*self.modes, *modes)).with_values(
+            values or {}
+        )
 
     def with_series_springs(self, *springs: SeriesSpring) -> "Model":
         """The same model with springs in series with force elements, see [`SeriesSpring`][].
@@ -254,7 +245,7 @@ class Model(Shown, eqx.Module):
         **Raises:** `ModelError` for an element that no equation holds, that is no damper, that has
         a spring, or that is of other signals in one term than in another.
         """
-        return self._simulated_by_equations(springs=(*self.springs, *springs))
+        return replace(self, system=BY_EQUATIONS, springs=(*self.springs, *springs))
 
     def with_memories(self, *memories: Memory) -> "Model":
         """The same equations, reading states of hysteresis as signals.
@@ -396,17 +387,13 @@ class Model(Shown, eqx.Module):
         def other(equation: Equation) -> Equation:
             return eqx.tree_at(lambda e: e.terms, equation, tuple(terms(equation)))
 
-        stages = tuple(tuple(map(other, stage)) for stage in self.stages)
-        after = self._simulated_by_equations(stages=stages)
+        after = replace(self, system=BY_EQUATIONS, stages=self.by_stage(other))
         said = "of a sensor" if unread else ""
         before = len(self.parameters)
         if unread and len(after.parameters) == before:
             raise ModelError(unread)
         added = (q._replace(meaning=meanings.get(q.name, said)) for q in after.parameters[before:])
         return replace(after, parameters=(*self.parameters, *added))
-
-    def _simulated_by_equations(self, **changes: Any) -> "Model":
-        return replace(self, system=None, own_simulation_parameters=(), **changes)
 
     def with_elements(self, elements: "Elements") -> "Model":
         """The same model with what it leaves out, and with what its sensors get wrong.
@@ -443,7 +430,7 @@ class Model(Shown, eqx.Module):
     @property
     def simulation_parameters(self) -> tuple[Quantity, ...]:
         """Parameters of the simulated system, with defaults."""
-        return self.own_simulation_parameters or self.parameters
+        return self.system.parameters or self.parameters
 
     def build_system(self, settings: Mapping[str, Leaf | float]) -> Any:
         """The system to simulate, with its defaults replaced by `settings`.
@@ -451,7 +438,8 @@ class Model(Shown, eqx.Module):
         **Raises:** `ModelError` if its equations cannot be simulated; for a setting that is unknown
         or has neither value nor default.
         """
-        if self.system is None and not self.stages:
+        build = self.system.build
+        if build is None and not self.stages:
             raise ModelError(f"model '{self.name}' has neither equations nor a system.")
         names = [parameter.name for parameter in self.simulation_parameters]
         for name in settings:
@@ -464,9 +452,9 @@ class Model(Shown, eqx.Module):
             raise ModelError(
                 f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
             )
-        if self.system is None:
+        if build is None:
             return _simulation().equation_system(self, values)
-        return self.system({name: jnp.asarray(value, float) for name, value in values.items()})
+        return build({name: jnp.asarray(value, float) for name, value in values.items()})
 
     def identified_system(self, values: Mapping[str, Any], record: Record) -> Any:
         """The system to validate identified values with on a record.
@@ -483,7 +471,7 @@ class Model(Shown, eqx.Module):
         """Whether a record drives a system of the model's own that its parameters are those of."""
         names = {parameter.name for parameter in self.simulation_parameters}
         own = names == {parameter.name for parameter in self.parameters} or not self.stages
-        return self.system is not None and own and self.is_driven_by(record)
+        return self.system.build is not None and own and self.is_driven_by(record)
 
     def driven_rates(self, record: Record) -> Mapping[str, Expression]:
         """Rates of further states in a simulation along a record, which may have them measured."""
@@ -503,17 +491,28 @@ class Model(Shown, eqx.Module):
         """Whether equations leave out modes or springs."""
         return bool(self.modes or self.springs)
 
-    def mode_named(self, names: ModeParameters) -> HiddenMode:
-        """The mode whose parameters these are."""
-        number = [ModeParameters.of(i) for i, _ in enumerate(self.modes)].index(names)
-        return self.modes[number]
+    @property
+    def hidden(self) -> dict[HiddenParameters, HiddenMode | SeriesSpring]:
+        """What equations leave out, by its parameters: modes, and then springs."""
+        modes = {ModeParameters.of(i): mode for i, mode in enumerate(self.modes)}
+        return modes | {SpringParameters.of(i, s): s for i, s in enumerate(self.springs)}
+
+    @property
+    def _of_hidden(self) -> dict[str, Quantity]:
+        """Parameters of hidden elements, by name."""
+        numbered = (*enumerate(self.modes), *enumerate(self.springs))
+        every = (q for i, element in numbered for q in element.quantities(i, self.equations))
+        return {quantity.name: quantity for quantity in every}
+
+    def by_stage(self, of: Callable[[Equation], Made]) -> tuple[tuple[Made, ...], ...]:
+        """What is made of each equation, stage by stage."""
+        return tuple(tuple(map(of, stage)) for stage in self.stages)
 
     @property
     def expanded(self) -> tuple[tuple[Expanded, ...], ...]:
         """Each equation with modes and springs, linear in more columns than it has parameters."""
-        return tuple(
-            tuple(Expanded.of(e, self.modes, self.springs) for e in stage) for stage in self.stages
-        )
+        hidden = self.hidden
+        return self.by_stage(lambda equation: Expanded.of(equation, hidden))
 
     @property
     def linear(self) -> "Model":
@@ -536,14 +535,14 @@ class Model(Shown, eqx.Module):
     def stage_parameters(self) -> list[tuple[str, ...]]:
         """Names of the coefficients of each stage, in order of first appearance."""
         if not self.has_hidden:
-            every = [[e.parameters for e in stage] for stage in self.stages]
+            every = [list(names) for names in self.by_stage(lambda e: e.parameters)]
         else:
             every = [[e.all_parameters for e in stage] for stage in self.expanded]
         # A spring in series with a map is in no expanded equation.
-        for i, spring in enumerate(self.springs):
+        for names, element in self.hidden.items():
             for of, equations in zip(every, self.stages):
-                if any(spring.element(e) is not None for e in equations):
-                    of.append((stiffness_name(i),))
+                if any(element.term_in(e) is not None for e in equations):
+                    of.append(names.hidden)
         return [tuple(dict.fromkeys(name for of in stage for name in of)) for stage in every]
 
     @property
@@ -558,18 +557,12 @@ class Model(Shown, eqx.Module):
         units: dict[str, str] = {}
         for equation in self.equations:
             units |= {k: v for k, v in equation.units.items() if v or k not in units}
-        for number, mode in enumerate(self.modes):
-            units |= mode.units(number, self.equations)
-        for number, spring in enumerate(self.springs):
-            units[stiffness_name(number)] = spring.unit(self.equations)
-        return units
+        return units | {name: quantity.unit for name, quantity in self._of_hidden.items()}
 
     @property
     def known(self) -> Mapping[str, Leaf]:
         """Values that the equations themselves call known."""
-        return {
-            name: value for equation in self.equations for name, value in equation.known.items()
-        }
+        return {name: value for e in self.equations for name, value in e.known.items()}
 
     def plan(self, known: set[str]) -> list[tuple[str, tuple[str, ...]]]:
         """(stage name, parameters it finds) for each stage, given what is known beforehand.

@@ -1,7 +1,7 @@
 """Parameters and signals with unit and meaning, in plain data: listing them imports no JAX."""
 
-from collections.abc import Hashable
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value", bound=Hashable)
@@ -14,6 +14,21 @@ class Quantity(NamedTuple):
     unit: str
     meaning: str
     default: float | None = None
+
+
+class Machine(NamedTuple):
+    """What is simulated where it is not what equations say.
+
+    **Fields:** `build`, a function of parameters by name that returns a system (in a listing
+    `module:function`), `None` where it is the equations that are simulated; `parameters` that it
+    takes, with defaults, those that are identified unless given.
+    """
+
+    build: Callable[[Mapping[str, Any]], Any] | str | None = None
+    parameters: tuple[Quantity, ...] = ()
+
+
+BY_EQUATIONS = Machine()
 
 
 class FrozenDict(dict[Key, Value]):

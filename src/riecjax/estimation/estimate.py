@@ -28,13 +28,6 @@ NOTABLE_INFLATION = 1.1
 """Factor on a standard error from which recordings are said to disagree."""
 NOTABLE_LEAN = 3.0
 """How many times as far as the small-sample sandwich an interval reaches before it is said why."""
-_NO_MASS = "no mass is"
-_NO_DAMPING = "damping that feeds energy into the motion"
-NEVER_NEGATIVE = {
-    **dict.fromkeys(("kg", "kgm2", "kgm2/rad", "Nms2/rad"), _NO_MASS),
-    **dict.fromkeys(("Ns/m", "Nms/rad", "Nms"), _NO_DAMPING),
-}
-"""What it means that a parameter in this unit (without its blanks and signs) is below zero."""
 
 
 class AbstractEstimate(Saved, eqx.Module):
@@ -210,15 +203,13 @@ class AbstractEstimate(Saved, eqx.Module):
         """Masses and dampers whose whole interval lies below zero (not under jit)."""
         ends = self.interval_by_name()
         for name, (low, high) in ends.items():
-            unit = self.table[name].unit
-            what = NEVER_NEGATIVE.get(
-                "".join(c for c in unit if c not in " ·*^()").replace("²", "2")
-            )
-            if what is not None and high < 0:
+            row = self.table[name]
+            if row.sign and high < 0:
                 yield Finding(
                     "negative_value",
-                    f"{name} is below zero, from {low:.4g} to {high:.4g} {unit}: {what}. Check the "
-                    f"signs of the signals against the equation's, and the direction of time.",
+                    f"{name} is below zero, from {low:.4g} to {high:.4g} {row.unit}: {row.sign}. "
+                    f"Check the signs of the signals against the equation's, and the direction of "
+                    f"time.",
                     parameters=(name,),
                 )
 

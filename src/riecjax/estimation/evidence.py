@@ -162,7 +162,7 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
             # Modes that lie far from the frequency asked for, and the band that shows the last one.
             strays, (low, high) = [], search_band(model, summary, own[-1])
             for names in own:
-                hz = model.mode_named(names).hz
+                hz = model.hidden[names].hz
                 at_hz = float(mode_frequency(values, names)[0])
                 if hz is not None and not hz / NEAR <= at_hz <= hz * NEAR:
                     strays.append(Stray(names, hz, at_hz))
@@ -175,7 +175,7 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
             mass, stiffness, damping = (float(values[name]) for name in own[-1])
             positive = min(mass, stiffness, damping) > 0
             oscillates = positive and damping**2 < 4 * mass * stiffness
-            on = model.mode_named(own[-1]).on
+            on = model.hidden[own[-1]].on
             # Frequency and damping ratio, with errors by their logarithms' slopes:
             # log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
             carried = {name: jnp.asarray(estimate[name]) for name in own[-1]}

@@ -63,17 +63,15 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
     stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
     signal that tells of an element never moves.
     """
-    for number, _ in enumerate(model.modes):
-        names = ModeParameters.of(number)
+    for names in model.hidden:
         held = [name for name in names if name in given]
-        if held and len(held) < 3:
+        if isinstance(names, ModeParameters) and 0 < len(held) < 3:
             raise ModelError(
                 f"of a hidden mode all of {', '.join(names)} are known or none; got "
                 f"{', '.join(held)}."
             )
-    for number, spring in enumerate(model.springs):
-        coefficient, stiffness = SpringParameters.of(number, spring)
-        if stiffness in given and coefficient not in given:
+        coefficient, stiffness = names[:2]
+        if isinstance(names, SpringParameters) and held == [stiffness]:
             raise ModelError(
                 f"of a spring in series {stiffness} is known only where {coefficient} is; leave "
                 f"it out, or give both."
@@ -89,7 +87,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
         if stage.sought:
             where = tuple(search_band(model, summary, names) for names in stage.sought)
             wanted = tuple(
-                model.mode_named(names) if isinstance(names, ModeParameters) else None
+                element if isinstance(element := model.hidden[names], HiddenMode) else None
                 for names in stage.sought
             )
             # The sums over the windows that tell most of the stage's elements.
@@ -218,7 +216,7 @@ def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " 
 
 def search_band(model: Model, summary: Summary, names: HiddenParameters) -> tuple[Leaf, Leaf]:
     """Hertz between which to look for a mode, or for the corner of a spring's lag."""
-    hz = model.mode_named(names).hz if isinstance(names, ModeParameters) else None
+    hz = model.hidden[names].hz
     if hz is not None:
         steps = [one.time_step for one in summary.recordings]
         rate = 1 / max(map(float, steps)) if is_concrete(steps) else np.inf

@@ -23,11 +23,19 @@ from riecjax.equations.hidden_elements import (
     SpringParameters,
 )
 from riecjax.equations.model import Model
+from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.summaries.task import require_key
 
 Value = TypeVar("Value")
+_NO_MASS = "no mass is"
+_NO_DAMPING = "damping that feeds energy into the motion"
+NEVER_NEGATIVE = {
+    **dict.fromkeys(("kg", "kgm2", "kgm2/rad", "Nms2/rad"), _NO_MASS),
+    **dict.fromkeys(("Ns/m", "Nms/rad", "Nms"), _NO_DAMPING),
+}
+"""What it means that a parameter in this unit (without its blanks and signs) is below zero."""
 
 
 def name_in_recording(name: str, index: int) -> str:
@@ -40,7 +48,8 @@ class Parameter(NamedTuple):
 
     **Fields:** `name` that is shown; `local`, what the model calls it; `unit`; `recording`, the
     number (from 0) of the only one that it is of, `None` where all share it; `element`, the
-    parameters of the hidden mode or spring that it is one of, `None` of the equations' own.
+    parameters of the hidden mode or spring that it is one of, `None` of the equations' own;
+    `meaning`, as of the model's quantities.
     """
 
     name: str
@@ -48,10 +57,20 @@ class Parameter(NamedTuple):
     unit: str = ""
     recording: int | None = None
     element: HiddenParameters | None = None
+    meaning: str = ""
+
+    @property
+    def sign(self) -> str:
+        """What it means that it is below zero; empty where it may be."""
+        plain = "".join(c for c in self.unit if c not in " ·*^()").replace("²", "2")
+        return NEVER_NEGATIVE.get(plain, "")
 
 
 class ParameterTable(eqx.Module):
     """The parameters of a model over several recordings.
+
+    Bounds and priors are of one search among its free parameters, arrays that may be traced and in
+    its order: they stand in `Constraints` of `refinement`, made of this table.
 
     **Fields:** `rows`, one for each; `known` values of those that are held, by name; `stages`, the
     name of each and the parameters that it finds.
@@ -64,20 +83,21 @@ class ParameterTable(eqx.Module):
     @classmethod
     def of(
         cls,
-        local: Sequence[str],
-        units: Mapping[str, str],
+        quantities: Sequence[Quantity],
         per_record: Collection[str],
         record_count: int,
-        elements: Mapping[str, HiddenParameters | None],
+        elements: Iterable[HiddenParameters],
     ) -> "ParameterTable":
-        """The table of a model's own names, nothing of which is known.
+        """The table of a model's own parameters, nothing of which is known.
 
         **Raises:** `ModelError` for a name in `per_record` that the model does not have, and for a
         parameter that is already called as a recording's own one would be.
         """
         rows: list[Parameter] = []
-        for name in local:
-            row = Parameter(name, name, units.get(name, ""), None, elements.get(name))
+        local = {quantity.name for quantity in quantities}
+        of_element = {name: element for element in elements for name in element.hidden}
+        for name, unit, meaning, _ in quantities:
+            row = Parameter(name, name, unit, None, of_element.get(name), meaning)
             if name not in per_record:
                 rows.append(row)
                 continue
@@ -179,15 +199,6 @@ def values_in_recording(
     return {name: values[other] for name, other in shown.items() if other in values}
 
 
-def elements_by_name(
-    modes: Sequence[object], springs: Sequence[SeriesSpring]
-) -> dict[str, HiddenParameters]:
-    """What hidden elements' parameters are called, and of which element each is."""
-    elements: list[HiddenParameters] = [ModeParameters.of(i) for i, _ in enumerate(modes)]
-    elements += [SpringParameters.of(i, spring) for i, spring in enumerate(springs)]
-    return {name: element for element in elements for name in element.hidden}
-
-
 TABLE_KINDS = ParameterTable, Parameter, ModeParameters, SpringParameters
 """What a table is made of, beside names and numbers."""
 
@@ -197,8 +208,11 @@ def table_of_names(
 ) -> ParameterTable:
     """The table of names alone, and of hidden elements by what these are called: of files."""
     names = (*free, *known)
-    elements = elements_by_name(names, [SeriesSpring("")] * len(names))
-    return ParameterTable.of(names, dict(units), (), 1, elements).holding(known)
+    elements: list[HiddenParameters] = [ModeParameters.of(i) for i, _ in enumerate(names)]
+    elements += [SpringParameters.of(i, SeriesSpring("")) for i, _ in enumerate(names)]
+    of_name = dict(units)
+    quantities = [Quantity(name, of_name.get(name, ""), "") for name in names]
+    return ParameterTable.of(quantities, (), 1, elements).holding(known)
 
 
 def plan_parameters(
@@ -213,15 +227,16 @@ def plan_parameters(
     **Raises:** `ModelError` as [`identify`][].
     """
     require_settings(None, known, per_record)
-    elements = elements_by_name(model.modes, model.springs)
     coefficients = {name for equation in model.equations for name in equation.parameters}
-    if taken := sorted(coefficients & {*elements}):
-        raise ModelError(
-            f"the equations have a parameter called '{taken[0]}', and so has "
-            f"{elements[taken[0]].words}. Rename the equations' own."
-        )
-    parameters, units = model.parameter_names, model.units
-    table = ParameterTable.of(parameters, units, per_record, record_count, elements)
+    for element in model.hidden:
+        if taken := sorted(coefficients & {*element.hidden}):
+            raise ModelError(
+                f"the equations have a parameter called '{taken[0]}', and so has "
+                f"{element.words}. Rename the equations' own."
+            )
+    units, meanings = model.units, {q.name: q.meaning for q in model.parameters}
+    quantities = [Quantity(name, units[name], meanings[name]) for name in model.parameter_names]
+    table = ParameterTable.of(quantities, per_record, record_count, model.hidden)
     table.require(known or {})
     require_numbers(known or {})
     # Values held fixed: the equations' own and the user's.

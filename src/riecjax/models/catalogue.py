@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from riecjax.equations.quantity import Quantity
+from riecjax.equations.quantity import BY_EQUATIONS, Machine, Quantity
 from riecjax.errors import ModelError, require, users_code
 from riecjax.whole_files import no_file
 
@@ -64,29 +64,31 @@ class Listing:
     parameters: tuple[Quantity, ...] = ()
     inputs: tuple[Quantity, ...] = ()
     rates: Mapping[str, str] = field(default_factory=dict)
-    system: str = ""
-    own_simulation_parameters: tuple[Quantity, ...] = ()
+    system: Machine = BY_EQUATIONS
     band: tuple[float, float] | None = None
     written: tuple[str, ...] = ()
 
     @property
     def simulation_parameters(self) -> tuple[Quantity, ...]:
         """Parameters of the simulated system, with defaults."""
-        return self.own_simulation_parameters or self.parameters
+        return self.system.parameters or self.parameters
 
     def build(self) -> "Model":
         """The model."""
         from riecjax.equations.model import Model
 
         built = {
-            "stages": _named(self.stages)() if self.stages else (),
+            "stages": build() if (build := _named(self.stages)) else (),
             "rates": {name: _named(rate) for name, rate in self.rates.items()},
-            "system": _named(self.system) if self.system else None,
+            "system": self.system._replace(build=_named(self.system.build)),
         }
         return Model(**{**vars(self), **built})
 
 
-def _named(reference: str) -> Any:
+def _named(reference: Any) -> Any:
+    """What `module:function` names, of no name nothing."""
+    if not reference:
+        return None
     module, _, attribute = reference.partition(":")
     return getattr(importlib.import_module(module), attribute)
 
@@ -117,15 +119,17 @@ LISTED = {
         Listing(
             name="quarter-car-source",
             summary="seven-state source model of the paper, eqs (19)-(20); simulation only",
-            system="riecjax.models.quarter_car.reconstruction:source_system",
-            own_simulation_parameters=(
-                Quantity("M_w", "kg", "wheel mass", 30.0),
-                Quantity("M_b", "kg", "body mass", 200.0),
-                Quantity("M_e", "kg", "engine mass", 100.0),
-                Quantity("K_t", "N/m", "tyre stiffness", 180e3),
-                Quantity("K_c", "N/m", "damper compliance", 500e3),
-                Quantity("K_m", "N/m", "engine mount stiffness", 400e3),
-                Quantity("B_m", "N s/m", "engine mount damping", 4000.0),
+            system=Machine(
+                "riecjax.models.quarter_car.reconstruction:source_system",
+                (
+                    Quantity("M_w", "kg", "wheel mass", 30.0),
+                    Quantity("M_b", "kg", "body mass", 200.0),
+                    Quantity("M_e", "kg", "engine mass", 100.0),
+                    Quantity("K_t", "N/m", "tyre stiffness", 180e3),
+                    Quantity("K_c", "N/m", "damper compliance", 500e3),
+                    Quantity("K_m", "N/m", "engine mount stiffness", 400e3),
+                    Quantity("B_m", "N s/m", "engine mount damping", 4000.0),
+                ),
             ),
             inputs=_ROAD,
             written=_QUARTER_CAR_COLUMNS,
@@ -142,12 +146,14 @@ LISTED = {
             derived={"dz": "z", "ddz": "dz"},
             stages="riecjax.models.oscillators:two_mass_equation",
             parameters=(Quantity("M", "kg", "total mass"),),
-            system="riecjax.models.oscillators:two_mass_system",
-            own_simulation_parameters=(
-                Quantity("m1", "kg", "first mass", 10.0),
-                Quantity("m2", "kg", "second mass", 1.0),
-                Quantity("omega_n", "rad/s", "natural frequency of the coupling", 100.0),
-                Quantity("zeta", "", "damping ratio of the coupling", 0.5),
+            system=Machine(
+                "riecjax.models.oscillators:two_mass_system",
+                (
+                    Quantity("m1", "kg", "first mass", 10.0),
+                    Quantity("m2", "kg", "second mass", 1.0),
+                    Quantity("omega_n", "rad/s", "natural frequency of the coupling", 100.0),
+                    Quantity("zeta", "", "damping ratio of the coupling", 0.5),
+                ),
             ),
             inputs=(Quantity("F", "N", "force on the first mass"),),
         ),
@@ -233,7 +239,7 @@ LISTED = {
                 Quantity("p1", "1/s^2", "m g a / J", 64.22),
                 Quantity("p2", "1/s", "k / J", 0.0672),
             ),
-            system="riecjax.models.oscillators:pendulum_system",
+            system=Machine("riecjax.models.oscillators:pendulum_system"),
             inputs=(Quantity("torque", "1/s^2", "torque over inertia"),),
         ),
     )

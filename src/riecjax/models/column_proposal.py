@@ -7,9 +7,10 @@ import contextlib
 import re
 from collections.abc import Iterator
 
+from riecjax.equations.expressions import signals_read
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
-from riecjax.errors import DataError, MissingSignalError
+from riecjax.errors import DataError
 from riecjax.records.reading.channels import Channels
 from riecjax.records.reading.selection import column_named, record_from_channels
 from riecjax.records.reading.times import find_time, is_called_time
@@ -28,7 +29,10 @@ def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterat
     given, read = selection.rename, {}
     times = [c for c in channels.columns if is_called_time(c, channels.units)]
     taken = {*given.values(), *times}
-    signals = signals_of(model)
+    # Of a user's own equation, what its expressions read.
+    every = (of for e in model.equations for of in (*(term.of for term in e.terms), e.where) if of)
+    names = dict.fromkeys(name for of in every for name in signals_read(of))
+    signals = model.signals or tuple(Quantity(name, "", "") for name in names)
     wanted = [s for s in signals if s.name not in given]
     lacking = []
     for signal in wanted:
@@ -73,28 +77,6 @@ def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterat
         record_from_channels(channels, selection, units)
     except DataError as error:
         yield _commented(f"# as it stands: {error}")
-
-
-def signals_of(model: "Model") -> "list[Quantity]":
-    """What a model reads; of a user's own equation, found by asking it."""
-    if model.signals:
-        return list(model.signals)
-    import numpy as np
-
-    from riecjax.records.record import Record
-
-    names: list[str] = ["t"]
-    zeros = np.zeros(8)
-    equations = model.equations
-    for _ in range(100):
-        record = Record.from_samples(dict.fromkeys(names[1:] or ["_"], zeros), time_step=1.0)
-        try:
-            for equation in equations:
-                equation.signals_read(record, 2)
-            break
-        except MissingSignalError as error:
-            names.append(error.signal)
-    return [Quantity(name, "", "") for name in names[1:]]
 
 
 def _guess(signal: "Quantity", columns: list[str], channels: "Channels") -> tuple[str | None, str]:

@@ -41,6 +41,18 @@ LONGEST_KERNEL = 4001
 """Taps, past which a kernel's ends are cut off in any case."""
 
 
+class Phase(str):
+    """The name of a source that is part of a sensor's noise: of one sample in so many."""
+
+    sensor: str
+
+    def __new__(cls, name: str, sensor: str = ""):
+        """A text; what unpickles it sets the sensor later."""
+        phase = super().__new__(cls, name)
+        phase.sensor = sensor
+        return phase
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(init=False, eq=False)
 class SignalNoise:
@@ -116,8 +128,8 @@ class SignalNoise:
             padded = namespace(taps).pad(taps, [(0, 0)] * (taps.ndim - 1) + [room])
             apart = padded.reshape(*taps.shape[:-1], 2 * reach + 1, count)
             for phase in sorted({i % count for i in range(-half, half + 1)}):
-                kernels[f"{source}#{phase}"] = apart[..., phase]
-                freedom[f"{source}#{phase}"] = self.freedom[source]
+                name = Phase(f"{source}#{phase}", getattr(source, "sensor", source))
+                kernels[name], freedom[name] = apart[..., phase], self.freedom[source]
         return SignalNoise(kernels, freedom)
 
 
@@ -218,6 +230,10 @@ class Noise(eqx.Module):
     def std(self, signal: str) -> Float[Leaf, ""]:
         """Standard deviation of a signal's noise, 0 if nothing is known of it."""
         return SignalNoise(self.kernels.get(signal)).std
+
+    def sensors(self, signal: str) -> set[str]:
+        """Those whose noise a signal has, whole or in part."""
+        return {getattr(source, "sensor", source) for source in self.kernels.get(signal, ())}
 
     def is_made_of(self, signal: str, other: str) -> bool:
         """Whether a signal's noise is all that of another signal, of which it must be made."""

@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression
 from riecjax.equations.model import Model, as_model, require_no_slip
+from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
@@ -157,7 +157,7 @@ class ByCoefficients(AbstractParametric):
     def of(
         cls,
         model: Equation | Model,
-        rates: Mapping[str, Expression] | None = None,
+        rates: Mapping[str, Any] | None = None,
         defaults: Mapping[str, float] | None = None,
     ) -> "ByCoefficients":
         """The system of equations, with `rates` of further states and values to begin with.
@@ -218,9 +218,11 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
     if isinstance(model, Model):
         quantities = model.simulation_parameters
         defaults = {q.name: q.default for q in quantities if q.default is not None}
-        if model.system is not None and model.has_own_system(record):
+        if model.has_own_system(record):
             units = tuple((quantity.name, quantity.unit) for quantity in quantities)
-            return ByFunction(model.system, tuple(q.name for q in quantities), units, defaults)
+            return ByFunction(
+                model.system.build, tuple(q.name for q in quantities), units, defaults
+            )
         known = defaults if model.is_driven_by(record) else {}
         return ByCoefficients.of(model, model.driven_rates(record), known)
     if callable(model):
@@ -417,17 +419,18 @@ class AbstractObjective(eqx.Module):
             units |= {n: u for n, u in part.units.items() if u or n not in units}
             defaults |= part.defaults
         carried: Mapping[str, float | Array] = {}
-        elements = {}
+        elements: list[Any] = []
         if isinstance(start, AbstractEstimate):
             own = {name_of: row for row in start.table.rows for name_of in (row.name, row.local)}
             units = units if names else {**units, **{name: row.unit for name, row in own.items()}}
-            elements = {name: row.element for name, row in own.items()}
+            elements = [row.element for row in start.table.rows if row.element is not None]
             carried, per_record = start.known, per_record or start.table.per_record
             start = {name: start.single()[name] for name in start.parameters}
         numbered = {name_in_recording(n, i): n for n in per_record for i in range(len(records))}
         given = {**start, **carried, **known}
         local = names or tuple(dict.fromkeys(numbered.get(name, name) for name in given))
-        table = ParameterTable.of(local, units, per_record, len(records), elements)
+        quantities = [Quantity(name, units.get(name, ""), "") for name in local]
+        table = ParameterTable.of(quantities, per_record, len(records), elements)
         table.require(given)
         require_numbers(known)
         begun, fixed = table.values(start), {**table.values(carried), **table.values(known)}

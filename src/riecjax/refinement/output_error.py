@@ -855,12 +855,7 @@ def _computed(record: Record, names: Sequence[str]) -> set[str]:
 
     They tell nothing new, and compared as if they did would have noise that hangs together in time.
     """
-
-    def sensor(source: str) -> str:
-        # Of a thinned record, a sensor's noise is split up into sources `sensor#phase`.
-        return source if source in record.arrays else source.rpartition("#")[0]
-
-    sources = {n: {sensor(source) for source in record.noise.kernels.get(n, {})} for n in names}
+    sources = {name: record.noise.sensors(name) for name in names}
     sensed = {n for n in names if n in sources[n]}
     return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
 

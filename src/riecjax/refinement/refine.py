@@ -40,7 +40,13 @@ from riecjax.estimation.parameters import ParameterTable, require_settings
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.records.record import Records, as_records
-from riecjax.refinement.objective import AbstractMisfit, AbstractObjective, Initial, Theta
+from riecjax.refinement.objective import (
+    AbstractMisfit,
+    AbstractObjective,
+    Initial,
+    Specification,
+    Theta,
+)
 from riecjax.refinement.optimum import (
     Bounds,
     Constraints,
@@ -339,26 +345,6 @@ def refine(
     that cannot be simulated; `DataError` for absent signals or records that are too short. A
     search that fails raises nothing: see `status` of the result.
     """
-    given = (known, bounds, priors, per_record, key, intervals, solver, max_steps, progress)
-    return refine_with_misfit(model, records, start, by, *given)[0]
-
-
-def refine_with_misfit(
-    model: Any,
-    records: Records,
-    start: AbstractEstimate | Mapping[str, float | Array],
-    by: AbstractObjective | None = None,
-    known: Mapping[str, float | Array] | None = None,
-    bounds: Mapping[str, Bounds] | None = None,
-    priors: Mapping[str, Prior] | None = None,
-    per_record: Sequence[str] = (),
-    key: Key[Array, ""] | None = None,
-    intervals: AbstractIntervals | None = None,
-    solver: Solver | None = None,
-    max_steps: int = 100,
-    progress: Callable[[float], None] | None = None,
-) -> tuple[Refined, AbstractMisfit]:
-    """As [`refine`][], with the misfit of the last search, which knows what is left."""
     recordings = as_records(records)
     require_settings(key, known, per_record)
     require("start", start, (AbstractEstimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
@@ -373,9 +359,24 @@ def refine_with_misfit(
     objective = (by or OutputError()).suited(model)
     held, own = dict(known or {}), tuple(per_record)
     specified = objective.specify(model, recordings, start, held, own, key)
-    table = specified.table
-    constraints = Constraints.of(table, specified.values, bounds or {}, priors or {})
     settings = (intervals or Sandwich(), solver, max_steps, progress)
+    return refined_of(objective, specified, bounds or {}, priors or {}, *settings)[0]
+
+
+def refined_of(
+    objective: AbstractObjective,
+    specified: Specification,
+    bounds: Mapping[str, Bounds],
+    priors: Mapping[str, Prior],
+    *settings: Any,
+) -> tuple[Refined, AbstractMisfit]:
+    """Of a problem that is specified, with the misfit of the last search, which knows what is left.
+
+    **Arguments:** `bounds` and `priors` as of [`refine`][]; `settings` of each search, from its
+    `intervals` on.
+    """
+    table = specified.table
+    constraints = Constraints.of(table, specified.values, bounds, priors)
     # Searches, in ever shorter steps for as long as these change the answer. With priors each
     # search is followed by others: the variance that priors are weighed against is that of the
     # residuals at the optimum, which the first search knows only from its start; the next ones take

@@ -89,7 +89,7 @@ def _(thing: Model) -> View:
     roles = {
         "parameter": thing.parameters,
         "signal": thing.signals,
-        "to simulate": thing.own_simulation_parameters,
+        "to simulate": thing.system.parameters,
         "input": thing.inputs,
     }
     rows = [[q.name, role, q.unit, q.meaning] for role, every in roles.items() for q in every]

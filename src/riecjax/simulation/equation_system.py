@@ -24,28 +24,11 @@ where an expression reads unknowns J is its forward derivative, exact for any th
 linearly, where a difference quotient would round. An equation with one unknown left is a division,
 which orders most mechanisms; what stays coupled is solved together.
 
-Hidden modes written out for a simulation: two more states each, and their force on the body.
-
-With velocity v of the body, w of the mass, and deflection d,
-
-    d' = v - w,    M w' = f,    f = K d + B (v - w),
-
-and every equation that accelerates the body gains f, with the sign of its inertia. No acceleration
-is in f, so that the equations have no more unknowns than without modes.
-
-Springs in series with force elements, written out for a simulation: one more state each.
-
-With f the force of both, v the velocity across them and v_in(f) that across the element alone,
-
-    f' = K (v - v_in(f)),
-
-v_in being the inverse of the element's law: f / c of a linear one, and of a piecewise linear map
-through (v_i, F_i) the map through (F_i, v_i). The law must rise; where values tried on the way to
-an answer do not, a least slope stands in for them.
+Hidden modes, and springs in series, are written out: their states are further ones, and their
+forces stand in the equations (`ModeElement` and `SpringElement` of `hidden_elements`).
 """
 
-import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -57,16 +40,13 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, difference, label_of, signals_read
+from riecjax.equations.expressions import Expression, label_of, signals_read
 from riecjax.equations.hidden_elements import (
-    HiddenMode,
-    ModeParameters,
+    ModeElement,
     SpringElement,
-    inertia_sign,
-    with_springs,
 )
 from riecjax.equations.model import Model, as_model
-from riecjax.equations.term import AbstractTerm, Term
+from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.linear_algebra import solve_few
@@ -74,69 +54,7 @@ from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
 
-
-class ModeStates(NamedTuple):
-    """Names of a mode's states, and of what they depend on.
-
-    **Fields:** `deflection`, body minus mass; `velocity` of the mass; `body`, the signal that is
-    the body's velocity; `parameters`; `units` of the two states.
-    """
-
-    deflection: str
-    velocity: str
-    body: str
-    parameters: ModeParameters
-    units: tuple[str, str]
-
-    @classmethod
-    def of(cls, number: int, mode: HiddenMode, equations: Sequence[Equation]) -> "ModeStates":
-        """Of the mode with this number, from 0, that some of the equations have."""
-        name = "mode" if number == 0 else f"mode_{number + 1}"
-        parameters = ModeParameters.of(number)
-        mass = mode.units(number, equations)[parameters.mass]
-        units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(mass, ("", ""))
-        # The signal that is the velocity of the mode's body.
-        body = mode.on
-        inertia = next(term for e in equations if (term := mode.inertia(e)) is not None)
-        if inertia.derivative != 1:
-            terms = [t for e in equations for t in e.terms if t.of == inertia.of]
-            named = (t for t in terms if t.derivative and t.measured)
-            body = next((t.measured[0] for t in named), f"d{inertia.of}")
-        return cls(f"{name}_deflection", f"{name}_velocity", body, parameters, units)
-
-    def rates(self, signals: Mapping[str, Array], values: Mapping[str, Leaf]) -> dict[str, Array]:
-        """Time derivatives of the two states."""
-        mass, stiffness, damping = (jnp.asarray(values[name]) for name in self.parameters)
-        stretching = signals[self.body] - signals[self.velocity]
-        force = stiffness * signals[self.deflection] + damping * stretching
-        return {self.deflection: stretching, self.velocity: force / mass}
-
-    def force(self, sign: Leaf) -> tuple[Term, Term]:
-        """Terms of the force in an equation whose inertia has this sign."""
-        _, stiffness, damping = self.parameters
-        return (
-            Term(stiffness, self.deflection, sign=sign),
-            Term(damping, difference(self.body, self.velocity), sign=sign),
-        )
-
-
-def with_forces(
-    equations: tuple[Equation, ...], modes: Sequence[HiddenMode]
-) -> tuple[tuple[Equation, ...], tuple[ModeStates, ...]]:
-    """Equations with the forces of their modes, and the states that these read."""
-    states = tuple(ModeStates.of(number, mode, equations) for number, mode in enumerate(modes))
-    carrying = []
-    for equation in equations:
-        inertias = [(hidden, mode.inertia(equation)) for mode, hidden in zip(modes, states)]
-        forces = (hidden.force(inertia_sign(inertia)) for hidden, inertia in inertias if inertia)
-        carrying.append(equation.of_terms(*equation.terms, *itertools.chain(*forces)))
-    return tuple(carrying), states
-
-
-def carried_states(modes: Iterable[ModeStates]) -> dict[str, str]:
-    """States of modes to what they start from: the body's velocity, or nothing."""
-    pairs = (((mode.deflection, ""), (mode.velocity, mode.body)) for mode in modes)
-    return dict(itertools.chain.from_iterable(pairs))
+HiddenElement = ModeElement | SpringElement
 
 
 class Motion(NamedTuple):
@@ -151,9 +69,8 @@ class Structure(NamedTuple):
 
     **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
     `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
-    zero the equations jump; `modes` that are hidden, each two further states; `forces` of elements
-    with a spring in series, each a state; `implicit`, places of terms that are functions of
-    unknowns; `listed`, signals in the model's order.
+    zero the equations jump; `hidden` states of elements that are written out; `implicit`, places of
+    terms that are functions of unknowns; `listed`, signals in the model's order.
     """
 
     motions: tuple[Motion, ...]
@@ -161,8 +78,7 @@ class Structure(NamedTuple):
     determined: tuple[str, ...]
     inputs: tuple[str, ...]
     reversing: tuple[str, ...] = ()
-    modes: tuple[ModeStates, ...] = ()
-    forces: tuple[str, ...] = ()
+    hidden: tuple[str, ...] = ()
     implicit: frozenset[tuple[int, int]] = frozenset()
     listed: tuple[str, ...] = ()
 
@@ -173,11 +89,10 @@ class Structure(NamedTuple):
         In the order in which the model lists them, if it does.
         """
         lower = (name for motion in self.motions for name in motion.names[:-1])
-        hidden = (name for mode in self.modes for name in (mode.deflection, mode.velocity))
         place = {name: i for i, name in enumerate(self.listed)}
         plain = [*lower, *(name for name, _ in self.rates)]
         plain.sort(key=lambda name: place.get(name, len(place)))
-        return (*plain, *hidden, *self.forces)
+        return (*plain, *self.hidden)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -190,11 +105,9 @@ def read_structure(
     equations: tuple[Equation, ...],
     rates: Mapping[str, Expression],
     inputs: frozenset[str],
-    modes: tuple[ModeStates, ...] = (),
-    elements: tuple[SpringElement, ...] = (),
+    elements: tuple[HiddenElement, ...] = (),
 ) -> Structure:
-    """The structure of equations that are to be simulated, the forces of their modes among them,
-    and of elements with a spring in series their forces.
+    """The structure of equations that are to be simulated, forces of hidden elements among them.
 
     **Raises:** `ModelError` if they cannot be, whatever their coefficients; see
     [`equation_system`][].
@@ -220,9 +133,8 @@ def read_structure(
                 f"signal with a number for coefficient that it could determine."
             )
         determined.append(free)
-    forces = tuple(one.state for one in elements)
-    given = tuple(rates.items())
-    structure = Structure(motions, given, tuple(determined), (), (), modes, forces)
+    hidden = tuple(name for element in elements for name, _ in element.states)
+    structure = Structure(motions, tuple(rates.items()), tuple(determined), (), (), hidden)
     unknowns = structure.unknowns
     if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
         raise ModelError(
@@ -240,7 +152,8 @@ def read_structure(
         )
     terms = [term for equation in equations for term in equation.terms]
     read: list[Expression] = []
-    for term in (*terms, *(spring.element for spring in elements)):
+    behind = (element.element for element in elements if isinstance(element, SpringElement))
+    for term in (*terms, *behind):
         if not term.is_linear and term.basis is None:
             try:
                 jax.eval_shape(term.functions, jnp.zeros(1))
@@ -361,7 +274,7 @@ class EquationSystem(AbstractSystem):
     values: dict[str, Array]
     structure: Structure = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    elements: tuple[SpringElement, ...] = ()
+    elements: tuple[HiddenElement, ...] = ()
 
     @property
     def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -385,22 +298,18 @@ class EquationSystem(AbstractSystem):
         return self.structure.reversing
 
     @property
-    def carried(self) -> Mapping[str, str]:
+    def carried(self) -> tuple[str, ...]:
         """States of hidden modes, and forces of springs."""
-        return carried_states(self.structure.modes) | dict.fromkeys(self.structure.forces, "")
+        return self.structure.hidden
 
     def carried_levels(
         self, signals: Mapping[str, Float[Array, " n"]]
     ) -> Mapping[str, Float[Array, " n"]]:
-        """As of any system, and the forces that elements have where their springs are at rest."""
-        found = dict(super().carried_levels(signals))
-        for one in self.elements:
-            of = one.element.of
-            if not one.element.derivative and set(signals_read(of)) <= signals.keys():
-                with users_code(f"the expression {label_of(of)}"):
-                    across = signals[of] if isinstance(of, str) else of(Signals(dict(signals)))
-                found[one.state] = one.static(jnp.asarray(across), self.values)
-        return found
+        """The motion of hidden masses, and forces that elements have where their springs rest."""
+        levels: dict[str, Array] = {}
+        for element in self.elements:
+            levels |= element.at_rest(signals, self.values)
+        return levels
 
     @property
     def velocity_of(self) -> Mapping[str, str]:
@@ -554,11 +463,10 @@ class EquationSystem(AbstractSystem):
                 if isinstance(expression, str)
                 else jnp.atleast_1d(jnp.asarray(expression(Signals(signals))))
             )
-        for mode in self.structure.modes:
-            flow |= mode.rates(signals, self.values)
-        for one in self.elements:
-            across = self._expression(one.element, dict(signals))
-            flow[one.state] = one.rate(across, signals[one.state], self.values)
+        for element in self.elements:
+            flow |= element.rates(
+                signals, self.values, lambda term: self._expression(term, dict(signals))
+            )
         return flow
 
     def _with_units(self, names: Sequence[str]) -> Quantities:
@@ -616,14 +524,17 @@ def equation_system(
     for name, number in numbers.items():
         if number.shape != ():
             raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    equations, elements = with_springs(equations, model.springs)
-    equations, modes = with_forces(equations, model.modes)
+    springs = tuple(
+        SpringElement.of(i, spring, equations) for i, spring in enumerate(model.springs)
+    )
+    equations = _written_out(equations, springs)
+    modes = tuple(ModeElement.of(i, mode, equations) for i, mode in enumerate(model.modes))
+    equations, elements = _written_out(equations, modes), (*modes, *springs)
     further = model.rates if rates is None else rates
     rates = {**{memory.state: memory for memory in model.memories}, **further}
-    structure = read_structure(label, equations, rates, frozenset(inputs), modes, elements)
+    structure = read_structure(label, equations, rates, frozenset(inputs), elements)
     structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
-    own = {k: v for m in modes for k, v in zip((m.deflection, m.velocity), m.units)}
-    own |= {one.state: one.unit for one in elements}
+    own = {name: unit for element in elements for name, unit in element.states}
     given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
     named = tuple(sorted((given | own | dict(units or {})).items()))
     system = EquationSystem(equations, numbers, structure, named, elements)
@@ -632,19 +543,24 @@ def equation_system(
     return system
 
 
+def _written_out(
+    equations: tuple[Equation, ...], elements: Sequence[HiddenElement]
+) -> tuple[Equation, ...]:
+    for element in elements:
+        equations = tuple(map(element.written_out, equations))
+    return equations
+
+
 def _check_solvable(label: str, system: EquationSystem) -> None:
     """Whether J is regular, and the residuals linear in the unknowns.
 
     At a point in general position, where an accidental zero is all but impossible. J is scaled by
     columns and rows first: its rank must not depend on the units of unknowns and equations.
     """
-    for mode in system.structure.modes:
-        if float(system.values[mode.parameters.mass]) == 0:
-            raise ModelError(f"{label} cannot be simulated: {mode.parameters.mass} is zero.")
-    for one in system.elements:
-        if one.element.is_linear and float(system.values[one.element.parameters[0]]) == 0:
-            which = one.element.parameters[0]
-            raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
+    for element in system.elements:
+        if element.divisor is not None and float(system.values[element.divisor]) == 0:
+            which = element.divisor + element.words
+            raise ModelError(f"{label} cannot be simulated: {which} is zero.")
     state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
     level = jnp.asarray(np.linspace(0.3, 0.7, len(system.structure.inputs)))
     unknowns = system.structure.unknowns

@@ -74,18 +74,16 @@ class AbstractSystem(eqx.Module):
         return {name: f"d{name}" for name in names if f"d{name}" in names}
 
     @property
-    def carried(self) -> Mapping[str, str]:
-        """State of a hidden element to the signal that it starts from where nothing tells it.
-
-        A mass that is carried along has its body's velocity; of a deflection, empty for zero.
-        """
-        return {}
+    def carried(self) -> tuple[str, ...]:
+        """States of hidden elements, which no recording need hold."""
+        return ()
 
     def carried_levels(
         self, signals: Mapping[str, Float[Array, " n"]]
     ) -> Mapping[str, Float[Array, " n"]]:
-        """Samples of what is `carried`, as far as these samples of signals tell them."""
-        return {name: signals[body] for name, body in self.carried.items() if body in signals}
+        """Samples of what is `carried`, as far as these samples of signals tell them: of a mass
+        that is carried along, its body's velocity."""
+        return {}
 
 
 def state_sources(system: AbstractSystem, record: Record) -> dict[str, str]:

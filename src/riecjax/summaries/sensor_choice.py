@@ -51,7 +51,7 @@ def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) 
             return equation
         return equation.of_terms(*(each for term in equation.terms for each in read(term)))
 
-    return Model(stages=tuple(tuple(map(of, stage)) for stage in model.stages))
+    return Model(stages=model.by_stage(of))
 
 
 def _has_both(term: AbstractTerm, record: Record) -> bool:

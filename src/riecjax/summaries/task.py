@@ -120,7 +120,7 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
     if maps := [
         f"'{spring.of}'"
         for spring in model.springs
-        if any((t := spring.element(e)) and not t.is_linear for e in model.equations)
+        if any((t := spring.term_in(e)) and not t.is_linear for e in model.equations)
     ]:
         raise ModelError(
             f"a spring in series with the map of {', '.join(maps)} makes the model nonlinear in "
@@ -173,17 +173,16 @@ def signals_read(
     _require_derivatives(model, criterion)
     criterion.check(record)
     read: set[str] = set()
-    for stage in model.stages:
-        for equation in stage:
-            try:
-                read |= equation.signals_read(record, criterion.smoothness)
-            except MissingSignalError as error:
-                # If the equation calls it a derivative, say whose it is.
-                below = [of for of, name in equation.derivatives if name == error.signal]
-                known = next((of for of in below if of in error.available), "")
-                raise MissingSignalError(error.signal, error.available, known) from None
-            if not summed:
-                eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
+    for equation in model.equations:
+        try:
+            read |= equation.signals_read(record, criterion.smoothness)
+        except MissingSignalError as error:
+            # If the equation calls it a derivative, say whose it is.
+            below = [of for of, name in equation.derivatives if name == error.signal]
+            known = next((of for of in below if of in error.available), "")
+            raise MissingSignalError(error.signal, error.available, known) from None
+        if not summed:
+            eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
     return tuple(name for name in record.arrays if name in read)
 
 

@@ -980,7 +980,7 @@ def residual_tests(
             spectrum.peak(),
             None if windows is None else window_errors(of_equation, windows),
             bodies=accelerated(equation),
-            carrying=tuple(m.on for m in model.modes if m.inertia(equation) is not None),
+            carrying=tuple(m.on for m in model.modes if m.term_in(equation) is not None),
             dampers=tuple(name for name, term in free.items() if term.is_linear),
             maps=tuple(name for name, term in free.items() if not term.is_linear),
             loop=loop,
