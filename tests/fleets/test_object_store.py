@@ -1,6 +1,7 @@
 """Recordings of an object store, on a server of this machine that speaks its protocol."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,9 +64,9 @@ def test_recordings_of_an_object_store_are_summed(folder, client, tmp_path, monk
         client.upload_file(str(file), "garage", file.relative_to(folder).as_posix())
     client.put_object(Bucket="garage", Key="vehicle=1/broken.parquet", Body=b"PAR1, but no more")
     out = tmp_path / "out"
-    by = {"by": "vehicle", "intervals": "sandwich"}
-    found = fleet(MODEL, "s3://garage/**/*.parquet", workers=workers, out=out, **by)
-    here = fleet(MODEL, folder, workers=0, out=tmp_path / "here", **by)
+    by_vehicle = partial(fleet, MODEL, by="vehicle", intervals="sandwich")
+    found = by_vehicle("s3://garage/**/*.parquet", workers=workers, out=out)
+    here = by_vehicle(folder, workers=0, out=tmp_path / "here")
     assert values(found) == values(here)
     (failed,) = found.failures
     assert "broken.parquet" in failed.name
@@ -75,7 +76,7 @@ def test_recordings_of_an_object_store_are_summed(folder, client, tmp_path, monk
     monkeypatch.setattr(
         order, "rows_of", lambda o, p: [read.append(p.source.name), *rows_of(o, p)][1:]
     )
-    again = fleet(MODEL, "s3://garage/**/*.parquet", workers=0, out=out, **by)
+    again = by_vehicle("s3://garage/**/*.parquet", workers=0, out=out)
     assert sorted(read) == ["vehicle=0/0.parquet", "vehicle=1/broken.parquet"]
     assert values(again) != values(found)
 
