@@ -286,9 +286,7 @@ class _Problem(eqx.Module):
         of them, over all samples."""
         wave = self.wave(coefficients)
         wave = wave * (self.rms / _rms(wave))
-        inputs = eqx.tree_at(
-            lambda r: r.arrays, self.sampling, {n: wave for n in self.sampling.arrays}
-        )
+        inputs = self.sampling.with_signals(dict.fromkeys(self.sampling.arrays, wave))
         errors, signals = self.experiment.standard_errors(inputs)
         sizes = {name: jnp.abs(signals[name]) for name in self.travel}
         beyond = [jnp.maximum(sizes[n] / self.travel[n] - (1 - MARGIN), 0.0) for n in sizes]
