@@ -14,12 +14,12 @@ PROJECT = Path(__file__).parents[1]
 MODULES = sorted(ROOT.rglob("*.py"))
 
 BUDGETS = {
-    "src lines": 54_000,
-    "src modules": 285,
-    "src statements": 25_700,
-    "src literals": 1_800,
+    "src lines": 51_800,
+    "src modules": 265,
+    "src statements": 25_300,
+    "src literals": 1_700,
     "lines of commands and settings": 2_350,
-    "tests lines": 26_000,
+    "tests lines": 26_100,
     "benchmarks lines": 8_500,
     "README lines": 150,
 }
