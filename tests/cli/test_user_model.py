@@ -8,6 +8,8 @@ import pytest
 from command_line import call, rejected, write_csv
 from tests.approved.inputs import TEXTS
 
+from riecjax.models.catalogue import find_model
+
 TRUTH = {"m": 2.5, "c": 0.75, "k": 40.0}
 UNITS = {"m": "kg", "c": "N s/m", "k": "N/m^3"}
 IMPORTS = """
@@ -58,10 +60,7 @@ def test_an_equation_of_a_file(capsys):
         (f"thing = {EQUATION}", "mine.py:thing"),
         (f"thing = simultaneous({EQUATION})", "mine.py:thing"),
         (f"def thing():\n    return {EQUATION}", "mine.py:thing"),
-        (
-            f"def thing():\n    return Model('it', '', stages={EQUATION})",
-            "mine.py:thing",
-        ),
+        (f"def thing():\n    return Model('it', '', stages={EQUATION})", "mine.py:thing"),
         # Where a file has one, it needs no name.
         (f"cart = {EQUATION}\nprocedure = staged(cart)", "mine.py"),
         (f"_part = {EQUATION}\nboth = staged(_part)\nsame = both", "mine.py"),
@@ -72,6 +71,15 @@ def test_what_a_model_may_be(capsys, definition, reference):
     model(IMPORTS + definition)
     document = identified(capsys, reference, "--criterion", "dols", "--no-sweep")
     assert list(document["parameters"]) == ["m", "c"]
+
+
+@pytest.mark.parametrize(
+    ("made", "name"),
+    [("Model('it', stages={})", "it"), ("Model(stages={})", "thing"), ("staged({})", "thing")],
+)
+def test_a_model_is_called_as_it_says_and_else_as_its_object(made, name):
+    model(f"{IMPORTS}thing = {made.format(EQUATION)}")
+    assert find_model("mine.py:thing").name == name
 
 
 def test_two_models_of_one_file_name_do_not_mix_nor_do_their_neighbours(capsys):

@@ -104,6 +104,13 @@ def test_a_setting_changes_the_system_and_an_unknown_one_is_refused(name):
         model.build_system({"nonsense": 1.0})
 
 
+def test_a_jitted_function_takes_one_as_static():
+    def doubled(model, x):
+        return 2 * x * len(model.parameters)
+
+    assert float(jax.jit(doubled, static_argnums=0)(built_in_model("emps"), 1.5)) == 12.0
+
+
 def test_what_a_model_cannot_do_is_refused():
     with pytest.raises(ModelError, match="simulated but not identified"):
         as_model(MODELS["quarter-car-source"])

@@ -10,14 +10,8 @@ from benchmarks.measured.emps_axis import RISE, sampled_control, stribeck_axis, 
 import riecjax as rx
 from riecjax.records.record import Record
 
-VALUES = {
-    "M": 95.0,
-    "Fv_pos": 170.0,
-    "Fc_pos": 20.0,
-    "Fv_neg": 240.0,
-    "Fc_neg": 21.0,
-    "offset": -3.0,
-}
+RISING = {"M": 95.0, "Fv_pos": 160.0, "Fc_pos": 20.0, "Fv_neg": 230.0, "Fc_neg": 21.0}
+VALUES = RISING | {"Fv_pos": 170.0, "Fv_neg": 240.0, "offset": -3.0}
 
 
 def axis() -> rx.simulation.AbstractSystem:
@@ -62,7 +56,6 @@ def test_sampled_record_obeys_the_controller_and_the_equation_of_motion():
     )
 
 
-RISING = {"M": 95.0, "Fv_pos": 160.0, "Fc_pos": 20.0, "Fv_neg": 230.0, "Fc_neg": 21.0}
 SHAPE = {"excess": -0.2, "vs": 0.02}
 
 

@@ -137,6 +137,9 @@ class Model(Shown, eqx.Module):
       [`Model.with_memories`][]; `at_rest`, see [`AtRest`][riecjax.equations.AtRest].
     """
 
+    # Compared by identity, so that a jitted function can take one as static.
+    __eq__, __hash__ = object.__eq__, object.__hash__
+
     name: str = eqx.field(static=True, default="")
     summary: str = eqx.field(static=True, default=OWN)
     stages: Stages = eqx.field(converter=_in_stages, default=())
@@ -574,7 +577,7 @@ class Model(Shown, eqx.Module):
         plan = []
         for stage, names in zip(self.stages, self.stage_parameters):
             unknown = tuple(name for name in names if name not in found)
-            label = " + ".join(equation.name for equation in stage)
+            label = names_of(stage)
             # A known term sets an equation's scale, if through parameters that it shares.
             reached, size = set(found), -1
             while len(reached) > size:
@@ -647,8 +650,7 @@ def staged(*equations: Equation) -> Model:
     **Raises:** `ModelError` for what is no `Equation`.
     """
     _require_equations(equations, "staged")
-    name = " + ".join(equation.name for equation in equations)
-    return Model(name, stages=tuple((equation,) for equation in equations))
+    return Model(names_of(equations), stages=tuple((equation,) for equation in equations))
 
 
 def simultaneous(*equations: Equation) -> Model:
@@ -662,7 +664,7 @@ def simultaneous(*equations: Equation) -> Model:
     **Raises:** `ModelError` for what is no `Equation`.
     """
     _require_equations(equations, "simultaneous")
-    return Model(" + ".join(equation.name for equation in equations), stages=(equations,))
+    return Model(names_of(equations), stages=(equations,))
 
 
 def _require_equations(equations: tuple[object, ...], name: str) -> None:
@@ -675,6 +677,11 @@ def _require_equations(equations: tuple[object, ...], name: str) -> None:
         )
     if not equations:
         raise ModelError(f"{name}(...) needs at least one equation.")
+
+
+def names_of(equations: Sequence[Equation]) -> str:
+    """What equations are called together, and a model that has no other name."""
+    return " + ".join(equation.name for equation in equations)
 
 
 def told_apart(names: Sequence[str]) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The built-in models by name, in plain data: listing them imports no JAX."""
 
 import contextlib
+import functools
 import importlib
 import importlib.util
 import inspect
@@ -246,11 +247,16 @@ LISTED = {
 }
 
 
+@functools.cache
+def _built(name: str) -> "Model":
+    return LISTED[name].build()
+
+
 class _Built(Mapping[str, "Model"]):
-    """The built-in models by name, each built when it is asked for."""
+    """The built-in models by name, each built once, when it is first asked for."""
 
     def __getitem__(self, name: str) -> "Model":
-        return LISTED[name].build()
+        return _built(name)
 
     def __iter__(self) -> Iterator[str]:
         return iter(LISTED)
@@ -286,7 +292,7 @@ def find_model(reference: str) -> "Model":
     **Raises:** `ModelError` if there is no such model, file or object.
     """
     from riecjax.equations.equation import Equation
-    from riecjax.equations.model import OWN, Model, staged
+    from riecjax.equations.model import Model, names_of, staged
 
     require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
     path, separator, attribute = reference.rpartition(":")
@@ -308,7 +314,8 @@ def find_model(reference: str) -> "Model":
             f"'{attribute}' in {path} is not a Model or an Equation, nor a function that returns "
             f"one."
         )
-    return replace(found, name=attribute) if found.summary == OWN else found
+    is_named = found.name not in ("", names_of(found.equations))
+    return found if is_named else replace(found, name=attribute)
 
 
 def _only_model(path: str, objects: Mapping[str, object]) -> str:

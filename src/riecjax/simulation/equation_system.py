@@ -45,7 +45,7 @@ from riecjax.equations.hidden_elements import (
     ModeElement,
     SpringElement,
 )
-from riecjax.equations.model import Model, as_model
+from riecjax.equations.model import Model, as_model, names_of
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, users_code
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
@@ -179,12 +179,11 @@ def read_structure(
                 f"'{beyond[0]}', derivative=2, measured=('d{beyond[0]}', 'dd{beyond[0]}')) instead "
                 f"(derivative=1 of a velocity)."
             )
-    leading = set(unknowns)
     implicit = frozenset(
         (i, j)
         for i, equation in enumerate(equations)
         for j, term in enumerate(equation.terms)
-        if term.signal is None and (term.derivative or leading & set(signals_read(term.of)))
+        if term.signal is None and (term.derivative or {*unknowns} & {*signals_read(term.of)})
     )
     structure = structure._replace(implicit=implicit)
     signals = (*structure.states, *structure.unknowns, *structure.inputs)
@@ -515,7 +514,7 @@ def equation_system(
     """
     model = as_model(model)
     equations, listed = model.equations, (*model.signals, *model.inputs)
-    label = " + ".join(equation.name for equation in equations)
+    label = names_of(equations)
     known: dict[str, Any] = {**model.known, **values}
     names = model.parameter_names
     if missing := [name for name in names if name not in known]:
