@@ -27,7 +27,7 @@ from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
-from riecjax.refinement.optimum import Bounds, is_pair
+from riecjax.refinement.optimum import Bounds, Constraints, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refined_of
 from riecjax.simulation.equation_system import EquationSystem
@@ -158,9 +158,11 @@ def _search(
     settings = asked.settings
     by, start = by.suited(asked.model), within(estimate, settings.bounds)
     specified = by.specify(asked.model, asked.records, start, key=settings.key)
-    constraints: Any = settings.bounds, settings.priors
-    each = asked.intervals, None, max_steps, progress
-    refined, misfit = refined_of(by, specified, *constraints, *each)
+    limits: Any = settings.bounds, settings.priors
+    constraints = Constraints.of(specified.table, specified.values, *limits)
+    refined, misfit = refined_of(
+        by, specified, constraints, asked.intervals, None, max_steps, progress
+    )
     refined, left = on_host(refined), None
     if isinstance(misfit, OutputMisfit):
         left = whiteness(misfit, refined.theta, refined.initial_states, asked.records)

@@ -319,9 +319,9 @@ def refine(
 
     **Arguments:**
 
-    - `model`: what `by` needs. For [`OutputError`][], something to simulate: an `Equation`,
-      `Model` or `Model`, an `AbstractSystem` whose fields are the parameters, or a function of
-      the parameters by name that returns a system. For [`IntegralError`][], equations of motion:
+    - `model`: what `by` needs. For [`OutputError`][], something to simulate: an `Equation`
+      or a `Model`, an `AbstractSystem` whose fields are the parameters, or a function of the
+      parameters by name that returns a system. For [`IntegralError`][], equations of motion:
       `Equation`s, a `Model`, `AbstractBalance`s.
     - `records`: one record or several, of any lengths.
     - `start`: an estimate, or values by name. What it names is free; of an estimate, what it
@@ -359,24 +359,25 @@ def refine(
     objective = (by or OutputError()).suited(model)
     held, own = dict(known or {}), tuple(per_record)
     specified = objective.specify(model, recordings, start, held, own, key)
+    constraints = Constraints.of(specified.table, specified.values, bounds or {}, priors or {})
     settings = (intervals or Sandwich(), solver, max_steps, progress)
-    return refined_of(objective, specified, bounds or {}, priors or {}, *settings)[0]
+    return refined_of(objective, specified, constraints, *settings)[0]
 
 
 def refined_of(
     objective: AbstractObjective,
     specified: Specification,
-    bounds: Mapping[str, Bounds],
-    priors: Mapping[str, Prior],
-    *settings: Any,
+    constraints: Constraints,
+    intervals: AbstractIntervals,
+    solver: Solver | None,
+    max_steps: int,
+    progress: Callable[[float], None] | None,
 ) -> tuple[Refined, AbstractMisfit]:
     """Of a problem that is specified, with the misfit of the last search, which knows what is left.
 
-    **Arguments:** `bounds` and `priors` as of [`refine`][]; `settings` of each search, from its
-    `intervals` on.
+    See [`refine`][] for the settings of each search.
     """
-    table = specified.table
-    constraints = Constraints.of(table, specified.values, bounds, priors)
+    table, settings = specified.table, (intervals, solver, max_steps, progress)
     # Searches, in ever shorter steps for as long as these change the answer. With priors each
     # search is followed by others: the variance that priors are weighed against is that of the
     # residuals at the optimum, which the first search knows only from its start; the next ones take
