@@ -75,7 +75,12 @@ def test_what_a_model_may_be(capsys, definition, reference):
 
 @pytest.mark.parametrize(
     ("made", "name"),
-    [("Model('it', stages={})", "it"), ("Model(stages={})", "thing"), ("staged({})", "thing")],
+    [
+        ("Model('it', stages={})", "it"),
+        ("Model('cart', 'a cart', stages={})", "cart"),
+        ("Model(stages={})", "thing"),
+        ("staged({})", "thing"),
+    ],
 )
 def test_a_model_is_called_as_it_says_and_else_as_its_object(made, name):
     model(f"{IMPORTS}thing = {made.format(EQUATION)}")

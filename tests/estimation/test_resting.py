@@ -42,19 +42,13 @@ def test_rest_left_out_leaves_no_error_where_rest_kept_does_which_is_said(clean)
 @pytest.mark.no_finding("at_rest")
 @pytest.mark.parametrize("equation", ["friction that does not jump", "a velocity that passes"])
 def test_nothing_is_said_or_done_elsewhere(clean, equation):
-    record = clean
+    record, friction = clean, rx.Term("d", "dq")
     if equation == "a velocity that passes":
         t = 0.002 * np.arange(4000)
         signals = {"q": 1 - np.cos(5 * t), "dq": 5 * np.sin(5 * t), "tau": 20 * np.cos(5 * t)}
-        record = rx.Record.from_samples(signals, time_step=0.002)
-        model = rx.Equation(
-            rx.Term("J", "dq", derivative=1), rx.Term("Fc", _sign), -rx.Term(1.0, "tau")
-        )
-    else:
-        model = rx.Equation(
-            rx.Term("J", "dq", derivative=1), rx.Term("d", "dq"), -rx.Term(1.0, "tau")
-        )
-    assert in_motion(rx.staged(model), record) == rx.staged(model)
+        record, friction = rx.Record.from_samples(signals, time_step=0.002), rx.Term("Fc", _sign)
+    model = rx.staged(rx.Equation(rx.Term("J", "dq", derivative=1), friction, -rx.Term(1.0, "tau")))
+    assert in_motion(model, record) is model
     rx.identify(model, record, intervals=rx.Naive())
 
 
@@ -69,6 +63,7 @@ def test_an_equation_with_the_derivative_of_another_motion_stays_and_says_so(cle
         rx.Term("Fc", _sign),
         -rx.Term(1.0, "tau"),
     )
-    assert in_motion(rx.staged(model), clean) == rx.staged(model)
+    staged = rx.staged(model)
+    assert in_motion(staged, clean) is staged
     (one,) = said(rx.identify(model, clean, intervals=rx.Naive()))
     assert "it was kept, since" in one.message

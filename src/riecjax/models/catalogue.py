@@ -292,7 +292,7 @@ def find_model(reference: str) -> "Model":
     **Raises:** `ModelError` if there is no such model, file or object.
     """
     from riecjax.equations.equation import Equation
-    from riecjax.equations.model import Model, names_of, staged
+    from riecjax.equations.model import OWN, Model, names_of, staged
 
     require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
     path, separator, attribute = reference.rpartition(":")
@@ -314,7 +314,7 @@ def find_model(reference: str) -> "Model":
             f"'{attribute}' in {path} is not a Model or an Equation, nor a function that returns "
             f"one."
         )
-    is_named = found.name not in ("", names_of(found.equations))
+    is_named = found.summary != OWN or found.name not in ("", names_of(found.equations))
     return found if is_named else replace(found, name=attribute)
 
 
