@@ -22,6 +22,7 @@ import functools
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -31,12 +32,14 @@ from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, combined, evaluate
-from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
+
+if TYPE_CHECKING:
+    from riecjax.equations.model import Model
 
 FAR = 1e6
 """Widths beyond which a weight is 1."""
@@ -90,7 +93,7 @@ class InMotion(AbstractTerm):
         return eqx.tree_at(lambda own: own.term, self, -self.term)
 
 
-def in_motion(model: Model, record: Record) -> Model:
+def in_motion(model: "Model", record: Record) -> "Model":
     """The model with equations weighted where a velocity with dry friction rests.
 
     The same unless rests are to be masked, and under trace; and of hidden elements.
@@ -113,7 +116,7 @@ def in_motion(model: Model, record: Record) -> Model:
     return model if unchanged else weighted
 
 
-def rests_of(model: Model, record: Record) -> dict[str, Rest]:
+def rests_of(model: "Model", record: Record) -> dict[str, Rest]:
     """Rests of the signals at whose zero some equation jumps, by signal; none under trace."""
     if not is_concrete(model, record) or is_under_trace():
         return {}

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from riecjax.errors import ModelError, users_code
+from riecjax.records.faults.derivative_pairs import Relation
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal, both
 
@@ -209,3 +211,28 @@ def faster_than(name: str, threshold: float) -> _Formula:
     """
     words = f"|{name}| > {threshold:g}"
     return _Formula("equations.faster_than", (name, threshold), _beyond, words)
+
+
+PROBES, EXACT = 32, 1e-5
+"""Values that an expression is tried with, and how nearly it must be a sum of them."""
+
+
+def relation_of(signal: str, rate: Expression) -> Relation | None:
+    """The relation that a rate of a signal stands for; `None` unless it is a sum of signals."""
+    if isinstance(rate, str):
+        return Relation(signal, ((rate, 1.0),))
+    try:
+        read = signals_read(rate)
+        probe = {n: np.random.default_rng(i).standard_normal(PROBES) for i, n in enumerate(read)}
+        values = np.asarray(rate(Signals(probe)), float)  # pyright: ignore[reportArgumentType]
+    except Exception:  # of the user's function, which says so where it is used
+        return None
+    if values.shape != (PROBES,) or not 0 < len(probe) < PROBES // 2 or signal in probe:
+        return None
+    columns = np.transpose([*probe.values()])
+    factors = np.linalg.lstsq(columns, values)[0]
+    if not np.abs(columns @ factors - values).max() < EXACT * np.abs(factors).max():
+        return None
+    # What rounding adds to 1 would be told as a factor.
+    told = zip(probe, np.round(factors, 6).tolist())
+    return Relation(signal, tuple((name, factor) for name, factor in told if factor))

@@ -13,7 +13,6 @@ is a known number the offset b itself is the coefficient; where k is estimated t
 measured: what is simulated of them is what the sensors would show.
 """
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
@@ -23,13 +22,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, constant, signals_read
+from riecjax.equations.equation_system import (
+    EquationSystem,
+    read_structure,
+    require_solvable,
+    written_out,
+)
+from riecjax.equations.expressions import Expression, constant, relation_of, signals_read
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
     HiddenParameters,
+    ModeElement,
     ModeParameters,
     SeriesSpring,
+    SpringElement,
     SpringParameters,
     force_elements,
     why_no_element,
@@ -38,13 +45,14 @@ from riecjax.equations.memories import Memory
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require, users_code
-from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.faults.derivative_pairs import Relation
-from riecjax.records.record import Record, Signals
+from riecjax.leaves import Leaf, is_concrete, is_under_trace
+from riecjax.records.record import Record
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
+    from riecjax.records.faults.derivative_pairs import Relation
     from riecjax.settings import Elements
+    from riecjax.simulation.system import AbstractSystem
 
 
 def _refuse_functions(equation: Equation, signal: str) -> None:
@@ -56,31 +64,6 @@ def _refuse_functions(equation: Equation, signal: str) -> None:
                 f"is a function of '{signal}', in which an unknown offset or gain is no "
                 f"coefficient of its own; calibrate that sensor."
             )
-
-
-PROBES, EXACT = 32, 1e-5
-"""Values that an expression is tried with, and how nearly it must be a sum of them."""
-
-
-def relation_of(signal: str, rate: Expression) -> Relation | None:
-    """The relation that a rate of a signal stands for; `None` unless it is a sum of signals."""
-    if isinstance(rate, str):
-        return Relation(signal, ((rate, 1.0),))
-    try:
-        read = signals_read(rate)
-        probe = {n: np.random.default_rng(i).standard_normal(PROBES) for i, n in enumerate(read)}
-        values = np.asarray(rate(Signals(probe)), float)  # pyright: ignore[reportArgumentType]
-    except Exception:  # of the user's function, which says so where it is used
-        return None
-    if values.shape != (PROBES,) or not 0 < len(probe) < PROBES // 2 or signal in probe:
-        return None
-    columns = np.transpose([*probe.values()])
-    factors = np.linalg.lstsq(columns, values)[0]
-    if not np.abs(columns @ factors - values).max() < EXACT * np.abs(factors).max():
-        return None
-    # What rounding adds to 1 would be told as a factor.
-    told = zip(probe, np.round(factors, 6).tolist())
-    return Relation(signal, tuple((name, factor) for name, factor in told if factor))
 
 
 AtRest: TypeAlias = Literal["mask", "keep"]
@@ -207,13 +190,13 @@ class Model(Shown, eqx.Module):
             taken += every[0].parameters
 
     @property
-    def kinematics(self) -> tuple[Relation, ...]:
+    def kinematics(self) -> "tuple[Relation, ...]":
         """Rates that are sums of signals with constant factors."""
         sums = (relation_of(name, rate) for name, rate in self.rates.items())
         return tuple(relation for relation in sums if relation)
 
     @property
-    def derivatives(self) -> tuple[tuple[str, str] | Relation, ...]:
+    def derivatives(self) -> "tuple[tuple[str, str] | Relation, ...]":
         """Signals with those that are their time derivatives, alone or as a sum."""
         pairs = (pair for equation in self.equations for pair in equation.derivatives)
         return tuple(dict.fromkeys((*pairs, *self.kinematics)))
@@ -435,7 +418,7 @@ class Model(Shown, eqx.Module):
         """Parameters of the simulated system, with defaults."""
         return self.system.parameters or self.parameters
 
-    def build_system(self, settings: Mapping[str, Leaf | float]) -> Any:
+    def build_system(self, settings: Mapping[str, Leaf | float]) -> "AbstractSystem":
         """The system to simulate, with its defaults replaced by `settings`.
 
         **Raises:** `ModelError` if its equations cannot be simulated; for a setting that is unknown
@@ -456,10 +439,10 @@ class Model(Shown, eqx.Module):
                 f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
             )
         if build is None:
-            return _simulation().equation_system(self, values)
+            return equation_system(self, values)
         return build({name: jnp.asarray(value, float) for name, value in values.items()})
 
-    def identified_system(self, values: Mapping[str, Any], record: Record) -> Any:
+    def identified_system(self, values: Mapping[str, Any], record: Record) -> "AbstractSystem":
         """The system to validate identified values with on a record.
 
         What the model simulates if the record holds its inputs, else one made of its equations.
@@ -468,7 +451,7 @@ class Model(Shown, eqx.Module):
         """
         if self.has_own_system(record):
             return self.build_system({name: float(value) for name, value in values.items()})
-        return _simulation().equation_system(self, values, rates=self.driven_rates(record))
+        return equation_system(self, values, rates=self.driven_rates(record))
 
     def has_own_system(self, record: Record) -> bool:
         """Whether a record drives a system of the model's own that its parameters are those of."""
@@ -597,9 +580,71 @@ class Model(Shown, eqx.Module):
         return plan
 
 
-def _simulation() -> Any:
-    """What simulates equations: it knows models, and is imported when it is asked for."""
-    return importlib.import_module("riecjax.simulation.equation_system")
+def equation_system(
+    model: Equation | Model,
+    values: Mapping[str, Leaf | float],
+    *,
+    rates: Mapping[str, Expression] | None = None,
+    inputs: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
+) -> EquationSystem:
+    """The system that equations describe, to be simulated, linearised and validated.
+
+    The highest derivative of each signal in the equations leads: a second derivative of `y` makes
+    `y` and its first derivative states, a first derivative of `x4` makes `x4` a state. A
+    derivative has the name that `measured` of its term gives it, else a `d` before the signal's,
+    and may be read under that name by any term. Every other signal that is read is an input. There
+    must be one equation for each leading derivative, which may appear in several.
+
+    A static equation beside dynamic ones determines a quantity, an output: the first plain signal
+    with a number for coefficient, as `Term(1.0, "F_t")` in F_t = K_t x1. `where` of an equation
+    says which samples to identify from and means nothing here.
+
+    A hidden mode has two further states, `mode_deflection` (body minus mass) and `mode_velocity`,
+    of a second one `mode_2_deflection` and `mode_2_velocity`. An element with a spring in series
+    has its force, `series_force`, of a second one `series_2_force`.
+
+    **Arguments:**
+
+    - `values`: value of every coefficient, scalars; for those with a `known` value it may be left
+      out. Others are ignored.
+    - `rates`: further states by their time derivative, signal name to expression: kinematics such
+      as `{"x2": difference("x3", "x4")}` that no coefficient appears in; by default the model's.
+    - `inputs`: signals to take as inputs although their derivative appears, as of a base that is
+      moved; the derivative is an input too, under its name from `measured`.
+    - `units`: signal name to unit.
+
+    **Raises:** `ModelError` if a coefficient has no value; if the equations cannot be simulated
+    because none holds a derivative, their number is not that of the unknowns, a derivative is of
+    third order or of an expression of inputs; or, with values that can be looked at, if the
+    leading coefficient is zero or the unknowns do not enter linearly.
+    """
+    model = as_model(model)
+    listed, label = (*model.signals, *model.inputs), names_of(model.equations)
+    known: dict[str, Any] = {**model.known, **values}
+    names = model.parameter_names
+    if missing := [name for name in names if name not in known]:
+        raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
+    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
+    for name, number in numbers.items():
+        if number.shape != ():
+            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
+    equations = model.equations
+    springs = tuple(SpringElement.of(i, s, equations) for i, s in enumerate(model.springs))
+    equations = written_out(equations, springs)
+    modes = tuple(ModeElement.of(i, mode, equations) for i, mode in enumerate(model.modes))
+    equations, elements = written_out(equations, modes), (*modes, *springs)
+    further = model.rates if rates is None else rates
+    rates = {**{memory.state: memory for memory in model.memories}, **further}
+    structure = read_structure(label, equations, rates, frozenset(inputs), elements)
+    structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
+    own = {name: unit for element in elements for name, unit in element.states}
+    given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
+    named = tuple(sorted((given | own | dict(units or {})).items()))
+    system = EquationSystem(equations, numbers, structure, named, elements)
+    if is_concrete(equations, numbers) and not is_under_trace():
+        require_solvable(label, system)
+    return system
 
 
 def as_model(model: Equation | Model) -> Model:

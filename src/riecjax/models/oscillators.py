@@ -6,11 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.equation_system import EquationSystem
 from riecjax.equations.expressions import even, odd
-from riecjax.equations.model import simultaneous
+from riecjax.equations.model import equation_system, simultaneous
 from riecjax.equations.term import Term
 from riecjax.records.record import Signals
-from riecjax.simulation.equation_system import EquationSystem, equation_system
 
 PENDULUM_UNITS = {"theta": "rad", "dtheta": "rad/s", "torque": "1/s^2"}
 

@@ -30,7 +30,7 @@ forces stand in the equations (`ModeElement` and `SpringElement` of `hidden_elem
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -45,10 +45,8 @@ from riecjax.equations.hidden_elements import (
     ModeElement,
     SpringElement,
 )
-from riecjax.equations.model import Model, as_model, names_of
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, users_code
-from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
@@ -473,84 +471,16 @@ class EquationSystem(AbstractSystem):
         return tuple((name, units.get(name, "")) for name in names)
 
 
-def equation_system(
-    model: Equation | Model,
-    values: Mapping[str, Leaf | float],
-    *,
-    rates: Mapping[str, Expression] | None = None,
-    inputs: Sequence[str] = (),
-    units: Mapping[str, str] | None = None,
-) -> EquationSystem:
-    """The system that equations describe, to be simulated, linearised and validated.
-
-    The highest derivative of each signal in the equations leads: a second derivative of `y` makes
-    `y` and its first derivative states, a first derivative of `x4` makes `x4` a state. A
-    derivative has the name that `measured` of its term gives it, else a `d` before the signal's,
-    and may be read under that name by any term. Every other signal that is read is an input. There
-    must be one equation for each leading derivative, which may appear in several.
-
-    A static equation beside dynamic ones determines a quantity, an output: the first plain signal
-    with a number for coefficient, as `Term(1.0, "F_t")` in F_t = K_t x1. `where` of an equation
-    says which samples to identify from and means nothing here.
-
-    A hidden mode has two further states, `mode_deflection` (body minus mass) and `mode_velocity`,
-    of a second one `mode_2_deflection` and `mode_2_velocity`. An element with a spring in series
-    has its force, `series_force`, of a second one `series_2_force`.
-
-    **Arguments:**
-
-    - `values`: value of every coefficient, scalars; for those with a `known` value it may be left
-      out. Others are ignored.
-    - `rates`: further states by their time derivative, signal name to expression: kinematics such
-      as `{"x2": difference("x3", "x4")}` that no coefficient appears in; by default the model's.
-    - `inputs`: signals to take as inputs although their derivative appears, as of a base that is
-      moved; the derivative is an input too, under its name from `measured`.
-    - `units`: signal name to unit.
-
-    **Raises:** `ModelError` if a coefficient has no value; if the equations cannot be simulated
-    because none holds a derivative, their number is not that of the unknowns, a derivative is of
-    third order or of an expression of inputs; or, with values that can be looked at, if the
-    leading coefficient is zero or the unknowns do not enter linearly.
-    """
-    model = as_model(model)
-    equations, listed = model.equations, (*model.signals, *model.inputs)
-    label = names_of(equations)
-    known: dict[str, Any] = {**model.known, **values}
-    names = model.parameter_names
-    if missing := [name for name in names if name not in known]:
-        raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
-    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
-    for name, number in numbers.items():
-        if number.shape != ():
-            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    springs = tuple(
-        SpringElement.of(i, spring, equations) for i, spring in enumerate(model.springs)
-    )
-    equations = _written_out(equations, springs)
-    modes = tuple(ModeElement.of(i, mode, equations) for i, mode in enumerate(model.modes))
-    equations, elements = _written_out(equations, modes), (*modes, *springs)
-    further = model.rates if rates is None else rates
-    rates = {**{memory.state: memory for memory in model.memories}, **further}
-    structure = read_structure(label, equations, rates, frozenset(inputs), elements)
-    structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
-    own = {name: unit for element in elements for name, unit in element.states}
-    given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
-    named = tuple(sorted((given | own | dict(units or {})).items()))
-    system = EquationSystem(equations, numbers, structure, named, elements)
-    if is_concrete(equations, numbers) and not is_under_trace():
-        _check_solvable(label, system)
-    return system
-
-
-def _written_out(
+def written_out(
     equations: tuple[Equation, ...], elements: Sequence[HiddenElement]
 ) -> tuple[Equation, ...]:
+    """The equations with the forces of elements among their terms."""
     for element in elements:
         equations = tuple(map(element.written_out, equations))
     return equations
 
 
-def _check_solvable(label: str, system: EquationSystem) -> None:
+def require_solvable(label: str, system: EquationSystem) -> None:
     """Whether J is regular, and the residuals linear in the unknowns.
 
     At a point in general position, where an accidental zero is all but impossible. J is scaled by
