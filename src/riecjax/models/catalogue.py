@@ -6,13 +6,13 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from riecjax.equations.quantity import BY_EQUATIONS, Machine, Quantity
+from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.errors import ModelError, require, users_code
 from riecjax.whole_files import no_file
 
@@ -50,40 +50,21 @@ _AXIS_SIGNALS = (
 _AXIS_INPUT = (Quantity("force", "N", "driving force"),)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Listing:
-    """A built-in model before it is built: what it is and what builds it, `module:function`.
+class Listing(SimpleNamespace):
+    """A built-in model before it is built: the fields of a [`Model`][riecjax.Model].
 
-    Fields are those of [`Model`][riecjax.Model].
+    Where that has a function, this has its name, `module:function`.
     """
 
-    name: str
-    summary: str
-    stages: str = ""
-    signals: tuple[Quantity, ...] = ()
-    derived: Mapping[str, str] = field(default_factory=dict)
-    parameters: tuple[Quantity, ...] = ()
-    inputs: tuple[Quantity, ...] = ()
-    rates: Mapping[str, str] = field(default_factory=dict)
-    system: Machine = BY_EQUATIONS
-    band: tuple[float, float] | None = None
-    written: tuple[str, ...] = ()
+    stages = ""
+    signals = parameters = inputs = ()
+    rates = FrozenDict()
+    system = BY_EQUATIONS
 
     @property
     def simulation_parameters(self) -> tuple[Quantity, ...]:
         """Parameters of the simulated system, with defaults."""
         return self.system.parameters or self.parameters
-
-    def build(self) -> "Model":
-        """The model."""
-        from riecjax.equations.model import Model
-
-        built = {
-            "stages": build() if (build := _named(self.stages)) else (),
-            "rates": {name: _named(rate) for name, rate in self.rates.items()},
-            "system": self.system._replace(build=_named(self.system.build)),
-        }
-        return Model(**{**vars(self), **built})
 
 
 def _named(reference: Any) -> Any:
@@ -112,6 +93,21 @@ def _quarter_car(name: str, equation: str, builder: str) -> Listing:
     )
 
 
+def _mass(x: str, force: str, whose: str = "") -> dict[str, Any]:
+    """What is recorded of a mass under a force, which drives it."""
+    driving = Quantity(force, "N", f"force{' on' * bool(whose)}{whose}")
+    return {
+        "signals": (
+            Quantity(x, "m", f"displacement{' of' * bool(whose)}{whose}"),
+            driving,
+            Quantity(f"d{x}", "m/s", f"velocity (central differences of {x} if absent)"),
+            Quantity(f"dd{x}", "m/s^2", f"acceleration (DOLS; differences of d{x} if absent)"),
+        ),
+        "derived": {f"d{x}": x, f"dd{x}": f"d{x}"},
+        "inputs": (driving,),
+    }
+
+
 LISTED = {
     listing.name: listing
     for listing in (
@@ -138,13 +134,7 @@ LISTED = {
         Listing(
             name="two-mass",
             summary="M z'' = F, while a second mass on a spring and damper moves unmodelled",
-            signals=(
-                Quantity("z", "m", "displacement of the first mass"),
-                Quantity("F", "N", "force on the first mass"),
-                Quantity("dz", "m/s", "velocity (central differences of z if absent)"),
-                Quantity("ddz", "m/s^2", "acceleration (DOLS; differences of dz if absent)"),
-            ),
-            derived={"dz": "z", "ddz": "dz"},
+            **_mass("z", "F", " the first mass"),
             stages="riecjax.models.oscillators:two_mass_equation",
             parameters=(Quantity("M", "kg", "total mass"),),
             system=Machine(
@@ -156,7 +146,6 @@ LISTED = {
                     Quantity("zeta", "", "damping ratio of the coupling", 0.5),
                 ),
             ),
-            inputs=(Quantity("F", "N", "force on the first mass"),),
         ),
         Listing(
             name="emps",
@@ -190,13 +179,7 @@ LISTED = {
         Listing(
             name="duffing",
             summary="m y'' + d y' + k1 y + k2 y^2 + k3 y^3 = u",
-            signals=(
-                Quantity("y", "m", "displacement"),
-                Quantity("u", "N", "force"),
-                Quantity("dy", "m/s", "velocity (central differences of y if absent)"),
-                Quantity("ddy", "m/s^2", "acceleration (DOLS; differences of dy if absent)"),
-            ),
-            derived={"dy": "y", "ddy": "dy"},
+            **_mass("y", "u"),
             stages="riecjax.models.oscillators:duffing_equation",
             parameters=(
                 Quantity("m", "kg", "mass", 1.0),
@@ -205,18 +188,11 @@ LISTED = {
                 Quantity("k2", "N/m^2", "quadratic stiffness", 0.0),
                 Quantity("k3", "N/m^3", "cubic stiffness", 1000.0),
             ),
-            inputs=(Quantity("u", "N", "force"),),
         ),
         Listing(
             name="drag-oscillator",
             summary="m x'' + r x' + r2 x'|x'| + k x = u",
-            signals=(
-                Quantity("x", "m", "displacement"),
-                Quantity("u", "N", "force"),
-                Quantity("dx", "m/s", "velocity (central differences of x if absent)"),
-                Quantity("ddx", "m/s^2", "acceleration (DOLS; differences of dx if absent)"),
-            ),
-            derived={"dx": "x", "ddx": "dx"},
+            **_mass("x", "u"),
             stages="riecjax.models.oscillators:drag_oscillator_equation",
             parameters=(
                 Quantity("m", "kg", "mass", 1.5),
@@ -224,7 +200,6 @@ LISTED = {
                 Quantity("r2", "N s^2/m^2", "quadratic drag", 0.5),
                 Quantity("k", "N/m", "stiffness", 20.0),
             ),
-            inputs=(Quantity("u", "N", "force"),),
         ),
         Listing(
             name="pendulum",
@@ -248,37 +223,25 @@ LISTED = {
 
 
 @functools.cache
-def _built(name: str) -> "Model":
-    return LISTED[name].build()
-
-
-class _Built(Mapping[str, "Model"]):
-    """The built-in models by name, each built once, when it is first asked for."""
-
-    def __getitem__(self, name: str) -> "Model":
-        return _built(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(LISTED)
-
-    def __len__(self) -> int:
-        return len(LISTED)
-
-
-MODELS = _Built()
-
-
 def built_in_model(name: str) -> "Model":
-    """The built-in model of this name.
+    """The built-in model of this name, built when it is first asked for.
 
     **Raises:** `ModelError` for a name that is not built in.
     """
-    if name not in MODELS:
+    from riecjax.equations.model import Model
+
+    if name not in LISTED:
         raise ModelError(
-            f"unknown model '{name}'; built in are: {', '.join(MODELS)}. Name a model of your own "
+            f"unknown model '{name}'; built in are: {', '.join(LISTED)}. Name a model of your own "
             f"by its file: path/to/file.py:object, or path/to/file.py where that holds one."
         )
-    return MODELS[name]
+    listing = LISTED[name]
+    functions = {
+        "stages": build() if (build := _named(listing.stages)) else (),
+        "rates": {signal: _named(rate) for signal, rate in listing.rates.items()},
+        "system": listing.system._replace(build=_named(listing.system.build)),
+    }
+    return Model(**vars(listing) | functions)
 
 
 def find_model(reference: str) -> "Model":
@@ -295,16 +258,14 @@ def find_model(reference: str) -> "Model":
     from riecjax.equations.model import OWN, Model, names_of, staged
 
     require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
-    path, separator, attribute = reference.rpartition(":")
+    path, _, attribute = reference.rpartition(":")
     if reference.endswith(".py"):
         path = reference
-        module = _load(Path(path))
-        attribute = _only_model(path, vars(module))
-        found = getattr(module, attribute)
-    elif not separator or not path.endswith(".py"):
-        return built_in_model(reference)
-    else:
+        attribute, found = _only_model(path)
+    elif path.endswith(".py"):
         found = object_of_file(reference)
+    else:
+        return built_in_model(reference)
     if not isinstance(found, Model | Equation) and callable(found):
         with users_code(path), _neighbours(Path(path)):
             found = found()
@@ -318,29 +279,29 @@ def find_model(reference: str) -> "Model":
     return found if is_named else replace(found, name=attribute)
 
 
-def _only_model(path: str, objects: Mapping[str, object]) -> str:
-    """The name of the one model in a file."""
+def _only_model(path: str) -> tuple[str, Any]:
+    """The one model in a file, by its name there."""
     from riecjax.equations.equation import Equation
     from riecjax.equations.model import OWN, Model
 
-    public = {name: thing for name, thing in objects.items() if not name.startswith("_")}
-    models = [thing for thing in public.values() if isinstance(thing, Model)]
-    parts = {id(equation) for model in models for equation in model.equations}
-    equations = [thing for thing in public.values() if isinstance(thing, Equation)]
-    described = [model for model in models if model.summary != OWN]
-    whole = described or [*models, *(thing for thing in equations if id(thing) not in parts)]
-    # One object may have two names.
-    names = {id(thing): name for name, thing in public.items()}
-    found = list(dict.fromkeys(names[id(thing)] for thing in whole))
-    if len(found) == 1:
-        return found[0]
-    if not found:
+    objects = vars(_load(Path(path))).items()
+    # One object may have two names, of which the last counts.
+    public = {id(thing): (name, thing) for name, thing in objects if not name.startswith("_")}
+    models = {key: thing for key, (_, thing) in public.items() if isinstance(thing, Model)}
+    parts = {id(equation) for model in models.values() for equation in model.equations}
+    equations = [key for key, (_, thing) in public.items() if isinstance(thing, Equation)]
+    described = [key for key, model in models.items() if model.summary != OWN]
+    whole = described or [*models, *(key for key in equations if key not in parts)]
+    if len(whole) == 1:
+        return public[whole[0]]
+    if not whole:
         raise ModelError(
             f"{path} holds no Model or Equation. Give one a name there, or name the "
             f"function that returns one: {path}:NAME."
         )
+    names = [public[key][0] for key in whole]
     raise ModelError(
-        f"{path} holds {len(found)} models: {', '.join(found)}. Say which: {path}:{found[0]}."
+        f"{path} holds {len(whole)} models: {', '.join(names)}. Say which: {path}:{names[0]}."
     )
 
 
@@ -349,8 +310,8 @@ def object_of_file(reference: str) -> object:
 
     **Raises:** `ModelError` if there is no such file or object.
     """
-    path, separator, attribute = reference.rpartition(":")
-    if not separator or not path.endswith(".py"):
+    path, _, attribute = reference.rpartition(":")
+    if not path.endswith(".py"):
         raise ModelError(f"name a file and an object of it, FILE.py:OBJECT; got '{reference}'.")
     module = _load(Path(path))
     if not hasattr(module, attribute):
