@@ -25,7 +25,7 @@ linearly, where a difference quotient would round. An equation with one unknown 
 which orders most mechanisms; what stays coupled is solved together.
 
 Hidden modes, and springs in series, are written out: their states are further ones, and their
-forces stand in the equations (`ModeElement` and `SpringElement` of `hidden_elements`).
+forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_elements`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,18 +41,13 @@ from jaxtyping import Array, Float
 from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, label_of, signals_read
-from riecjax.equations.hidden_elements import (
-    ModeElement,
-    SpringElement,
-)
+from riecjax.equations.hidden_elements import HiddenState, SpringElement
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, users_code
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
-
-HiddenElement = ModeElement | SpringElement
 
 
 class Motion(NamedTuple):
@@ -76,7 +71,7 @@ class Structure(NamedTuple):
     determined: tuple[str, ...]
     inputs: tuple[str, ...]
     reversing: tuple[str, ...] = ()
-    hidden: tuple[str, ...] = ()
+    hidden: tuple[HiddenState, ...] = ()
     implicit: frozenset[tuple[int, int]] = frozenset()
     listed: tuple[str, ...] = ()
 
@@ -86,11 +81,11 @@ class Structure(NamedTuple):
 
         In the order in which the model lists them, if it does.
         """
+        hidden = [state.name for state in self.hidden]
+        place = {name: i for i, name in enumerate((*self.listed, "", *hidden))}
         lower = (name for motion in self.motions for name in motion.names[:-1])
-        place = {name: i for i, name in enumerate(self.listed)}
-        plain = [*lower, *(name for name, _ in self.rates)]
-        plain.sort(key=lambda name: place.get(name, len(place)))
-        return (*plain, *self.hidden)
+        states = dict.fromkeys((*lower, *(name for name, _ in self.rates), *hidden))
+        return tuple(sorted(states, key=lambda name: place.get(name, place[""])))
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -103,7 +98,8 @@ def read_structure(
     equations: tuple[Equation, ...],
     rates: Mapping[str, Expression],
     inputs: frozenset[str],
-    elements: tuple[HiddenElement, ...] = (),
+    hidden: tuple[HiddenState, ...],
+    springs: tuple[SpringElement, ...],
 ) -> Structure:
     """The structure of equations that are to be simulated, forces of hidden elements among them.
 
@@ -131,7 +127,6 @@ def read_structure(
                 f"signal with a number for coefficient that it could determine."
             )
         determined.append(free)
-    hidden = tuple(name for element in elements for name, _ in element.states)
     structure = Structure(motions, tuple(rates.items()), tuple(determined), (), (), hidden)
     unknowns = structure.unknowns
     if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
@@ -150,8 +145,7 @@ def read_structure(
         )
     terms = [term for equation in equations for term in equation.terms]
     read: list[Expression] = []
-    behind = (element.element for element in elements if isinstance(element, SpringElement))
-    for term in (*terms, *behind):
+    for term in (*terms, *(spring.element for spring in springs)):
         if not term.is_linear and term.basis is None:
             try:
                 jax.eval_shape(term.functions, jnp.zeros(1))
@@ -271,7 +265,7 @@ class EquationSystem(AbstractSystem):
     values: dict[str, Array]
     structure: Structure = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    elements: tuple[HiddenElement, ...] = ()
+    springs: tuple[SpringElement, ...] = ()
 
     @property
     def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -297,15 +291,16 @@ class EquationSystem(AbstractSystem):
     @property
     def carried(self) -> tuple[str, ...]:
         """States of hidden modes, and forces of springs."""
-        return self.structure.hidden
+        return tuple(state.name for state in self.structure.hidden)
 
     def carried_levels(
         self, signals: Mapping[str, Float[Array, " n"]]
     ) -> Mapping[str, Float[Array, " n"]]:
         """The motion of hidden masses, and forces that elements have where their springs rest."""
-        levels: dict[str, Array] = {}
-        for element in self.elements:
-            levels |= element.at_rest(signals, self.values)
+        hidden = self.structure.hidden
+        levels = {s.name: signals[s.follows] for s in hidden if s.follows in signals}
+        for spring in self.springs:
+            levels |= spring.at_rest(signals, self.values)
         return levels
 
     @property
@@ -460,24 +455,14 @@ class EquationSystem(AbstractSystem):
                 if isinstance(expression, str)
                 else jnp.atleast_1d(jnp.asarray(expression(Signals(signals))))
             )
-        for element in self.elements:
-            flow |= element.rates(
-                signals, self.values, lambda term: self._expression(term, dict(signals))
-            )
+        for spring in self.springs:
+            across = self._expression(spring.element, dict(signals))
+            flow[spring.state] = spring.rate(signals, self.values, across)
         return flow
 
     def _with_units(self, names: Sequence[str]) -> Quantities:
         units = dict(self.units)
         return tuple((name, units.get(name, "")) for name in names)
-
-
-def written_out(
-    equations: tuple[Equation, ...], elements: Sequence[HiddenElement]
-) -> tuple[Equation, ...]:
-    """The equations with the forces of elements among their terms."""
-    for element in elements:
-        equations = tuple(map(element.written_out, equations))
-    return equations
 
 
 def require_solvable(label: str, system: EquationSystem) -> None:
@@ -486,10 +471,10 @@ def require_solvable(label: str, system: EquationSystem) -> None:
     At a point in general position, where an accidental zero is all but impossible. J is scaled by
     columns and rows first: its rank must not depend on the units of unknowns and equations.
     """
-    for element in system.elements:
-        if element.divisor is not None and float(system.values[element.divisor]) == 0:
-            which = element.divisor + element.words
-            raise ModelError(f"{label} cannot be simulated: {which} is zero.")
+    for spring in system.springs:
+        which = spring.element.parameters[0]
+        if spring.element.is_linear and float(system.values[which]) == 0:
+            raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
     state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
     level = jnp.asarray(np.linspace(0.3, 0.7, len(system.structure.inputs)))
     unknowns = system.structure.unknowns

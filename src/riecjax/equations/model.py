@@ -26,14 +26,13 @@ from riecjax.equations.equation_system import (
     EquationSystem,
     read_structure,
     require_solvable,
-    written_out,
 )
 from riecjax.equations.expressions import Expression, constant, relation_of, signals_read
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
     HiddenParameters,
-    ModeElement,
+    HiddenState,
     ModeParameters,
     SeriesSpring,
     SpringElement,
@@ -629,19 +628,23 @@ def equation_system(
     for name, number in numbers.items():
         if number.shape != ():
             raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    equations = model.equations
+    further: dict[str, Expression] = {memory.state: memory for memory in model.memories}
+    further |= model.rates if rates is None else rates
+    equations, hidden = model.equations, []
     springs = tuple(SpringElement.of(i, s, equations) for i, s in enumerate(model.springs))
-    equations = written_out(equations, springs)
-    modes = tuple(ModeElement.of(i, mode, equations) for i, mode in enumerate(model.modes))
-    equations, elements = written_out(equations, modes), (*modes, *springs)
-    further = model.rates if rates is None else rates
-    rates = {**{memory.state: memory for memory in model.memories}, **further}
-    structure = read_structure(label, equations, rates, frozenset(inputs), elements)
+    for spring in springs:
+        equations = tuple(map(spring.written_out, equations))
+    for i, mode in enumerate(model.modes):
+        equations, of_mode, states = mode.written_out(i, equations)
+        further |= of_mode
+        hidden += states
+    hidden += (HiddenState(spring.state, spring.unit) for spring in springs)
+    structure = read_structure(label, equations, further, frozenset(inputs), tuple(hidden), springs)
     structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
-    own = {name: unit for element in elements for name, unit in element.states}
     given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
-    named = tuple(sorted((given | own | dict(units or {})).items()))
-    system = EquationSystem(equations, numbers, structure, named, elements)
+    given |= {state.name: state.unit for state in hidden}
+    named = tuple(sorted((given | dict(units or {})).items()))
+    system = EquationSystem(equations, numbers, structure, named, springs)
     if is_concrete(equations, numbers) and not is_under_trace():
         require_solvable(label, system)
     return system
