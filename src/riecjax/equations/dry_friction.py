@@ -98,9 +98,8 @@ def in_motion(model: "Model", record: Record) -> "Model":
 
     The same unless rests are to be masked, and under trace; and of hidden elements.
     """
-    if model.at_rest == "keep" or model.has_hidden:
-        return model
-    rests = rests_of(model, record)
+    unmasked = model.at_rest == "keep" or model.has_hidden
+    rests = {} if unmasked else rests_of(model, record)
     if not rests:
         return model
 
@@ -118,9 +117,8 @@ def in_motion(model: "Model", record: Record) -> "Model":
 
 def rests_of(model: "Model", record: Record) -> dict[str, Rest]:
     """Rests of the signals at whose zero some equation jumps, by signal; none under trace."""
-    if not is_concrete(model, record) or is_under_trace():
-        return {}
-    if next(iter(record.arrays.values())).ndim != 1:
+    is_batch = next(iter(record.arrays.values())).ndim != 1
+    if is_batch or not is_concrete(model, record) or is_under_trace():
         return {}
     # First what costs no call of a user's function.
     found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}

@@ -69,7 +69,7 @@ class Structure(NamedTuple):
     motions: tuple[Motion, ...]
     rates: tuple[tuple[str, Expression], ...]
     determined: tuple[str, ...]
-    inputs: tuple[str, ...]
+    inputs: tuple[str, ...] = ()
     reversing: tuple[str, ...] = ()
     hidden: tuple[HiddenState, ...] = ()
     implicit: frozenset[tuple[int, int]] = frozenset()
@@ -100,6 +100,7 @@ def read_structure(
     inputs: frozenset[str],
     hidden: tuple[HiddenState, ...],
     springs: tuple[SpringElement, ...],
+    listed: tuple[str, ...],
 ) -> Structure:
     """The structure of equations that are to be simulated, forces of hidden elements among them.
 
@@ -127,8 +128,10 @@ def read_structure(
                 f"signal with a number for coefficient that it could determine."
             )
         determined.append(free)
-    structure = Structure(motions, tuple(rates.items()), tuple(determined), (), (), hidden)
-    unknowns = structure.unknowns
+    structure = Structure(
+        motions, tuple(rates.items()), tuple(determined), hidden=hidden, listed=listed
+    )
+    states, unknowns = structure.states, structure.unknowns
     if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
         raise ModelError(
             f"{label} cannot be simulated: two equations determine {', '.join(sorted(repeated))}."
@@ -152,17 +155,16 @@ def read_structure(
             except ModelError as error:
                 raise ModelError(f"{label} cannot be simulated: {error}") from None
         read.append(expression_read(term, motions))
-    settled = {*structure.states, *unknowns}
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
-    structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
+    driving = tuple(name for name in reads if name not in (*states, *unknowns))
     # Whether the time derivatives of expressions follow from the states and the unknowns.
     # d/dt f(x) = f'(x) x' reads the first derivatives of what f reads, which states have. The
     # second reads theirs in turn, which only a signal has whose own second derivative leads.
-    positions = {motion.signal for motion in structure.motions if len(motion.names) == 3}
+    positions = {motion.signal for motion in motions if len(motion.names) == 3}
     for term in terms:
         if not term.derivative or term.signal is not None:
             continue
-        allowed = set(structure.states) if term.derivative == 1 else positions
+        allowed = set(states) if term.derivative == 1 else positions
         if beyond := [name for name in signals_read(term.of) if name not in allowed]:
             raise ModelError(
                 f"{label} cannot be simulated: derivative {term.derivative} of the expression "
@@ -177,9 +179,8 @@ def read_structure(
         for j, term in enumerate(equation.terms)
         if term.signal is None and (term.derivative or {*unknowns} & {*signals_read(term.of)})
     )
-    structure = structure._replace(implicit=implicit)
-    signals = (*structure.states, *structure.unknowns, *structure.inputs)
-    return structure._replace(reversing=reversing_states(terms, structure.states, signals))
+    reversing = reversing_states(terms, states, (*states, *unknowns, *driving))
+    return structure._replace(inputs=driving, implicit=implicit, reversing=reversing)
 
 
 def _motions(
@@ -380,23 +381,22 @@ class EquationSystem(AbstractSystem):
         zeros = dict.fromkeys(self.structure.unknowns, zero)
         rows = []
         for i, equation in enumerate(self.equations):
-            rest, slopes = zero[0], {}
+            values, slopes = [], {}
             for j, term in enumerate(equation.terms):
+                columns = {}
                 if (i, j) in self.structure.implicit:
                     value, push = jax.linearize(
                         lambda unknowns, term=term: self._term(term, {**signals, **unknowns}), zeros
                     )
-                    rest = rest + value
+                    values.append(value)
                     columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
-                elif term.signal is not None:
-                    name = str(expression_read(term, self.structure.motions))
-                    columns = {name: self._term(term, {name: zero + 1})} if name in zeros else {}
-                    rest = rest if columns else rest + self._term(term, signals)
+                elif (name := expression_read(term, self.structure.motions)) in zeros:
+                    columns = {name: self._term(term, {name: zero + 1})}
                 else:
-                    rest, columns = rest + self._term(term, signals), {}
+                    values.append(self._term(term, signals))
                 for name, column in columns.items():
                     slopes[name] = slopes[name] + column if name in slopes else column
-            rows.append((rest, slopes))
+            rows.append((sum(values, start=zero[0]), slopes))
         return rows
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
@@ -475,7 +475,7 @@ def require_solvable(label: str, system: EquationSystem) -> None:
         which = spring.element.parameters[0]
         if spring.element.is_linear and float(system.values[which]) == 0:
             raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
-    state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
+    state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, len(system.states)))
     level = jnp.asarray(np.linspace(0.3, 0.7, len(system.structure.inputs)))
     unknowns = system.structure.unknowns
     probe = np.random.default_rng(1).uniform(0.5, 1.5, len(unknowns))

@@ -116,7 +116,8 @@ def constant(signals: Signals) -> Array:
 class _Formula:
     """A function of signals that is equal to another one of this kind and these arguments.
 
-    **Fields:** `kind`, as users call it; `arguments` of the `function` after the signals; `words`.
+    **Fields:** `kind`, as users call it; `arguments`, expressions and numbers, of the `function`;
+    `words`.
     """
 
     kind: str
@@ -137,29 +138,30 @@ class _Formula:
         return None if None in texts else f"{self.kind}({', '.join(map(str, texts))})"
 
     def __call__(self, signals: Signals) -> Array:
-        return self.function(signals, *self.arguments)
+        values = (
+            signals[of] if isinstance(of, str) else of(signals) if callable(of) else of
+            for of in self.arguments
+        )
+        return self.function(*values)
 
 
-def _times(signals: Signals, *factors: Expression) -> Array:
-    values = (signals[of] if isinstance(of, str) else of(signals) for of in factors)
-    return functools.reduce(operator.mul, values)
+def _times(*factors: Array) -> Array:
+    return functools.reduce(operator.mul, factors)
 
 
-def _minus(signals: Signals, first: str, second: str) -> Array:
-    return signals[first] - signals[second]
+def _minus(first: Array, second: Array) -> Array:
+    return first - second
 
 
-def _beyond(signals: Signals, name: str, threshold: float) -> Array:
-    return jnp.abs(signals[name]) > threshold
+def _beyond(x: Array, threshold: float) -> Array:
+    return jnp.abs(x) > threshold
 
 
-def _odd(signals: Signals, name: str, power: int) -> Array:
-    x = signals[name]
+def _odd(x: Array, power: int) -> Array:
     return x**power if power % 2 else jnp.sign(x) * jnp.abs(x) ** power
 
 
-def _even(signals: Signals, name: str, power: int) -> Array:
-    x = signals[name]
+def _even(x: Array, power: int) -> Array:
     return jnp.abs(x) ** power if power % 2 else x**power
 
 

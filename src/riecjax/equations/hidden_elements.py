@@ -35,7 +35,7 @@ linear in K.
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -86,6 +86,8 @@ class SeriesSpring(eqx.Module):
     """
 
     of: str = eqx.field(static=True)
+    hz: ClassVar[None] = None
+    """No frequency is near which to look for a lag."""
 
     def __check_init__(self):
         require("what a spring is in series with", self.of, str, "rx.SeriesSpring(of='c')")
@@ -94,11 +96,6 @@ class SeriesSpring(eqx.Module):
     def on(self) -> str:
         """What it acts on, the element."""
         return self.of
-
-    @property
-    def hz(self) -> None:
-        """No frequency is near which to look for a lag."""
-        return None
 
     def term_in(self, equation: Equation) -> AbstractTerm | None:
         """The element's term in an equation, if it has one."""
@@ -362,7 +359,9 @@ class HiddenMode(eqx.Module):
         words = f"of the hidden mode on {self.on}"
         return [Quantity(name, unit, f"{part} {words}") for (part, name), unit in named]
 
-    def written_out(self, number: int, equations: Sequence[Equation]) -> "WrittenOut":
+    def written_out(
+        self, number: int, equations: Sequence[Equation]
+    ) -> "tuple[tuple[Equation, ...], dict[str, Expression], tuple[HiddenState, ...]]":
         """The motion of the mode with this number among some equations, for a simulation.
 
         With velocity v of the body, w of the mass, and deflection d, body minus mass,
@@ -371,6 +370,8 @@ class HiddenMode(eqx.Module):
 
         and every equation that accelerates the body gains f, with the sign of its inertia. No
         acceleration is in f. At rest the mass moves as its body does.
+
+        **Returns:** the equations, rates of states that none of them has, and the mode's states.
         """
         inertias = [self.term_in(equation) for equation in equations]
         inertia = next(term for term in inertias if term is not None)
@@ -394,7 +395,7 @@ class HiddenMode(eqx.Module):
         unit = self.quantities(number, equations)[0].unit
         units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(unit, ("", ""))
         states = HiddenState(deflection, units[0]), HiddenState(velocity, units[1], body)
-        return WrittenOut((*loaded, moved), {deflection: stretching}, states)
+        return (*loaded, moved), {deflection: stretching}, states
 
 
 class HiddenState(NamedTuple):
@@ -404,14 +405,6 @@ class HiddenState(NamedTuple):
     name: str
     unit: str
     follows: str = ""
-
-
-class WrittenOut(NamedTuple):
-    """Equations with a mode among them, the rates of its further states, and all of its states."""
-
-    equations: tuple[Equation, ...]
-    rates: dict[str, Expression]
-    states: tuple[HiddenState, ...]
 
 
 class ModeParameters(NamedTuple):

@@ -44,6 +44,7 @@ from riecjax.equations.memories import Memory
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require, users_code
+from riecjax.extensions import element
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.record import Record
 from riecjax.shows import Shown
@@ -52,17 +53,6 @@ if TYPE_CHECKING:
     from riecjax.records.faults.derivative_pairs import Relation
     from riecjax.settings import Elements
     from riecjax.simulation.system import AbstractSystem
-
-
-def _refuse_functions(equation: Equation, signal: str) -> None:
-    """Refuse a function of the signal: in it, an offset or a gain is no coefficient."""
-    for term in equation.terms:
-        if signal in signals_read(term.of) and term.signal != signal:
-            raise ModelError(
-                f"{equation.name}: the term of {' and '.join(term.parameters) or 'no coefficient'} "
-                f"is a function of '{signal}', in which an unknown offset or gain is no "
-                f"coefficient of its own; calibrate that sensor."
-            )
 
 
 AtRest: TypeAlias = Literal["mask", "keep"]
@@ -275,11 +265,10 @@ class Model(Shown, eqx.Module):
             raise ModelError(
                 f"no equation is called '{unknown[0]}'; there are: {', '.join(names)}."
             )
-        taken = {*self.parameter_names}
-        for name in (n for terms in added.values() for term in terms for n in term.parameters):
-            if name in taken:
-                raise ModelError(f"there is a coefficient '{name}' already: call it otherwise.")
-            taken.add(name)
+        new = [n for terms in added.values() for term in terms for n in term.parameters]
+        taken = (*self.parameter_names, *new)
+        if twice := [name for name in new if taken.count(name) > 1]:
+            raise ModelError(f"there is a coefficient '{twice[0]}' already: call it otherwise.")
         rest = iter(names)
 
         def extended(equation: Equation) -> Sequence[AbstractTerm]:
@@ -290,7 +279,7 @@ class Model(Shown, eqx.Module):
             own = added.get(next(rest), ())
             return (*equation.terms, *(-term if turned else term for term in own))
 
-        model = self.with_memories(*memories)._with_equations(extended, meanings or {})
+        model = self.with_memories(*memories)._with_equations(extended, meanings=meanings or {})
         return replace(model, written=()).with_values(values or {})
 
     def with_sensor_errors(self, offsets: Sequence[str] = (), gains: Sequence[str] = ()) -> "Model":
@@ -308,108 +297,82 @@ class Model(Shown, eqx.Module):
         """
         model = self
         for signal in offsets:
-            model = model._with_offset(signal)
+            tells = f"has a term of '{signal}' itself, so that none tells of its offset"
+            model = model._with_sensor(signal, _with_offset, tells)
         for signal in gains:
-            model = model._with_gain(signal)
+            tells = f"reads '{signal}', so that none tells of its gain"
+            model = model._with_sensor(signal, _with_gain, tells)
         return model
 
-    def _with_offset(self, signal: str) -> "Model":
-        units = {quantity.name: quantity.unit for quantity in self.signals}
+    def _with_sensor(
+        self,
+        signal: str,
+        of_sensor: Callable[[Equation, Quantity], list[AbstractTerm]],
+        tells: str,
+    ) -> "Model":
+        """Equations as `of_sensor` of a signal makes them, which one at least `tells` of."""
+        quantity = next((q for q in self.signals if q.name == signal), Quantity(signal, "", ""))
 
         def terms(equation: Equation) -> list[AbstractTerm]:
-            _refuse_functions(equation, signal)
-            own = [t for t in equation.terms if t.signal == signal and t.derivative == 0]
-            if not own:
-                return [*equation.terms]
-            if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
-                raise ModelError(
-                    f"{equation.name}: an offset of '{signal}' cannot be told apart from "
-                    f"'{taken[0]}', which is constant too; give {signal}'s offset, or leave that "
-                    f"term out."
-                )
-            if len(own) > 1:
-                raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
-            name, number = own[0].name, -own[0].factor
-            label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
-            unit = (
-                units.get(signal, own[0].unit if isinstance(own[0].unit, str) else "")
-                if name is None
-                else equation.unit
-            )
-            return [*equation.terms, Term(label, constant, unit=unit, sign=number)]
+            for term in equation.terms:
+                if signal in signals_read(term.of) and term.signal != signal:
+                    named = " and ".join(term.parameters) or "no coefficient"
+                    raise ModelError(
+                        f"{equation.name}: the term of {named} is a function of '{signal}', in "
+                        f"which an unknown offset or gain is no coefficient of its own; calibrate "
+                        f"that sensor."
+                    )
+            return of_sensor(equation, quantity)
 
-        unread = f"no equation has a term of '{signal}' itself, so that none tells of its offset."
-        return self._with_equations(terms, unread=unread)
-
-    def _with_gain(self, signal: str) -> "Model":
-        def changed(term: AbstractTerm) -> AbstractTerm:
-            if term.signal != signal:
-                return term
-            if term.name is not None:
-                raise ModelError(
-                    f"the gain of '{signal}' cannot be told apart from '{term.name}', which "
-                    f"multiplies it: {term.name} comes out multiplied by the gain."
-                )
-            order, measured, factor = term.derivative, term.measured, term.factor
-            return Term(f"gain_{signal}", term.of, derivative=order, measured=measured, sign=factor)
-
-        def terms(equation: Equation) -> list[AbstractTerm]:
-            _refuse_functions(equation, signal)
-            return list(map(changed, equation.terms))
-
-        unread = f"no equation reads '{signal}', so that none tells of its gain."
-        return self._with_equations(terms, unread=unread)
+        model = self._with_equations(terms, "of a sensor")
+        if len(model.parameters) == len(self.parameters):
+            raise ModelError(f"no equation {tells}.")
+        return model
 
     def _with_equations(
         self,
         terms: Callable[[Equation], Sequence[AbstractTerm]],
+        meaning: str = "",
         meanings: Mapping[str, str] = FrozenDict(),
-        unread: str = "",
     ) -> "Model":
-        """Equations of other terms in their place; `meanings` of what that adds, by default of a
-        sensor; `unread`, an error where it adds nothing."""
+        """Equations of other terms in their place, and what the parameters mean that these add."""
 
         def other(equation: Equation) -> Equation:
             return eqx.tree_at(lambda e: e.terms, equation, tuple(terms(equation)))
 
         after = replace(self, system=BY_EQUATIONS, stages=self.by_stage(other))
-        said = "of a sensor" if unread else ""
-        before = len(self.parameters)
-        if unread and len(after.parameters) == before:
-            raise ModelError(unread)
-        added = (q._replace(meaning=meanings.get(q.name, said)) for q in after.parameters[before:])
-        return replace(after, parameters=(*self.parameters, *added))
+        added = after.parameters[len(self.parameters) :]
+        meant = (q._replace(meaning=meanings.get(q.name, meaning)) for q in added)
+        return replace(after, parameters=(*self.parameters, *meant))
 
     def with_elements(self, elements: "Elements") -> "Model":
         """The same model with what it leaves out, and with what its sensors get wrong.
 
         **Raises:** `ModelError` as the methods that add each, and for an unknown kind.
         """
-        added: dict[str, list[Any]] = {"mode": [*elements.modes], "spring": [*elements.springs]}
-        added |= {"offset": [*elements.offsets_of], "gain": [*elements.gains_of]}
+        plain = {"spring": elements.springs, "offset": elements.offsets_of}
+        plain |= {"gain": elements.gains_of}
+        asked = [("mode", signal, hertz) for signal, hertz in elements.modes]
+        asked += [(kind, signal, None) for kind, signals in plain.items() for signal in signals]
+        asked += elements.added
         others = []
-        for kind, signal, hertz in elements.added:
-            if kind not in added:
-                from riecjax.extensions import element
-
-                others.append((kind, element(kind, [*added]), signal, hertz))
-            elif kind == "mode":
-                added[kind].append((signal, hertz))
-            elif hertz is not None:
+        for kind, signal, hertz in asked:
+            if kind in plain and hertz is not None:
                 raise ModelError(f"{kind}:{signal} is near no frequency: leave out ={hertz:g}.")
-            else:
-                added[kind].append(signal)
-        offsets, gains = (tuple(dict.fromkeys(added[kind])) for kind in ("offset", "gain"))
+            if kind not in ("mode", *plain):
+                others.append((kind, element(kind, ["mode", *plain]), signal, hertz))
+        of_kind = {kind: [signal for each, signal, _ in asked if each == kind] for kind in plain}
+        offsets, gains = (tuple(dict.fromkeys(of_kind[kind])) for kind in ("offset", "gain"))
         model = self.with_sensor_errors(offsets, gains)
         for kind, add, signal, hertz in others:
             with users_code(f"the element '{kind}'"):
                 model = add(model, signal, hertz)
             write = "a function that returns the model with it"
             require(f"what the element '{kind}' returned", model, Model, write)
-        if added["mode"]:
-            model = model.with_modes(*(HiddenMode(*each) for each in added["mode"]))
-        if added["spring"]:
-            model = model.with_series_springs(*map(SeriesSpring, added["spring"]))
+        if modes := [HiddenMode(signal, hertz) for kind, signal, hertz in asked if kind == "mode"]:
+            model = model.with_modes(*modes)
+        if springs := of_kind["spring"]:
+            model = model.with_series_springs(*map(SeriesSpring, springs))
         return model
 
     @property
@@ -519,16 +482,13 @@ class Model(Shown, eqx.Module):
     @property
     def stage_parameters(self) -> list[tuple[str, ...]]:
         """Names of the coefficients of each stage, in order of first appearance."""
-        if not self.has_hidden:
-            every = [list(names) for names in self.by_stage(lambda e: e.parameters)]
-        else:
-            every = [[e.all_parameters for e in stage] for stage in self.expanded]
-        # A spring in series with a map is in no expanded equation.
-        for names, element in self.hidden.items():
-            for of, equations in zip(every, self.stages):
-                if any(element.term_in(e) is not None for e in equations):
-                    of.append(names.hidden)
-        return [tuple(dict.fromkeys(name for of in stage for name in of)) for stage in every]
+        hidden = self.hidden.items()
+
+        def names(equation: Equation) -> list[str]:
+            of_hidden = (n.hidden for n, element in hidden if element.term_in(equation) is not None)
+            return [*equation.parameters, *(name for names in of_hidden for name in names)]
+
+        return [tuple(dict.fromkeys(n for e in stage for n in names(e))) for stage in self.stages]
 
     @property
     def equation_names(self) -> list[tuple[str, ...]]:
@@ -561,12 +521,10 @@ class Model(Shown, eqx.Module):
             unknown = tuple(name for name in names if name not in found)
             label = names_of(stage)
             # A known term sets an equation's scale, if through parameters that it shares.
-            reached, size = set(found), -1
-            while len(reached) > size:
-                size = len(reached)
-                for equation in stage:
-                    if equation.has_target or set(equation.parameters) & reached:
-                        reached |= set(equation.parameters)
+            reached = set(found)
+            for equation in stage * len(stage):
+                if equation.has_target or set(equation.parameters) & reached:
+                    reached |= set(equation.parameters)
             if unknown and not all(reached & set(equation.parameters) for equation in stage):
                 coefficients = {name for equation in stage for name in equation.parameters}
                 own = [name for name in unknown if name in coefficients]
@@ -639,8 +597,10 @@ def equation_system(
         further |= of_mode
         hidden += states
     hidden += (HiddenState(spring.state, spring.unit) for spring in springs)
-    structure = read_structure(label, equations, further, frozenset(inputs), tuple(hidden), springs)
-    structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
+    order = tuple(quantity.name for quantity in listed)
+    structure = read_structure(
+        label, equations, further, frozenset(inputs), tuple(hidden), springs, order
+    )
     given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
     given |= {state.name: state.unit for state in hidden}
     named = tuple(sorted((given | dict(units or {})).items()))
@@ -648,6 +608,42 @@ def equation_system(
     if is_concrete(equations, numbers) and not is_under_trace():
         require_solvable(label, system)
     return system
+
+
+def _with_offset(equation: Equation, signal: Quantity) -> list[AbstractTerm]:
+    """Its terms, and that of an unknown offset of the signal if one is of it."""
+    own = [t for t in equation.terms if t.signal == signal.name and t.derivative == 0]
+    if not own:
+        return [*equation.terms]
+    if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
+        raise ModelError(
+            f"{equation.name}: an offset of '{signal.name}' cannot be told apart from "
+            f"'{taken[0]}', which is constant too; give {signal.name}'s offset, or leave that "
+            f"term out."
+        )
+    if len(own) > 1:
+        raise ModelError(f"{equation.name} has several terms of '{signal.name}'; add them up.")
+    term, label = own[0], f"offset_{signal.name}"
+    unit = signal.unit or str(term.unit)
+    if term.name is not None:
+        label, unit = f"{term.name}_{label}", equation.unit
+    return [*equation.terms, Term(label, constant, unit=unit, sign=-term.factor)]
+
+
+def _with_gain(equation: Equation, signal: Quantity) -> list[AbstractTerm]:
+    """Its terms, those of the signal times an unknown gain."""
+    if named := [t.name for t in equation.terms if t.signal == signal.name and t.name is not None]:
+        raise ModelError(
+            f"the gain of '{signal.name}' cannot be told apart from '{named[0]}', which "
+            f"multiplies it: {named[0]} comes out multiplied by the gain."
+        )
+    name = f"gain_{signal.name}"
+    return [
+        Term(name, t.of, derivative=t.derivative, measured=t.measured, sign=t.factor)
+        if t.signal == signal.name
+        else t
+        for t in equation.terms
+    ]
 
 
 def as_model(model: Equation | Model) -> Model:

@@ -167,17 +167,12 @@ class Movement(eqx.Module):
             for order, rows in found.items()
         }
 
-    def scaled(self, by: Float[Array, " n"]) -> "Movement":
-        """Times a factor at each sample."""
-        values = {order: rows * by[None, :] for order, rows in self.values.items()}
-        return eqx.tree_at(lambda m: m.values, self, values)
-
-    def columns(self, like: Columns) -> Columns:
-        """As columns, zero where nothing moves."""
+    def times(self, noise: Float[Array, " n"], like: Columns) -> Float[Array, "orders columns n"]:
+        """Values of columns that move by this much at each sample, zero where nothing moves."""
         values = jnp.zeros_like(like.values)
         for order, rows in self.values.items():
-            values = values.at[order, jnp.array(self.rows[order])].set(rows)
-        return Columns(values, like.present, like.time_step, like.parameters)
+            values = values.at[order, jnp.array(self.rows[order])].set(rows * noise[None, :])
+        return values
 
 
 class NoisyColumns(NamedTuple):
@@ -199,11 +194,6 @@ class NoisyColumns(NamedTuple):
     def moves(self) -> bool:
         """Whether anything is known of noise on what the columns are made of."""
         return bool(self.white or self.coloured)
-
-
-def without_noise(columns: Columns) -> NoisyColumns:
-    """Columns of which nothing is known."""
-    return NoisyColumns(columns, {}, {}, (), Noise())
 
 
 class _Curved(NamedTuple):
