@@ -31,7 +31,7 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, combined, evaluate
+from riecjax.equations.expressions import Expression, combined, evaluate, product
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
@@ -68,11 +68,7 @@ class InMotion(AbstractTerm):
         if self.term.derivative and not order:
             return self.velocity
         of = self.term.expression(record, self.term.derivative if order else 0)
-
-        def both(signals: Signals) -> Array:
-            return signals[self.velocity] * (signals[of] if isinstance(of, str) else of(signals))
-
-        return both
+        return product(self.velocity, of)
 
     def samples(self, record: Record, order: int) -> Signal:
         """Samples of the weighted term; see the base class."""
@@ -135,16 +131,22 @@ def _jumping_at_rest(equation: Equation, record: Record, among: dict[str, Rest])
 def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] | None:
     """Its terms times the weight; `None` where one is a derivative of something else."""
     taken = {of: 1 for of, name in equation.derivatives if name == velocity} | {velocity: 0}
-    found = []
-    for term in equation.terms:
-        left = term.derivative
-        if left:
-            left -= -2 if term.signal is None else taken.get(term.signal, -2)
-            if left > 1:
-                return None
-        own = {"of": term.of, "derivative": left}
-        found.append(InMotion(term=term, velocity=velocity, width=np.asarray(rest.width), **own))
-    return found
+    orders = [
+        term.derivative - taken.get(term.signal or "", -2) if term.derivative else 0
+        for term in equation.terms
+    ]
+    if max(orders) > 1:
+        return None
+    return [
+        InMotion(
+            term=term,
+            velocity=velocity,
+            width=np.asarray(rest.width),
+            of=term.of,
+            derivative=order,
+        )
+        for term, order in zip(equation.terms, orders)
+    ]
 
 
 ASIDE, JUMP = 1e-9, 1e-4

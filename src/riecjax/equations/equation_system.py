@@ -50,11 +50,8 @@ from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
 
 
-class Motion(NamedTuple):
-    """A signal, and the names of its derivatives up to the leading one, itself first."""
-
-    signal: str
-    names: tuple[str, ...]
+Motion = tuple[str, ...]
+"""A signal, and the names of its derivatives up to the leading one."""
 
 
 class Structure(NamedTuple):
@@ -83,14 +80,14 @@ class Structure(NamedTuple):
         """
         hidden = [state.name for state in self.hidden]
         place = {name: i for i, name in enumerate((*self.listed, "", *hidden))}
-        lower = (name for motion in self.motions for name in motion.names[:-1])
+        lower = (name for motion in self.motions for name in motion[:-1])
         states = dict.fromkeys((*lower, *(name for name, _ in self.rates), *hidden))
         return tuple(sorted(states, key=lambda name: place.get(name, place[""])))
 
     @property
     def unknowns(self) -> tuple[str, ...]:
         """What the equations are solved for: leading derivatives, and determined signals."""
-        return (*(motion.names[-1] for motion in self.motions), *self.determined)
+        return (*(motion[-1] for motion in self.motions), *self.determined)
 
 
 def read_structure(
@@ -108,18 +105,16 @@ def read_structure(
     [`equation_system`][].
     """
     motions = _motions(label, equations, inputs, rates)
-    leading = {motion.names[-1] for motion in motions}
+    leading = {motion[-1] for motion in motions}
 
     def is_dynamic(term: AbstractTerm) -> bool:
         is_moving = term.signal is None and term.derivative > 0
         return is_moving or bool(leading & {*signals_read(expression_read(term, motions))})
 
     # A static equation determines its first plain signal with a number for coefficient.
-    moving = {name for motion in motions for name in motion.names} | set(rates)
+    moving = {name for motion in motions for name in motion} | set(rates)
     determined = []
-    for equation in equations:
-        if any(map(is_dynamic, equation.terms)):
-            continue
+    for equation in (e for e in equations if not any(map(is_dynamic, e.terms))):
         known = (t.signal for t in equation.terms if not (t.parameters or t.derivative))
         free = next((of for of in known if of is not None and of not in moving), None)
         if free is None:
@@ -160,7 +155,7 @@ def read_structure(
     # Whether the time derivatives of expressions follow from the states and the unknowns.
     # d/dt f(x) = f'(x) x' reads the first derivatives of what f reads, which states have. The
     # second reads theirs in turn, which only a signal has whose own second derivative leads.
-    positions = {motion.signal for motion in motions if len(motion.names) == 3}
+    positions = {motion[0] for motion in motions if len(motion) == 3}
     for term in terms:
         if not term.derivative or term.signal is not None:
             continue
@@ -205,7 +200,7 @@ def _motions(
             name = names.setdefault(name, f"d{name}")
     below = {higher: lower for lower, higher in names.items()}
     positions = {name for name, _, _ in moving}
-    order: dict[str, int] = {}
+    motions: dict[str, Motion] = {}
     for name, derivative, _ in moving:
         # A derivative of a velocity is one of the position, where the position is in the equations.
         ancestors = [name]
@@ -213,17 +208,14 @@ def _motions(
             ancestors.append(below[ancestors[-1]])
         steps = max(i for i, name in enumerate(ancestors) if name in positions)
         signal, rise = ancestors[steps], derivative + steps
-        order[signal] = max(order.get(signal, 0), rise)
-    motions = []
-    for signal, rise in order.items():
         if rise > 2:
             raise ModelError(
                 f"{label} cannot be simulated: it holds a derivative of order {rise} of {signal}."
             )
         chain = [signal]
-        while len(chain) <= rise:
-            chain.append(names.get(chain[-1], f"d{chain[-1]}"))
-        motions.append(Motion(signal, tuple(chain)))
+        for _ in range(rise):
+            chain.append(names[chain[-1]])
+        motions[signal] = max(motions.get(signal, ()), tuple(chain), key=len)
     if not motions:
         why = (
             "it holds no derivative of a signal, so it is static and says nothing about motion. "
@@ -237,7 +229,7 @@ def _motions(
                 f"NAME=FORMULA), and write the term of that name."
             )
         raise ModelError(f"{label} cannot be simulated: {why}")
-    return tuple(motions)
+    return tuple(motions.values())
 
 
 def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
@@ -246,8 +238,8 @@ def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expressi
     if signal is None or not term.derivative:
         return term.of
     for motion in motions:
-        if signal in motion.names:
-            return motion.names[motion.names.index(signal) + term.derivative]
+        if signal in motion:
+            return motion[motion.index(signal) + term.derivative]
     if term.derivative > len(term.measured):
         raise ModelError(
             f"a derivative of {signal} is needed and cannot be formed: name the signal that holds "
@@ -307,7 +299,7 @@ class EquationSystem(AbstractSystem):
     @property
     def velocity_of(self) -> Mapping[str, str]:
         """State to the state that is its time derivative."""
-        return {m.signal: m.names[1] for m in self.structure.motions if len(m.names) == 3}
+        return {m[0]: m[1] for m in self.structure.motions if len(m) == 3}
 
     def derivative(self, state: State, inputs: Inputs) -> State:
         """Time derivative of the state, by solving the equations for their unknowns."""
@@ -328,7 +320,7 @@ class EquationSystem(AbstractSystem):
         held = {
             following: regime.stuck[self.state_names.index(name)]
             for motion in self.structure.motions
-            for name, following in zip(motion.names, motion.names[1:])
+            for name, following in zip(motion, motion[1:])
         }
         return {
             name: jnp.where(held.get(name, False), 0.0, signals[name][0])
@@ -447,14 +439,13 @@ class EquationSystem(AbstractSystem):
         flow = {
             name: signals[following]
             for motion in self.structure.motions
-            for name, following in zip(motion.names, motion.names[1:])
+            for name, following in zip(motion, motion[1:])
         }
-        for name, expression in self.structure.rates:
-            flow[name] = (
-                signals[expression]
-                if isinstance(expression, str)
-                else jnp.atleast_1d(jnp.asarray(expression(Signals(signals))))
-            )
+        known = Signals(signals)
+        flow |= {
+            name: signals[rate] if isinstance(rate, str) else jnp.atleast_1d(jnp.asarray(rate(known)))
+            for name, rate in self.structure.rates
+        }
         for spring in self.springs:
             across = self._expression(spring.element, dict(signals))
             flow[spring.state] = spring.rate(signals, self.values, across)

@@ -161,10 +161,8 @@ class SpringParameters(NamedTuple):
         """Those that are no coefficient of the equations."""
         return (self.stiffness,)
 
-    @property
-    def judged(self) -> tuple[str, ...]:
-        """Parameters that are positive, and sure, where such an element is found."""
-        return (self.stiffness,)
+    judged = hidden
+    """Parameters that are positive, and sure, where such an element is found."""
 
     def doubted(self, values: Mapping[str, Array], band: tuple[Leaf, Leaf]) -> Float[Array, "1"]:
         """The error of the stiffness that counts as one: that of a lag by 1 / band[1] seconds.

@@ -355,12 +355,11 @@ class Model(Shown, eqx.Module):
         asked = [("mode", signal, hertz) for signal, hertz in elements.modes]
         asked += [(kind, signal, None) for kind, signals in plain.items() for signal in signals]
         asked += elements.added
-        others = []
         for kind, signal, hertz in asked:
             if kind in plain and hertz is not None:
                 raise ModelError(f"{kind}:{signal} is near no frequency: leave out ={hertz:g}.")
-            if kind not in ("mode", *plain):
-                others.append((kind, element(kind, ["mode", *plain]), signal, hertz))
+        ours = ("mode", *plain)
+        others = [(kind, element(kind, ours), *of) for kind, *of in asked if kind not in ours]
         of_kind = {kind: [signal for each, signal, _ in asked if each == kind] for kind in plain}
         offsets, gains = (tuple(dict.fromkeys(of_kind[kind])) for kind in ("offset", "gain"))
         model = self.with_sensor_errors(offsets, gains)
@@ -390,15 +389,14 @@ class Model(Shown, eqx.Module):
         if build is None and not self.stages:
             raise ModelError(f"model '{self.name}' has neither equations nor a system.")
         names = [parameter.name for parameter in self.simulation_parameters]
-        for name in settings:
-            if name not in names:
-                raise ModelError(
-                    f"unknown parameter '{name}'; {self.name} has: {', '.join(names)}."
-                )
-        values = {p.name: settings.get(p.name, p.default) for p in self.simulation_parameters}
-        if missing := [name for name, value in values.items() if value is None]:
+        if unknown := [name for name in settings if name not in names]:
             raise ModelError(
-                f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
+                f"unknown parameter '{unknown[0]}'; {self.name} has: {', '.join(names)}."
+            )
+        values = {p.name: settings.get(p.name, p.default) for p in self.simulation_parameters}
+        if unset := [name for name, value in values.items() if value is None]:
+            raise ModelError(
+                f"{self.name} needs a value for {', '.join(unset)} (--set {unset[0]}=VALUE)."
             )
         if build is None:
             return equation_system(self, values)
@@ -499,10 +497,9 @@ class Model(Shown, eqx.Module):
     @property
     def units(self) -> dict[str, str]:
         """Unit of each coefficient."""
-        units: dict[str, str] = {}
-        for equation in self.equations:
-            units |= {k: v for k, v in equation.units.items() if v or k not in units}
-        return units | {name: quantity.unit for name, quantity in self._of_hidden.items()}
+        units = [pair for equation in self.equations for pair in equation.units.items()]
+        known = dict(units) | {name: unit for name, unit in units if unit}
+        return known | {name: quantity.unit for name, quantity in self._of_hidden.items()}
 
     @property
     def known(self) -> Mapping[str, Leaf]:
@@ -580,8 +577,8 @@ def equation_system(
     listed, label = (*model.signals, *model.inputs), names_of(model.equations)
     known: dict[str, Any] = {**model.known, **values}
     names = model.parameter_names
-    if missing := [name for name in names if name not in known]:
-        raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
+    if unset := [name for name in names if name not in known]:
+        raise ModelError(f"{label}: no value is given for {', '.join(unset)}.")
     numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
     for name, number in numbers.items():
         if number.shape != ():

@@ -98,11 +98,16 @@ def _is_slope(record: Record, position: str, velocity: str) -> bool:
 def reading_velocities(model: Model) -> Model:
     """The same equations with a term that reads each velocity that they have a name for."""
     names = [name for stage in model.equation_names for name in stage]
-    added: dict[str, list[Term]] = {}
-    for name, equation in zip(names, model.equations, strict=True):
-        velocities = {t.measured[0] for t in equation.terms if t.signal and t.measured}
-        added[name] = [Term(f"{name} {v}", odd(v, 2)) for v in sorted(velocities)]
-    return model.with_terms(added)
+    velocities = (
+        sorted({t.measured[0] for t in equation.terms if t.signal and t.measured})
+        for equation in model.equations
+    )
+    return model.with_terms(
+        {
+            name: [Term(f"{name} {v}", odd(v, 2)) for v in read]
+            for name, read in zip(names, velocities, strict=True)
+        }
+    )
 
 
 def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:

@@ -348,8 +348,7 @@ def _load(path: Path) -> ModuleType:
     if not path.is_file():
         raise ModelError(no_file(path))
     spec = importlib.util.spec_from_file_location(f"riecjax_user_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise ModelError(f"'{path}' is not a Python file.")
+    assert spec and spec.loader, "its name ends in .py"
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     with users_code(path), _neighbours(path):

@@ -60,10 +60,8 @@ def suitable_steps(
     system that would need more is stiff, and better simulated by [`Adaptive`][] with an implicit
     solver.
     """
-    rates = _eigenvalues(system, np.asarray(states), np.asarray(inputs))
-    if not rates.size:
-        return 1
-    fastest = float(np.max(np.abs(rates)))
+    rates = np.abs(_eigenvalues(system, np.asarray(states), np.asarray(inputs)))
+    fastest = np.max(rates, initial=0.0)
     return int(np.clip(np.ceil(time_step * fastest / ANGLE), 1, MOST_STEPS))
 
 

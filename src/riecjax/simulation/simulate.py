@@ -1,7 +1,6 @@
 """Simulation of a system along a record of its inputs."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -131,7 +130,8 @@ def _simulate(
         **outputs,
     }
     units = dict(inputs.units) | dict(system.states) | dict(system.outputs)
-    signals = {name: replace(inputs.signal(name), noise=None) for name in system.input_names}
+    driving = {name: inputs.signal(name) for name in system.input_names}
+    signals = {name: Signal(s.values, s.present, s.unit) for name, s in driving.items()}
     signals |= {name: Signal(values, unit=units.get(name, "")) for name, values in made.items()}
     record = Record(signals, inputs.time_step, inputs.start_time, inputs.stamps, inputs.skipped)
     return Simulation(record, status, reached)
