@@ -203,7 +203,7 @@ class AbstractCriterion(eqx.Module):
 
         **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
         """
-        if not noisy.moves:
+        if not (noisy.white or noisy.coloured):
             return None
 
         def weights_of(law: LagBins | WindowSet) -> NoiseWeights | None:

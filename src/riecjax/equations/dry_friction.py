@@ -100,7 +100,7 @@ def in_motion(model: "Model", record: Record) -> "Model":
         return model
 
     def of(equation: Equation) -> Equation:
-        own = _jumping_at_rest(equation, record, rests)
+        own = reversing_states(equation.terms, sorted(rests), sorted(record.arrays))
         terms = _weighted(equation, own[0], rests[own[0]]) if len(own) == 1 else None
         if terms is None:
             return equation
@@ -120,12 +120,9 @@ def rests_of(model: "Model", record: Record) -> dict[str, Rest]:
     found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}
     if not found:
         return {}
-    jumping = {n for e in model.equations for n in _jumping_at_rest(e, record, found)}
+    terms = [term for equation in model.equations for term in equation.terms]
+    jumping = reversing_states(terms, sorted(found), sorted(record.arrays))
     return {name: rest for name, rest in found.items() if name in jumping}
-
-
-def _jumping_at_rest(equation: Equation, record: Record, among: dict[str, Rest]) -> tuple[str, ...]:
-    return reversing_states(equation.terms, sorted(among), sorted(record.arrays))
 
 
 def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] | None:

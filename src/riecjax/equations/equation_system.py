@@ -443,7 +443,9 @@ class EquationSystem(AbstractSystem):
         }
         known = Signals(signals)
         flow |= {
-            name: signals[rate] if isinstance(rate, str) else jnp.atleast_1d(jnp.asarray(rate(known)))
+            name: signals[rate]
+            if isinstance(rate, str)
+            else jnp.atleast_1d(jnp.asarray(rate(known)))
             for name, rate in self.structure.rates
         }
         for spring in self.springs:

@@ -55,7 +55,7 @@ from riecjax.equations.expressions import (
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, Column, Term
 from riecjax.errors import ModelError, require, users_code
-from riecjax.leaves import Leaf, is_number
+from riecjax.leaves import Leaf, is_number, namespace
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 
@@ -587,9 +587,7 @@ def accelerated(equation: Equation) -> tuple[str, ...]:
 def inertia_sign(inertia: AbstractTerm) -> Leaf:
     """What a mode's mass is multiplied by beside this inertia."""
     factor = inertia.factor
-    if inertia.parameters:
-        return factor
-    return np.sign(factor) if isinstance(factor, np.ndarray) else jnp.sign(factor)
+    return factor if inertia.parameters else namespace(factor).sign(factor)
 
 
 class Differentiated(AbstractTerm):

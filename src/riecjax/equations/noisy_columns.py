@@ -49,24 +49,19 @@ from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 
 
-class _Part(NamedTuple):
-    """Values that a term adds to columns of one order."""
-
-    term: AbstractTerm
-    order: int
-    values: Float[Array, "columns samples"]
+_Part = tuple[AbstractTerm, int, Float[Array, "columns samples"]]
+"""A term, and values that it adds to columns of one order."""
 
 
 def _rows(parts: Iterable[_Part], parameters: tuple[str, ...]) -> dict[int, dict[int, Array]]:
     """The sums of each coefficient's columns, by order and row; the first takes known terms."""
     found: dict[int, dict[int, Array]] = {}
-    for part in parts:
-        names = part.term.parameters or (None,)
-        for name, values in zip(names, part.values, strict=True):
+    for term, order, columns in parts:
+        for name, values in zip(term.parameters or (None,), columns, strict=True):
             row = 0 if name is None else 1 + parameters.index(name)
             # The terms sum to zero, so the known ones change sides and are regressed on the rest.
             values = -values if name is None else values
-            rows = found.setdefault(part.order, {})
+            rows = found.setdefault(order, {})
             rows[row] = rows[row] + values if row in rows else values
     return found
 
@@ -124,7 +119,7 @@ def columns_of_terms(
 
     def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
         orders = (min(term.derivative, smoothness) for term in equation.terms)
-        rows = _rows(map(_Part, equation.terms, orders, each), names)
+        rows = _rows(zip(equation.terms, orders, each), names)
         return jnp.stack(
             [
                 jnp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
@@ -190,11 +185,6 @@ class NoisyColumns(NamedTuple):
     curved: tuple[tuple[float, Movement], ...]
     noise: Noise
 
-    @property
-    def moves(self) -> bool:
-        """Whether anything is known of noise on what the columns are made of."""
-        return bool(self.white or self.coloured)
-
 
 class _Curved(NamedTuple):
     """Of a function along a direction: the shift of its mean, its rise, and squares beyond that."""
@@ -230,11 +220,11 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
         sampled = term.samples(record, above)
         rises, curved = _term_noise(term, record, above, jnp.asarray(sampled.values), directions)
         for key, rise in rises.items():
-            moves[key].append(_Part(term, order, rise))
+            moves[key].append((term, order, rise))
         for keys, of in curved.items():
             sampled = combined(lambda values, shift=of.shift: values - shift, sampled)
             weights, squares = zip(*of.squares)
-            bends.setdefault(keys, []).append(tuple(_Part(term, order, v) for v in squares))
+            bends.setdefault(keys, []).append(tuple((term, order, v) for v in squares))
         clean.append(sampled)
     names = equation.parameters
     movements = {key: Movement(parts, names) for key, parts in moves.items() if parts}

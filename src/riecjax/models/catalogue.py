@@ -371,12 +371,14 @@ def _neighbours(path: Path) -> Iterator[None]:
     finally:
         with contextlib.suppress(ValueError):  # the file may have removed it
             sys.path.remove(str(folder))
-        new = [name for name in sys.modules if name not in before]
-        beside = set()  # whose file, or a package's folder, lies directly in this folder
-        for name, module in ((name, sys.modules[name]) for name in new):
-            places = [*getattr(module, "__path__", ()), getattr(module, "__file__", None)]
-            if any(Path(place).parent == folder for place in places if place):
-                beside.add(name)
+        new = {name: module for name, module in sys.modules.items() if name not in before}
+
+        def lies_beside(module: ModuleType) -> bool:
+            """Whether its file, or the folder of a package, lies directly in this folder."""
+            places = (*getattr(module, "__path__", ()), getattr(module, "__file__", None))
+            return any(Path(place).parent == folder for place in places if place)
+
+        beside = {name for name, module in new.items() if lies_beside(module)}
         for name in new:
             if name.partition(".")[0] in beside:
                 del sys.modules[name]
