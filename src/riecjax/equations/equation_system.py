@@ -450,7 +450,7 @@ class EquationSystem(AbstractSystem):
         }
         for spring in self.springs:
             across = self._expression(spring.element, dict(signals))
-            flow[spring.state] = spring.rate(signals, self.values, across)
+            flow[spring.state.name] = spring.rate(signals, self.values, across)
         return flow
 
     def _with_units(self, names: Sequence[str]) -> Quantities:

@@ -221,6 +221,15 @@ def force_elements(
     return {t.parameters[0]: t for t in terms if not why_no_element(t, equations)}
 
 
+class HiddenState(NamedTuple):
+    """A state of a hidden element: `name`, `unit`, and the signal that it `follows` at rest, if it
+    does."""
+
+    name: str
+    unit: str
+    follows: str = ""
+
+
 LEAST_SLOPE = 0.01
 """Of a map, as a share of its mean slope."""
 
@@ -236,13 +245,12 @@ class SpringElement(eqx.Module):
     map through (v_i, F_i) the map through (F_i, v_i). The law must rise; where values tried on the
     way to an answer do not, a least slope stands in for them.
 
-    **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
-    `stiffness`, the name of the spring's parameter.
+    **Fields:** `element`, its term; `state`, its force; `stiffness`, the name of the spring's
+    parameter.
     """
 
     element: AbstractTerm
-    state: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
+    state: HiddenState = eqx.field(static=True)
     stiffness: str = eqx.field(static=True)
 
     @classmethod
@@ -260,13 +268,13 @@ class SpringElement(eqx.Module):
                 f"known of one coefficient and of roof functions (rx.roof) only."
             )
         stiffness = SpringParameters.of(number, spring).stiffness
-        return cls(first, f"series{_ending(number)}_force", force, stiffness)
+        return cls(first, HiddenState(f"series{_ending(number)}_force", force), stiffness)
 
     def written_out(self, equation: Equation) -> Equation:
         """The equation with the force in the element's place."""
-        placed = {*self.element.parameters}
+        placed, force = {*self.element.parameters}, self.state.name
         return equation.of_terms(
-            *(Term(t.factor, self.state) if placed & {*t.parameters} else t for t in equation.terms)
+            *(Term(t.factor, force) if placed & {*t.parameters} else t for t in equation.terms)
         )
 
     @property
@@ -278,7 +286,7 @@ class SpringElement(eqx.Module):
     def rate(self, signals: Values, values: Values, across: Array) -> Array:
         """Time derivative of the force, with the velocity across both."""
         own = jnp.stack([values[n] for n in self.element.parameters])
-        points, force = self.points, signals[self.state]
+        points, force = self.points, signals[self.state.name]
         if points is None:
             inner = force / own[0]
         else:
@@ -297,8 +305,8 @@ class SpringElement(eqx.Module):
         own = jnp.stack([values[n] for n in self.element.parameters])
         points = self.points
         if points is None:
-            return {self.state: own[0] * velocity}
-        return {self.state: RoofFunctions(points).interpolate(_rising(own, points), velocity)}
+            return {self.state.name: own[0] * velocity}
+        return {self.state.name: RoofFunctions(points).interpolate(_rising(own, points), velocity)}
 
 
 def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
@@ -359,7 +367,7 @@ class HiddenMode(eqx.Module):
 
     def written_out(
         self, number: int, equations: Sequence[Equation]
-    ) -> "tuple[tuple[Equation, ...], dict[str, Expression], tuple[HiddenState, ...]]":
+    ) -> tuple[tuple[Equation, ...], dict[str, Expression], tuple[HiddenState, ...]]:
         """The motion of the mode with this number among some equations, for a simulation.
 
         With velocity v of the body, w of the mass, and deflection d, body minus mass,
@@ -394,15 +402,6 @@ class HiddenMode(eqx.Module):
         units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(unit, ("", ""))
         states = HiddenState(deflection, units[0]), HiddenState(velocity, units[1], body)
         return (*loaded, moved), {deflection: stretching}, states
-
-
-class HiddenState(NamedTuple):
-    """A state of a hidden element: `name`, `unit`, and the signal that it `follows` at rest, if it
-    does."""
-
-    name: str
-    unit: str
-    follows: str = ""
 
 
 class ModeParameters(NamedTuple):

@@ -32,7 +32,6 @@ from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
     HiddenParameters,
-    HiddenState,
     ModeParameters,
     SeriesSpring,
     SpringElement,
@@ -593,7 +592,7 @@ def equation_system(
         equations, of_mode, states = mode.written_out(i, equations)
         further |= of_mode
         hidden += states
-    hidden += (HiddenState(spring.state, spring.unit) for spring in springs)
+    hidden += (spring.state for spring in springs)
     order = tuple(quantity.name for quantity in listed)
     structure = read_structure(
         label, equations, further, frozenset(inputs), tuple(hidden), springs, order

@@ -2,9 +2,9 @@
 
 import contextlib
 import functools
-import importlib
 import importlib.util
 import inspect
+import pkgutil
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -69,10 +69,7 @@ class Listing(SimpleNamespace):
 
 def _named(reference: Any) -> Any:
     """What `module:function` names, of no name nothing."""
-    if not reference:
-        return None
-    module, _, attribute = reference.partition(":")
-    return getattr(importlib.import_module(module), attribute)
+    return pkgutil.resolve_name(reference) if reference else None
 
 
 def _quarter_car(name: str, equation: str, builder: str) -> Listing:
