@@ -51,7 +51,6 @@ from riecjax.shows import Shown
 if TYPE_CHECKING:
     from riecjax.records.faults.derivative_pairs import Relation
     from riecjax.settings import Elements
-    from riecjax.simulation.system import AbstractSystem
 
 
 AtRest: TypeAlias = Literal["mask", "keep"]
@@ -378,7 +377,7 @@ class Model(Shown, eqx.Module):
         """Parameters of the simulated system, with defaults."""
         return self.system.parameters or self.parameters
 
-    def build_system(self, settings: Mapping[str, Leaf | float]) -> "AbstractSystem":
+    def build_system(self, settings: Mapping[str, Leaf | float]) -> Any:
         """The system to simulate, with its defaults replaced by `settings`.
 
         **Raises:** `ModelError` if its equations cannot be simulated; for a setting that is unknown
@@ -401,7 +400,7 @@ class Model(Shown, eqx.Module):
             return equation_system(self, values)
         return build({name: jnp.asarray(value, float) for name, value in values.items()})
 
-    def identified_system(self, values: Mapping[str, Any], record: Record) -> "AbstractSystem":
+    def identified_system(self, values: Mapping[str, Any], record: Record) -> Any:
         """The system to validate identified values with on a record.
 
         What the model simulates if the record holds its inputs, else one made of its equations.
