@@ -61,11 +61,6 @@ class Listing(SimpleNamespace):
     rates = FrozenDict()
     system = BY_EQUATIONS
 
-    @property
-    def simulation_parameters(self) -> tuple[Quantity, ...]:
-        """Parameters of the simulated system, with defaults."""
-        return self.system.parameters or self.parameters
-
 
 def _named(reference: Any) -> Any:
     """What `module:function` names, of no name nothing."""

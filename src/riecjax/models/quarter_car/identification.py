@@ -23,6 +23,9 @@ Values = Mapping[str, Any]
 BREAK_POINTS = (-0.8, -0.3, 0.3, 0.8)
 """Suspension velocities v_i of the damper map in m/s (Table 2)."""
 Points = Sequence[float] | Array
+UNSPRUNG = Term("M_us", "x3", derivative=1, measured=("dx3",), unit="kg")
+SPRUNG = Term("M_s", "x4", derivative=1, measured=("dx4",), unit="kg")
+SPRING = Term("K_s", "x2", unit="N/m")
 
 
 def suspension_velocity(signals: Signals) -> Array:
@@ -42,18 +45,18 @@ def tyre_equation() -> Equation:
 
 def mass_equation() -> Equation:
     """(23b), (24b): F_t = M_us x3' + M_s x4'."""
-    return Equation(Term(1.0, "F_t"), -_unsprung(), -_sprung(), name="masses", unit="N")
+    return Equation(Term(1.0, "F_t"), -UNSPRUNG, -SPRUNG, name="masses", unit="N")
 
 
 def wheel_equation(break_points: Points = BREAK_POINTS) -> Equation:
     """(23c), (24c): F_t - M_us x3' = K_s x2 + sum F_i R_i(x3 - x4)."""
-    forces = -_spring(), -_damper(break_points)
-    return Equation(Term(1.0, "F_t"), -_unsprung(), *forces, name="wheel", unit="N")
+    forces = -SPRING, -_damper(break_points)
+    return Equation(Term(1.0, "F_t"), -UNSPRUNG, *forces, name="wheel", unit="N")
 
 
 def body_equation(break_points: Points = BREAK_POINTS) -> Equation:
     """(23d), (24d): M_s x4' = K_s x2 + sum F_i R_i(x3 - x4)."""
-    return Equation(_sprung(), -_spring(), -_damper(break_points), name="body", unit="N")
+    return Equation(SPRUNG, -SPRING, -_damper(break_points), name="body", unit="N")
 
 
 def quarter_car_by_body(break_points: Points = BREAK_POINTS) -> Model:
@@ -64,18 +67,6 @@ def quarter_car_by_body(break_points: Points = BREAK_POINTS) -> Model:
 def quarter_car_by_wheel() -> Model:
     """The paper's three stages, suspension forces from the motion of the wheel (variants W)."""
     return staged(tyre_equation(), mass_equation(), wheel_equation())
-
-
-def _unsprung() -> Term:
-    return Term("M_us", "x3", derivative=1, measured=("dx3",), unit="kg")
-
-
-def _sprung() -> Term:
-    return Term("M_s", "x4", derivative=1, measured=("dx4",), unit="kg")
-
-
-def _spring() -> Term:
-    return Term("K_s", "x2", unit="N/m")
 
 
 def _damper(break_points: Points) -> Term:
