@@ -348,8 +348,11 @@ class Model(Shown, eqx.Module):
 
         **Raises:** `ModelError` as the methods that add each, and for an unknown kind.
         """
-        plain = {"spring": elements.springs, "offset": elements.offsets_of}
-        plain |= {"gain": elements.gains_of}
+        plain = {
+            "spring": elements.springs,
+            "offset": elements.offsets_of,
+            "gain": elements.gains_of,
+        }
         asked = [("mode", signal, hertz) for signal, hertz in elements.modes]
         asked += [(kind, signal, None) for kind, signals in plain.items() for signal in signals]
         asked += elements.added
