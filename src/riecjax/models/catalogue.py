@@ -20,26 +20,7 @@ if TYPE_CHECKING:
     from riecjax.criteria.test_functions import AbstractTestFunction
     from riecjax.equations.model import Model
 
-_QUARTER_CAR_SIGNALS = (
-    Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
-    Quantity("x2", "m", "suspension deflection: wheel minus body"),
-    Quantity("x3", "m/s", "wheel velocity"),
-    Quantity("x4", "m/s", "body velocity"),
-    Quantity("F_t", "N", "tyre force"),
-    Quantity("dx3", "m/s^2", "wheel acceleration (DOLS only)"),
-    Quantity("dx4", "m/s^2", "body acceleration (DOLS only)"),
-)
 _ROAD = (Quantity("v_r", "m/s", "road velocity, downwards positive"),)
-_QUARTER_CAR_PARAMETERS = (
-    Quantity("K_t", "N/m", "tyre stiffness", 177.8e3),
-    Quantity("M_us", "kg", "unsprung mass", 23.3),
-    Quantity("M_s", "kg", "sprung mass", 302.7),
-    Quantity("K_s", "N/m", "suspension stiffness", 20.9e3),
-    Quantity("F_1", "N", "damper force at -0.8 m/s", -1200.0),
-    Quantity("F_2", "N", "damper force at -0.3 m/s", -750.0),
-    Quantity("F_3", "N", "damper force at 0.3 m/s", 750.0),
-    Quantity("F_4", "N", "damper force at 0.8 m/s", 1100.0),
-)
 _QUARTER_CAR_COLUMNS = ("v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t")
 _AXIS_SIGNALS = (
     Quantity("q", "m", "position"),
@@ -71,9 +52,26 @@ def _quarter_car(name: str, equation: str, builder: str) -> Listing:
     return Listing(
         name=name,
         summary=f"two masses with a damper map; K_s and F_i from the motion of the {equation}",
-        signals=_QUARTER_CAR_SIGNALS,
+        signals=(
+            Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
+            Quantity("x2", "m", "suspension deflection: wheel minus body"),
+            Quantity("x3", "m/s", "wheel velocity"),
+            Quantity("x4", "m/s", "body velocity"),
+            Quantity("F_t", "N", "tyre force"),
+            Quantity("dx3", "m/s^2", "wheel acceleration (DOLS only)"),
+            Quantity("dx4", "m/s^2", "body acceleration (DOLS only)"),
+        ),
         stages=f"riecjax.models.quarter_car.identification:{builder}",
-        parameters=_QUARTER_CAR_PARAMETERS,
+        parameters=(
+            Quantity("K_t", "N/m", "tyre stiffness", 177.8e3),
+            Quantity("M_us", "kg", "unsprung mass", 23.3),
+            Quantity("M_s", "kg", "sprung mass", 302.7),
+            Quantity("K_s", "N/m", "suspension stiffness", 20.9e3),
+            Quantity("F_1", "N", "damper force at -0.8 m/s", -1200.0),
+            Quantity("F_2", "N", "damper force at -0.3 m/s", -750.0),
+            Quantity("F_3", "N", "damper force at 0.3 m/s", 750.0),
+            Quantity("F_4", "N", "damper force at 0.8 m/s", 1100.0),
+        ),
         inputs=_ROAD,
         rates={
             "x1": "riecjax.models.quarter_car.identification:tyre_velocity",
@@ -85,12 +83,12 @@ def _quarter_car(name: str, equation: str, builder: str) -> Listing:
     )
 
 
-def _mass(x: str, force: str, whose: str = "") -> dict[str, Any]:
+def _mass(x: str, force: str, of: str = "", on: str = "") -> dict[str, Any]:
     """What is recorded of a mass under a force, which drives it."""
-    driving = Quantity(force, "N", f"force{' on' * bool(whose)}{whose}")
+    driving = Quantity(force, "N", f"force{on}")
     return {
         "signals": (
-            Quantity(x, "m", f"displacement{' of' * bool(whose)}{whose}"),
+            Quantity(x, "m", f"displacement{of}"),
             driving,
             Quantity(f"d{x}", "m/s", f"velocity (central differences of {x} if absent)"),
             Quantity(f"dd{x}", "m/s^2", f"acceleration (DOLS; differences of d{x} if absent)"),
@@ -126,7 +124,7 @@ LISTED = {
         Listing(
             name="two-mass",
             summary="M z'' = F, while a second mass on a spring and damper moves unmodelled",
-            **_mass("z", "F", " the first mass"),
+            **_mass("z", "F", " of the first mass", " on the first mass"),
             stages="riecjax.models.oscillators:two_mass_equation",
             parameters=(Quantity("M", "kg", "total mass"),),
             system=Machine(
