@@ -30,6 +30,7 @@ forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_eleme
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import equinox as eqx
@@ -48,7 +49,6 @@ from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
-
 
 Motion = tuple[str, ...]
 """A signal, and the names of its derivatives up to the leading one."""
@@ -320,7 +320,7 @@ class EquationSystem(AbstractSystem):
         held = {
             following: regime.stuck[self.state_names.index(name)]
             for motion in self.structure.motions
-            for name, following in zip(motion, motion[1:])
+            for name, following in pairwise(motion)
         }
         return {
             name: jnp.where(held.get(name, False), 0.0, signals[name][0])
@@ -439,7 +439,7 @@ class EquationSystem(AbstractSystem):
         flow = {
             name: signals[following]
             for motion in self.structure.motions
-            for name, following in zip(motion, motion[1:])
+            for name, following in pairwise(motion)
         }
         known = Signals(signals)
         flow |= {

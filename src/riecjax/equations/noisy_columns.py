@@ -48,7 +48,6 @@ from riecjax.records.noise import Noise
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 
-
 _Part = tuple[AbstractTerm, int, Float[Array, "columns samples"]]
 """A term, and values that it adds to columns of one order."""
 

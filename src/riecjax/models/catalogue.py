@@ -338,7 +338,8 @@ def _load(path: Path) -> ModuleType:
     if not path.is_file():
         raise ModelError(no_file(path))
     spec = importlib.util.spec_from_file_location(f"riecjax_user_{path.stem}", path)
-    assert spec and spec.loader, "its name ends in .py"
+    assert spec is not None, "its name ends in .py"
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     with users_code(path), _neighbours(path):
