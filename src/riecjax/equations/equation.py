@@ -87,10 +87,8 @@ class Equation(Shown, eqx.Module):
     @property
     def units(self) -> dict[str, str]:
         """Unit of each named coefficient."""
-        units: dict[str, str] = {}
-        for term in self.terms:
-            units |= {name: unit for name, unit in term.units.items() if not units.get(name)}
-        return units
+        units = [pair for term in self.terms for pair in term.units.items()]
+        return dict(units) | {name: unit for name, unit in reversed(units) if unit}
 
     @property
     def known(self) -> Mapping[str, Leaf]:

@@ -273,18 +273,14 @@ class Term(AbstractTerm):
     @property
     def source(self) -> str | None:
         """As it is written, of a named coefficient with nothing in front."""
-        of = source_of(self.of)
+        basis = () if self.basis is None else (self.basis.source,)
+        words = [written(self.coefficient), *basis, source_of(self.of)]
         is_plain = self.known is None and float(np.asarray(self.factor)) == 1
-        if of is None or self.coefficient is None or not is_plain:
+        if self.coefficient is None or None in words or not is_plain:
             return None
-        words = [written(self.coefficient), of]
-        if self.basis is not None:
-            if self.basis.source is None:
-                return None
-            words.insert(1, self.basis.source)
         settings = {"derivative": self.derivative, "measured": self.measured, "unit": self.unit}
         words += [f"{name}={written(value)}" for name, value in settings.items() if value]
-        return f"rx.{'Term' if self.basis is None else 'Terms'}({', '.join(words)})"
+        return f"rx.{'Terms' if basis else 'Term'}({', '.join(map(str, words))})"
 
 
 def Terms(

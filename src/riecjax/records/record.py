@@ -19,7 +19,7 @@ from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.noise import Noise, SignalNoise
 from riecjax.records.signal import Signal, both
 from riecjax.records.time_base import time_base
-from riecjax.shows import Drawn, framed
+from riecjax.shows import Drawn, reported
 
 if TYPE_CHECKING:
     from riecjax.records.linear_op import LinearOp
@@ -217,7 +217,7 @@ class Record(Drawn, eqx.Module):
 
         **Raises:** `DataError` if pandas is not installed.
         """
-        return framed(self)
+        return reported("exports", "to_frame", self)
 
     def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
         """True where none of these signals lacks its sample; `None` where none ever does."""
