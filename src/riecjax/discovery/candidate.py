@@ -131,15 +131,15 @@ def as_candidates(given: object) -> list[AnyCandidate]:
     **Raises:** `ModelError` for anything else, and for two of one name.
     """
     listed: Sequence[object] = given if isinstance(given, list | tuple) else [given]
-    found: list[AnyCandidate] = []
-    for one in listed:
-        if isinstance(one, AbstractTerm):
-            found.append(Candidate(" + ".join(one.parameters) or "a known term", (one,)))
-            continue
+    found: list[Any] = [
+        Candidate(" + ".join(one.parameters) or "a known term", (one,))
+        if isinstance(one, AbstractTerm)
+        else one
+        for one in listed
+    ]
+    for candidate in found:
         example = "candidates=[rx.Term('drag', rx.odd('dx', 2))]"
-        require("a candidate", one, (Candidate, Shaped), example)
-        assert isinstance(one, Candidate | Shaped)
-        found.append(one)
+        require("a candidate", candidate, (Candidate, Shaped), example)
     if not found:
         raise ModelError("no candidate is given: leave candidates out for the usual ones.")
     names = [one.name for one in found]
