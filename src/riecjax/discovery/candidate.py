@@ -205,13 +205,12 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
         units |= {name: unit for name, unit in dict(record.units).items() if unit}
     recorded = set.intersection(*({*record.arrays} for record in records))
     # Signals that are recorded, and that no equation reads or knows as a derivative.
+    signals = records[0].signals
+    for term in (term for equation in model.equations for term in equation.terms):
+        with contextlib.suppress(RiecjaxError):
+            read_expression(term.of, signals)
     known = {name for e in model.equations for pair in e.derivatives for name in pair}
-    for equation in model.equations:
-        signals = records[0].signals
-        for term in equation.terms:
-            with contextlib.suppress(RiecjaxError):
-                read_expression(term.of, signals)
-        known |= {*signals.read}
+    known |= {*signals.read}
     unread = [name for name in records[0].arrays if name in recorded and name not in known]
     names = (name for stage in model.equation_names for name in stage)
     for name, equation in zip(names, model.equations, strict=True):

@@ -1,15 +1,14 @@
 """The verb: which terms a model lacks, told from recordings."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, with_velocities
-from riecjax.discovery.candidate import AnyCandidate, as_candidates, default_candidates, members
+from riecjax.discovery.candidate import as_candidates, default_candidates, members
 from riecjax.discovery.discovery import Chosen, Discovery, is_more_than_noise
-from riecjax.discovery.search import Rejected, Step, Sums, again, extended, without_twins
+from riecjax.discovery.search import Question, Rejected, Step, Sums, again, extended, without_twins
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import (
     HiddenMode,
@@ -22,7 +21,6 @@ from riecjax.equations.motions import reading_velocities
 from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import EquationFit, Estimate
-from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.preparation.alignment import shift
@@ -31,7 +29,7 @@ from riecjax.records.recording import Recording, as_recordings
 from riecjax.settings import Discover as DiscoverSettings
 from riecjax.settings import taking
 from riecjax.summaries.task import ready
-from riecjax.uncertainty.intervals import AbstractIntervals, intervals_of
+from riecjax.uncertainty.intervals import intervals_of
 from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
 
 LATE = 3
@@ -102,7 +100,7 @@ def discover(model: Equation | Model, records: Records, settings: DiscoverSettin
     for recording in whole:  # before they are given states that nobody recorded
         read_of(model, recording, criterion)
     known = {**{name: float(value) for name, value in model.known.items()}, **settings.known}
-    asked = _Asked(model, offered, criterion, known, intervals, settings)
+    asked = Question(model, offered, criterion, known, intervals, settings)
     if settings.candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
@@ -111,32 +109,7 @@ def discover(model: Equation | Model, records: Records, settings: DiscoverSettin
     return _with_mode(asked, answer, in_time)
 
 
-class _Asked(NamedTuple):
-    """What is asked of the recordings, however often they are searched."""
-
-    model: Model
-    offered: list[AnyCandidate]
-    criterion: AbstractCriterion
-    known: Mapping[str, float]
-    intervals: AbstractIntervals | None
-    settings: DiscoverSettings
-
-    def parts(self, recordings: list[Recording]) -> tuple[list[Recording], list[Recording]]:
-        """What is searched, and what values are from."""
-        if self.settings.hold_out is None:
-            return recordings, recordings
-        first, last = zip(*(one.split(self.settings.hold_out) for one in recordings))
-        return list(first), list(last)
-
-    def identified(
-        self, model: Model, recordings: list[Recording], criterion: AbstractCriterion | None
-    ) -> Estimate:
-        """The estimate of a model."""
-        settings = {"intervals": self.intervals, "at_rest": self.settings.at_rest}
-        return identify(model, self.parts(recordings)[1], criterion, known=self.known, **settings)
-
-
-def _in_time(asked: _Asked, recordings: list[Recording]) -> tuple[Discovery, list[Recording]]:
+def _in_time(asked: Question, recordings: list[Recording]) -> tuple[Discovery, list[Recording]]:
     """What is found once signals are in time that come late against the terms found.
 
     Terms stand for a delay: damping turns a phase as well. It is taken off only where a search
@@ -162,12 +135,11 @@ def _in_time(asked: _Asked, recordings: list[Recording]) -> tuple[Discovery, lis
     return replace(answer, findings=(*known, *answer.findings)), recordings
 
 
-def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDelay | None]:
+def _found(asked: Question, whole: list[Recording]) -> tuple[Discovery, SignalDelay | None]:
     """What is found in recordings as they are, and the delay that explains what is left."""
     first, last = asked.parts(whole)
     model, settings = asked.model, asked.settings
-    shares = settings.least, settings.smallest
-    stages = Sums(model, first, asked.criterion, asked.offered, asked.known, *shares).stages()
+    stages = Sums(asked, first).stages()
     times = 0 if settings.hold_out is not None else settings.resamples
     chosen, scatter = [], {}
     rejected: dict[str, Rejected] = {}
@@ -237,7 +209,7 @@ TOLD = 3.0
 for it."""
 
 
-def _with_mode(asked: _Asked, found: Discovery, recordings: list[Recording]) -> Discovery:
+def _with_mode(asked: Question, found: Discovery, recordings: list[Recording]) -> Discovery:
     """The same, or where much less is left with a hidden mode, with it: instead of all terms, or
     beside those that are still told from zero."""
     model = found.start
@@ -278,7 +250,7 @@ def _with_mode(asked: _Asked, found: Discovery, recordings: list[Recording]) -> 
 
 
 def _beside_mode(
-    asked: _Asked,
+    asked: Question,
     found: Discovery,
     recordings: list[Recording],
     criterion: AbstractCriterion | None,
@@ -287,7 +259,7 @@ def _beside_mode(
 ) -> tuple[tuple[Chosen, ...], Estimate]:
     """Terms that stay beside a mode on a body, and the estimate with both, of a named equation."""
 
-    def estimate(chosen: Sequence[Chosen], by: _Asked = asked) -> Estimate:
+    def estimate(chosen: Sequence[Chosen], by: Question = asked) -> Estimate:
         larger = extended(found.start, [one.candidate for one in chosen])
         return by.identified(larger.with_modes(HiddenMode(on)), recordings, criterion)
 

@@ -36,7 +36,6 @@ A model with terms that it may lack.
 import itertools
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -49,10 +48,13 @@ from riecjax.equations.bases import DeadZone, Saturation
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import DataError
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.identify import identify
 from riecjax.records.recording import Recording
+from riecjax.settings import Discover
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summarise import summarise
-from riecjax.summaries.summary import Summary
+from riecjax.uncertainty.intervals import AbstractIntervals
 
 FOLDS = 20
 """At most: more would make little difference to what is left out of each fit."""
@@ -531,36 +533,53 @@ SEVERAL = 4
 """Laws with widths that are looked into, one after the other."""
 
 
-@dataclass
-class Sums:
-    """Sums of a model's equations with candidates.
+class Question(NamedTuple):
+    """What is asked of recordings, however often they are searched.
 
-    **Fields:** `candidates`, whose widths change; `known`, coefficients that are held; `least`
-    and `smallest` as of a [`Search`][riecjax.discovery.search.Search].
+    **Fields:** `model`, and the candidates that are `offered`; `criterion`; `known`, coefficients
+    that are held; `intervals` of estimates; `settings` of the search.
     """
 
     model: Model
-    recordings: list[Recording]
+    offered: list[AnyCandidate]
     criterion: AbstractCriterion
-    candidates: list[AnyCandidate]
     known: Mapping[str, float]
-    least: float = SHARE
-    smallest: float = LEAST
-    summary: Summary = field(init=False)
+    intervals: AbstractIntervals | None
+    settings: Discover
 
-    def __post_init__(self):
-        self.sum_up()
+    def parts(self, recordings: list[Recording]) -> tuple[list[Recording], list[Recording]]:
+        """What is searched, and what values are from."""
+        if self.settings.hold_out is None:
+            return recordings, recordings
+        first, last = zip(*(each.split(self.settings.hold_out) for each in recordings))
+        return list(first), list(last)
 
-    def sum_up(self) -> None:
-        """Read the recordings and sum them up, for the widths as they are."""
-        model = extended(self.model, members(self.candidates))
-        self.summary = summarise(model, self.recordings, self.criterion)
+    def identified(
+        self, model: Model, recordings: list[Recording], criterion: AbstractCriterion | None
+    ) -> Estimate:
+        """The estimate of a model."""
+        settings = {"intervals": self.intervals, "at_rest": self.settings.at_rest}
+        return identify(model, self.parts(recordings)[1], criterion, known=self.known, **settings)
+
+
+class Sums:
+    """Sums of a model's equations with candidates, whose widths change."""
+
+    def __init__(self, question: Question, recordings: list[Recording]):
+        self.question, self.recordings = question, recordings
+        self.sum_up(question.offered)
+
+    def sum_up(self, candidates: list[AnyCandidate]) -> None:
+        """Read the recordings and sum them up, for candidates with the widths that they have."""
+        self.candidates = candidates
+        model = extended(self.question.model, members(candidates))
+        self.summary = summarise(model, self.recordings, self.question.criterion)
 
     def stages(self) -> list[tuple[Search, list[Candidate]]]:
         """A search of each stage, and what belongs to it, what gains most first."""
         values: dict[str, float] = {}
         stages = []
-        for number, _ in enumerate(self.model.stages):
+        for number, _ in enumerate(self.question.model.stages):
             search, chosen = self.settled(number, values)
             if search.folds.number < FEWEST:
                 raise DataError(
@@ -576,13 +595,14 @@ class Sums:
     def search(self, stage: int, found: Mapping[str, float]) -> Search:
         """A search of one stage, as the sums are now, what earlier ones found being known."""
         equations = sum_of_equations(self.summary.equations()[stage])
-        folds = Folds.of(equations.fix({**self.known, **found}))
+        folds = Folds.of(equations.fix({**self.question.known, **found}))
         offered = [
             offer for offer in members(self.candidates) if {*offer.columns} <= {*folds.parameters}
         ]
         columns = {name for offer in offered for name in offer.columns}
         kept = [name for name in folds.parameters if name not in columns]
-        return Search(folds, kept, offered, least=self.least, smallest=self.smallest)
+        settings = self.question.settings
+        return Search(folds, kept, offered, None, settings.least, settings.smallest)
 
     def settled(self, stage: int, found: Mapping[str, float]) -> tuple[Search, list[Candidate]]:
         """What belongs to one stage, with widths as near as samples tell them."""
@@ -593,11 +613,10 @@ class Sums:
             rough = [one for one in chosen if one.law is not None and one.family not in near]
             if not rough or len(near) >= SEVERAL:
                 families = {offer.family for offer in chosen}
-                fewer = without_twins(self.candidates, self.model, families)
+                fewer = without_twins(self.candidates, self.question.model, families)
                 if len(fewer) == len(self.candidates):
                     return search, chosen
-                self.candidates = fewer
-                self.sum_up()
+                self.sum_up(fewer)
                 continue
 
             without = [search.unexplained([o for o in chosen if o is not one]) for one in rough]
@@ -623,11 +642,11 @@ class Sums:
             each = [[*beside, offer] for offer in search.every if offer.family == family]
             left = np.array([search.unexplained(chosen) for chosen in each])
             best = int(np.argmin(left))
-            most = left[best] + ALIKE * self.least * search.left(each[best]).samples.sum()
+            most = left[best] + ALIKE * search.least * search.left(each[best]).samples.sum()
             if np.all(left[max(best - 1, 0) : best + 2] <= most):
                 return
-            self.candidates = [
-                one.closer(best) if isinstance(one, Shaped) and one.name == family else one
-                for one in self.candidates
+            closer = [
+                shape.closer(best) if isinstance(shape, Shaped) and shape.name == family else shape
+                for shape in self.candidates
             ]
-            self.sum_up()
+            self.sum_up(closer)
