@@ -220,9 +220,9 @@ def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandi
             after = f"_{motion.name}" if len(motions) > 1 else ""
             found += _of_motion(motion, equation.unit, records, name, after)
         found.append(of_term("offset", constant, equation.unit, "constant force", name))
-        state, unit = state_name("drift"), per(equation.unit, "s")
-        drift = of_term("drift", state, unit, "force that drifts", name)
-        found.append(replace(drift, memories=(Elapsed(state),)))
+        state = state_name("drift")
+        drift = (Term("drift", state, unit=per(equation.unit, "s")),)
+        found.append(Candidate("drift", drift, "force that drifts", name, (Elapsed(state),)))
     # Those of several equations by the equation's name, where two are called the same.
     called = Counter(candidate.name for candidate in found)
     found = [renamed(c, f"{c.name}_{c.equation}") if called[c.name] > 1 else c for c in found]
@@ -268,10 +268,15 @@ def _of_motion(
         least = 1e-3 * float(widths[-1]) or 1.0
         widths = np.maximum.accumulate(np.maximum(widths, least * np.arange(1, widths.size + 1)))
 
-        def build(name: str, width: float) -> AbstractTerm:
-            return Terms(name, kind(width), of, unit=coefficient)
-
-        return Shaped(name + after, build, widths, of, of_unit, meaning, equation)
+        return Shaped(
+            name + after,
+            lambda name, width: Terms(name, kind(width), of, unit=coefficient),
+            widths,
+            of,
+            of_unit,
+            meaning,
+            equation,
+        )
 
     if v or x:
         derivative = {"derivative": 1, "measured": (v,) if v else ()} if x else {}

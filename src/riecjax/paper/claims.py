@@ -25,8 +25,8 @@ SEED = 1999
 class Evidence(NamedTuple):
     """A number that supports a statement or refutes it.
 
-    **Fields:** `what` it is; `value`; `interval95`, that over resampled roads (`None`: the number is
-    not random); `at_least` and `at_most`, between which it must lie.
+    **Fields:** `what` it is; `value`; `interval95`, over resampled roads (`None`: the number is not
+    random); `at_least` and `at_most`, between which it must lie.
     """
 
     what: str
