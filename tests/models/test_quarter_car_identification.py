@@ -16,6 +16,7 @@ from riecjax.models.quarter_car.identification import (
 )
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
+from riecjax.refinement.objective import ByFunction
 from riecjax.refinement.optimum import LevenbergMarquardt
 from riecjax.refinement.refine import refine
 from riecjax.simulation.inputs import band_limited_noise
@@ -45,12 +46,6 @@ def test_derivative_is_equation_21(velocity):
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def points(values) -> jax.Array:
-    """The outer ones stay: data cannot tell them from the forces on the lines through them."""
-    outer = BREAK_POINTS[0], BREAK_POINTS[-1]
-    return jnp.stack([jnp.asarray(v) for v in (outer[0], values["v_2"], values["v_3"], outer[1])])
-
-
 @pytest.mark.parametrize(
     ("equation", "mass"), [(body_equation, "M_s"), *nightly([(wheel_equation, "M_us")])]
 )
@@ -58,14 +53,15 @@ def test_integral_refinement_finds_the_break_points_of_a_map_that_has_them(equat
     truth = MASSES | dict(zip(FORCES, (-1200.0, -800.0, 700.0, 1130.0)))
     truth |= {"v_2": -0.2, "v_3": 0.15}
     noise = band_limited_noise(jax.random.key(6), 4000, 0.005, bandwidth=30.0, rms=0.55)
-    system = quarter_car_system(truth, points(truth))
+    names = (mass, "K_s", *FORCES, "v_2", "v_3")
+    balance = ByFunction(lambda p: equation(jnp.stack([-0.8, p["v_2"], p["v_3"], 0.8])), names)
+    system = quarter_car_system(truth, (-0.8, truth["v_2"], truth["v_3"], 0.8))
     record = simulate(system, Record({"v_r": noise}, 0.005), method=FixedStep(4)).checked().record
     start = {"K_s": 15e3, "v_2": -0.3, "v_3": 0.3} | {name: 0.8 * truth[name] for name in FORCES}
     by = IntegralError(RIEC(AllWindows(0.05, 0.5)))
     # Samples that cross a break point are kinks, at which no gradient vanishes to rounding.
     solver = LevenbergMarquardt(1e-3)
-    known = {mass: truth[mass]}
-    refined = refine(lambda v: equation(points(v)), record, start, by, known=known, solver=solver)
+    refined = refine(balance, record, start, by, known={mass: truth[mass]}, solver=solver)
     assert bool(refined.converged)
     for name in ("K_s", "v_2", "v_3"):
         np.testing.assert_allclose(refined[name], truth[name], rtol=0.02)

@@ -1,6 +1,10 @@
 """The identification model of the quarter car, eqs (21)-(24), in the paper's stages.
 
-One equation of motion serves both criteria: DOLS reads it as eq. (23), RIEC as eq. (24).
+One equation of motion serves both criteria: DOLS reads it as eq. (23), RIEC as eq. (24). With the
+damper map's break points v_i free as well, the equations are no longer linear in their parameters:
+a function of these is refined ([`ByFunction`][riecjax.refinement.ByFunction]). The end segments are
+continued as straight lines, so v_1 and F_1 may slide along theirs without changing any force, and
+v_4 with F_4 likewise: data determine v_2 and v_3.
 """
 
 from collections.abc import Mapping, Sequence
