@@ -21,6 +21,7 @@ from riecjax.equations.motions import reading_velocities
 from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import EquationFit, Estimate
+from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.preparation.alignment import shift
@@ -109,6 +110,16 @@ def discover(model: Equation | Model, records: Records, settings: DiscoverSettin
     return _with_mode(asked, answer, in_time)
 
 
+def _identified(
+    asked: Question,
+    model: Model,
+    recordings: list[Recording],
+    criterion: AbstractCriterion | None,
+) -> Estimate:
+    settings = {"intervals": asked.intervals, "at_rest": asked.settings.at_rest}
+    return identify(model, asked.parts(recordings)[1], criterion, known=asked.known, **settings)
+
+
 def _in_time(asked: Question, recordings: list[Recording]) -> tuple[Discovery, list[Recording]]:
     """What is found once signals are in time that come late against the terms found.
 
@@ -159,7 +170,7 @@ def _found(asked: Question, whole: list[Recording]) -> tuple[Discovery, SignalDe
             for offer in of_stage
         ]
     larger = extended(model, [one.candidate for one in chosen])
-    estimate = asked.identified(larger, whole, asked.criterion)
+    estimate = _identified(asked, larger, whole, asked.criterion)
     # Standard errors include the choice: they are never less than the estimate's own.
     errors = dict(zip(estimate.parameters, map(float, estimate.standard_errors)))
     errors |= {name: max(errors[name], e) for name, e in scatter.items() if name in errors}
@@ -228,7 +239,7 @@ def _with_mode(asked: Question, found: Discovery, recordings: list[Recording]) -
                 continue
             start = found.estimate
             if found.chosen:
-                start = asked.identified(model, recordings, criterion)
+                start = _identified(asked, model, recordings, criterion)
             candidates = [one.candidate for one in chosen]
             frequency, _ = mode_frequency(estimate.values, ModeParameters.of(len(model.modes)))
             terms = " + ".join(candidate.name for candidate in candidates)
@@ -261,7 +272,7 @@ def _beside_mode(
 
     def estimate(chosen: Sequence[Chosen], by: Question = asked) -> Estimate:
         larger = extended(found.start, [one.candidate for one in chosen])
-        return by.identified(larger.with_modes(HiddenMode(on)), recordings, criterion)
+        return _identified(by, larger.with_modes(HiddenMode(on)), recordings, criterion)
 
     alone = estimate(())
     left = _step("mode", alone.equations[name])

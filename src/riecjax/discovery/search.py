@@ -48,8 +48,6 @@ from riecjax.equations.bases import DeadZone, Saturation
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import DataError
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.identify import identify
 from riecjax.records.recording import Recording
 from riecjax.settings import Discover
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
@@ -553,13 +551,6 @@ class Question(NamedTuple):
             return recordings, recordings
         first, last = zip(*(each.split(self.settings.hold_out) for each in recordings))
         return list(first), list(last)
-
-    def identified(
-        self, model: Model, recordings: list[Recording], criterion: AbstractCriterion | None
-    ) -> Estimate:
-        """The estimate of a model."""
-        settings = {"intervals": self.intervals, "at_rest": self.settings.at_rest}
-        return identify(model, self.parts(recordings)[1], criterion, known=self.known, **settings)
 
 
 class Sums:
