@@ -612,6 +612,7 @@ class Sums:
 
             without = [search.unexplained([o for o in chosen if o is not one]) for one in rough]
             law = rough[int(np.argmax(without))].law
+            assert law is not None
             beside = [offer for offer in chosen if offer not in rough]
             # Of laws with a memory all of the same signal: rough widths tell none from the others.
             families = [

@@ -107,12 +107,12 @@ def table_1() -> list[tuple[PublishedMode, PublishedMode]]:
         wheel, body, engine = mode.shape[[WHEEL, BODY, ENGINE]]
         larger = wheel if abs(wheel) >= abs(body) else body
         # Adding zero turns -0.0 into 0.0.
-        shape = np.round(np.array([wheel, body, engine - body]) / larger, 2) + 0.0
+        shape = (np.round(np.array([wheel, body, engine - body]) / larger, 2) + 0.0).tolist()
         eigenvalue = complex(np.round(mode.eigenvalue, published.digits) + 0.0)
         frequency, ratio = (
             None if value is None else round(float(value), 2)
             for value in (mode.frequency, mode.damping_ratio)
         )
-        parts = (eigenvalue, frequency, ratio, *shape.tolist())
-        rows.append((published, PublishedMode(*parts, digits=published.digits)))
+        reproduced = PublishedMode(eigenvalue, frequency, ratio, *shape, digits=published.digits)
+        rows.append((published, reproduced))
     return rows
