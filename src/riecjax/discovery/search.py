@@ -305,9 +305,10 @@ class Search:
                 for more in larger
                 if self._is_worth(before, self.left(more)) and self.chance(more, more[-1]) < RATE
             ]
-        if not larger:
+        best = min(larger, key=self.unexplained, default=chosen)
+        if not self.unexplained(best) < self.unexplained(chosen):
             return None
-        grown = self._simpler(min(larger, key=self.unexplained))
+        grown = self._simpler(best)
         return grown if self._is_worth(before, self.left(grown)) else None
 
     def _simpler(self, chosen: list[Candidate]) -> list[Candidate]:
@@ -329,7 +330,7 @@ class Search:
 
     def _is_worth(self, before: Left, after: Left) -> bool:
         """Whether terms explain enough more of the motion: their own noise is no fault of them."""
-        gain = float(before.motion.sum() - after.motion.sum())
+        gain = float(before.motion.sum()) - float(after.motion.sum())
         return gain > max(self.least * before.samples.sum(), self.smallest * self.folds.energy)
 
     def _settled(self, chosen: list[Candidate]) -> list[Candidate]:

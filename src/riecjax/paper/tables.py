@@ -101,7 +101,6 @@ def table_1() -> list[tuple[PublishedMode, PublishedMode]]:
 
     Shapes are scaled so that the larger of the velocities of wheel and body is 1.
     """
-
     rows = []
     for published, mode in zip(TABLE_1, modes(linearise(linear_source())[0]), strict=True):
         wheel, body, engine = mode.shape[[WHEEL, BODY, ENGINE]]
