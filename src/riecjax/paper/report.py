@@ -75,9 +75,7 @@ def reproduction_document(study: PaperStudy, claims: Sequence[Claim], *, seed: i
         {
             **told(claim, "id", "statement", "holds"),
             "evidence": {
-                evidence.what: told(
-                    evidence, "value", "interval95", "at_least", "at_most", "holds"
-                )
+                evidence.what: told(evidence, "value", "interval95", "at_least", "at_most", "holds")
                 for evidence in claim.evidence
             },
             "note": claim.note,

@@ -213,7 +213,7 @@ def validation_errors(
     for velocity in inputs.values():
         truth, held = motion(source, velocity, method)
         predicted, kept = predictions(models, velocity, method)
-        errors.append(percentage_error(predicted, truth))
+        errors.append(percentage_error(predicted, jnp.broadcast_to(truth, predicted.shape)))
         successful.append(kept & held)
     return jnp.stack(errors, axis=-2), jnp.all(jnp.stack(successful), axis=0)
 
