@@ -75,7 +75,7 @@ def test_of_a_law_with_several_widths_one_is_taken():
     for place in (2, 3, 4):
         given[:, place] = given[:, 1] + 0.3 * (place - 1) * given[:, place]
     folds = folds_of(np.column_stack([given[:, 0] + given[:, 1], given]), 20)
-    law = Shaped("law", rx.Term, np.arange(3.0), "x")
+    law = Shaped("law", lambda name, _: rx.Term(name, "x"), np.arange(3.0), "x")
     widths = [Candidate(f"{n}@", (rx.Term(n, n),), law=law) for n in "cde"]
     found = Search(folds, ("a",), widths).found()
     assert [one.name for one in found] == ["c@"]

@@ -387,9 +387,9 @@ class Search:
             left = self.left(chosen[:number])
             gain = (before.samples - left.samples) / energy
             error = np.sqrt(gain.size) * np.std(gain, ddof=1) if gain.size > 1 else np.nan
-            shares = (float(part.sum() / energy) for part in (left.samples, left.motion))
+            whole, motion = (float(part.sum() / energy) for part in (left.samples, left.motion))
             name, chance = (added.family, self.chance(chosen, added)) if added else ("", 0.0)
-            steps.append(Step(name, *shares, float(error), chance))
+            steps.append(Step(name, whole, motion, float(error), chance))
             before = left
         return steps
 
