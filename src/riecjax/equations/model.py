@@ -76,19 +76,19 @@ FIELDS = (
 """Fields of a model, what they may be, and what to write instead."""
 
 
-def _in_stages(given: "Stages | Equation | Model") -> Stages:
+def _in_stages(given: "Sequence[Equation | Sequence[Equation]] | Equation | Model") -> Stages:
     """Stages as they are given: of an equation or a model, its own."""
     if isinstance(given, Model):
         if given.has_hidden or given.memories or given.rates:
             raise ModelError("stages= takes equations: add what else the model has to the new one.")
         return given.stages
-    stages = given if isinstance(given, tuple | list) else (given,)
-    stages = tuple((stage,) if isinstance(stage, Equation) else stage for stage in stages)
     write = "stages=rx.Equation(...), or rx.staged(*equations)"
-    for stage in stages:
-        for equation in stage if isinstance(stage, tuple | list) else (stage,):
+    stages = []
+    for stage in given if isinstance(given, tuple | list) else (given,):
+        stages.append(tuple(stage) if isinstance(stage, tuple | list) else (stage,))
+        for equation in stages[-1]:
             require("what is in stages", equation, Equation, write)
-    return tuple(map(tuple, stages))
+    return tuple(stages)
 
 
 class Model(Shown, eqx.Module):

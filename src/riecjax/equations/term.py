@@ -235,7 +235,8 @@ class Term(AbstractTerm):
             raise ModelError(f"a term's derivative must be 0, 1 or 2; got {derivative}.")
         if known is not None and not named:
             raise ModelError("a known value belongs to a named coefficient.")
-        if isinstance(unit, tuple | list) and len(unit) != len(self.parameters):
+        require("a term's unit", unit, (str, tuple, list), "unit='kg'")
+        if not isinstance(unit, str) and len(unit) != len(self.parameters):
             raise ModelError(
                 f"{coefficient}: {len(unit)} units for {len(self.parameters)} functions of the "
                 f"basis."

@@ -115,8 +115,8 @@ class Record(Drawn, eqx.Module):
           Between evenly sampled stretches there may be pauses.
         - `units`: name to unit, for those that are known.
 
-        **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample,
-        a unit of no signal, unequal lengths, and time that does not increase or is not evenly spaced.
+        **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample, a
+        unit of no signal, unequal lengths, and time that does not increase or is not evenly spaced.
         """
         require("what a record is made of", signals, Mapping, WRITE_RECORD, DataError)
         arrays = {name: _samples(name, values) for name, values in signals.items()}
