@@ -74,6 +74,8 @@ class Equation(Shown, eqx.Module):
         for word in (name, unit, *self.parameters, *self.units.values()):
             if not (isinstance(word, str) and word.isprintable()):
                 raise ModelError(f"names and units are shown, and must be printable; got {word!r}.")
+        if not all(map(str.strip, (name, *self.parameters))):
+            raise ModelError(f"{name.strip() or 'an equation'}: a name is empty.")
 
     def of_terms(self, *terms: AbstractTerm) -> "Equation":
         """Other terms under this equation's name, unit and mask."""

@@ -15,7 +15,7 @@ measured: what is simulated of them is what the sensors would show.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -62,20 +62,31 @@ Made = TypeVar("Made")
 OWN = "your own equation"
 """What a model says of itself where it is not described."""
 Stages = tuple[tuple[Equation, ...], ...]
+FIELDS = (
+    ("name", str, "rx.Model('cart', stages=rx.Equation(...)): the name stands first"),
+    ("derived", Mapping, "derived={'dx': 'x'}"),
+    ("rates", Mapping, "rates={'x1': rx.difference('v_r', 'x3')}"),
+    ("band", (tuple, list, type(None)), "band=(1.0, 10.0), in hertz"),
+    ("modes", (tuple, list), "modes=(rx.HiddenMode(on='x4'),)"),
+    ("springs", (tuple, list), "springs=(rx.SeriesSpring(of='c'),)"),
+    ("memories", (tuple, list), "memories=(memory,)"),
+)
+"""Fields of a model, what they may be, and what to write instead."""
 
 
-def _in_stages(given: "Stages | Equation | Model") -> Stages:
+def _in_stages(given: "Sequence[Equation | Sequence[Equation]] | Equation | Model") -> Stages:
     """Stages as they are given: of an equation or a model, its own."""
     if isinstance(given, Model):
         if given.has_hidden or given.memories or given.rates:
             raise ModelError("stages= takes equations: add what else the model has to the new one.")
         return given.stages
-    if isinstance(given, tuple):
-        return given
-    require(
-        "what is in stages", given, Equation, "stages=rx.Equation(...), or rx.staged(*equations)"
-    )
-    return ((given,),)
+    write = "stages=rx.Equation(...), or rx.staged(*equations)"
+    stages = []
+    for stage in given if isinstance(given, tuple | list) else (given,):
+        stages.append(tuple(stage) if isinstance(stage, tuple | list) else (stage,))
+        for equation in stages[-1]:
+            require("what is in stages", equation, Equation, write)
+    return tuple(stages)
 
 
 class Model(Shown, eqx.Module):
@@ -129,6 +140,12 @@ class Model(Shown, eqx.Module):
 
     def __post_init__(self) -> None:
         # The field's converter comes after, for what stands here is needed first.
+        for name, kinds, write in FIELDS:
+            require(f"{name} of a model", getattr(self, name), kinds, write)
+        if self.band is not None and not 0 < self.band[0] < self.band[1]:
+            raise ModelError(f"a model's band is from a low to a high frequency; got {self.band}.")
+        if self.at_rest not in get_args(AtRest):
+            raise ModelError(f"at_rest must be 'mask' or 'keep'; got {self.at_rest!r}.")
         self.stages = _in_stages(self.stages)
         self.system = self.system if isinstance(self.system, Machine) else Machine(self.system)
         for field_name in ("signals", "parameters", "inputs"):
@@ -229,7 +246,14 @@ class Model(Shown, eqx.Module):
         return replace(self, memories=(*self.memories, *memories))
 
     def with_values(self, values: Mapping[str, float]) -> "Model":
-        """The same model with these values of parameters to simulate with."""
+        """The same model with these values of parameters to simulate with.
+
+        **Raises:** `ModelError` for a parameter that the model does not have.
+        """
+        names = [quantity.name for quantity in self.parameters]
+        for name in values:
+            if name not in names:
+                raise ModelError(f"unknown parameter '{name}'; there are: {', '.join(names)}.")
         return replace(
             self,
             parameters=tuple(
@@ -258,6 +282,9 @@ class Model(Shown, eqx.Module):
         **Raises:** `ModelError` for an equation that there is none of, and for a coefficient that
         the model has already or that is added twice.
         """
+        for name, terms in added.items():
+            write = f"{{'{name}': [rx.Term('d', 'v')]}}"
+            require(f"what is added to {name}", terms, (tuple, list), write)
         names = [name for stage in self.equation_names for name in stage]
         if unknown := [name for name in added if name not in names]:
             raise ModelError(
@@ -293,6 +320,8 @@ class Model(Shown, eqx.Module):
         function; where it has a constant term already, from which no offset can be told apart; and
         where a term whose sensor has a gain has a coefficient that is estimated too.
         """
+        for what, signals in {"offsets": offsets, "gains": gains}.items():
+            require(what, signals, (tuple, list), f"{what}=['F']")
         model = self
         for signal in offsets:
             tells = f"has a term of '{signal}' itself, so that none tells of its offset"

@@ -231,10 +231,11 @@ class Term(AbstractTerm):
         self.unit = unit
         self.known = None if known is None else as_leaf(known)
         self.basis = basis
-        if derivative not in (0, 1, 2):
+        if type(derivative) is not int or derivative not in (0, 1, 2):
             raise ModelError(f"a term's derivative must be 0, 1 or 2; got {derivative}.")
         if known is not None and not named:
             raise ModelError("a known value belongs to a named coefficient.")
+        require("a term's unit", unit, (str, tuple, list), "unit='kg'")
         if not isinstance(unit, str) and len(unit) != len(self.parameters):
             raise ModelError(
                 f"{coefficient}: {len(unit)} units for {len(self.parameters)} functions of the "
