@@ -16,7 +16,7 @@ from riecjax.records.faults.derivative_pairs import Pairs, Relation
 from riecjax.records.faults.sampled_signal import ENOUGH
 from riecjax.records.noise import Noise
 from riecjax.records.preparation import with_local_derivative
-from riecjax.records.record import Record
+from riecjax.records.record import Record, runs
 from riecjax.records.remembered import remembered
 
 HALVES = (1, 2, 5, 10, 30)
@@ -54,23 +54,18 @@ def without_computed(
     """
     if not is_concrete(record):
         return record, []
-    computed = []
-    judging = record
-    for pair in pairs:
-        if isinstance(pair, Relation) or pair[1] in known:
-            continue
-        signal, derivative = pair
+    computed, words, judging = [], [], record
+    for signal, derivative in (p for p in pairs if not isinstance(p, Relation)):
         noise = judging.noise
-        if not noise.kernels.get(signal) or {signal, derivative} - {*record.arrays}:
+        judged = noise.kernels.get(signal) and {signal, derivative} <= {*record.arrays}
+        # Some are made of their signals by a step of preparation.
+        if derivative in known or not judged or noise.is_made_of(derivative, signal):
             continue
-        if noise.is_made_of(derivative, signal):  # by a step of preparation
-            continue
-        position, rate = (record.signal(name).with_nan for name in pair)
+        position, rate = (record.signal(name).with_nan for name in (signal, derivative))
         taps = filter_between(position, rate, float(noise.std(signal)))
         if taps is not None:
             judging = _with_noise_of(judging, signal, derivative, taps)
             computed.append((signal, derivative, taps))
-    words = []
     for signal, derivative, taps in computed:
         said = f"{derivative}: computed from {signal}, by a filter of {taps.size} samples"
         try:
@@ -94,18 +89,16 @@ def filter_between(
 ) -> Float[np.ndarray, " taps"] | None:
     """Taps of the shortest filter that makes one signal of another, whose noise has this standard
     deviation; `None` if none does."""
-    known = np.flatnonzero(~(np.isnan(signal) | np.isnan(other)))
-    stretches = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+    stretches = runs(~(np.isnan(signal) | np.isnan(other))).T.tolist()
+    first, stop = max(stretches, key=lambda ends: ends[1] - ends[0], default=(0, 0))
     # Differences are one-sided at the ends.
-    longest = max(stretches, key=len)[1:-1][:ENOUGH]
-    if longest.size < 8 * HALVES[-1] or not noise > 0:
-        return None
-    x, y = (np.diff(each[longest], SHARPENED) for each in (signal, other))
-    if not noise / np.sqrt(2) > LEAST * np.std(np.diff(signal[longest])):
+    position, rate = (each[first + 1 : stop - 1][:ENOUGH] for each in (signal, other))
+    x, y = (np.diff(each, SHARPENED) for each in (position, rate))
+    if position.size < 8 * HALVES[-1] or not noise / np.sqrt(2) > LEAST * np.std(np.diff(position)):
         return None
     scale = np.std(x)
     # What is not finite squared, no sensor shows.
-    if not np.isfinite(scale + np.std(y)):
+    if not (noise > 0 and np.isfinite(scale + np.std(y))):
         return None
     columns = np.lib.stride_tricks.sliding_window_view(x / scale, 2 * HALVES[-1] + 1)
     target = y[HALVES[-1] : y.size - HALVES[-1]]
@@ -119,11 +112,12 @@ def filter_between(
             taps = np.linalg.lstsq(some.T @ some, some.T @ target[kept], rcond=1e-14)[0]
             left = target - columns[:, inner] @ taps
             kept = np.abs(left) <= FAR * np.median(np.abs(left[kept]))
-        left = left[kept]
         through = noise / scale * np.linalg.norm(np.convolve(taps, [1, -2, 1]))
         # Taps that make more noise than there is fit motion alone, which few waves are.
         there = np.sqrt(np.mean(target**2))
-        if not (np.sqrt(np.mean(left**2)) < LEFT * through and through < MOST_NOISE * there):
+        if not (
+            np.sqrt(np.mean(left[kept] ** 2)) < LEFT * through and through < MOST_NOISE * there
+        ):
             break
         found = taps[::-1] / scale
     if found is not None and abs(found.sum()) > CONSTANT * np.abs(found).sum():

@@ -59,14 +59,15 @@ def check_derivatives(record: Record, pairs: Pairs) -> list[Finding]:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    found: list[Finding] = []
+    findings: dict[tuple[str, tuple[str, ...]], Finding] = {}
     for relation in relations(pairs):
-        if any(record.noise.is_made_of(name, relation.signal) for name in relation.terms):
-            continue
-        wrong, pair = compared(record, relation)
-        found += [wrong] if wrong is not None else []
-        found += [] if pair is None else pair_findings(record, pair)
-    return list({(one.code, one.signals): one for one in reversed(found)}.values())[::-1]
+        if not any(record.noise.is_made_of(name, relation.signal) for name in relation.terms):
+            wrong, pair = compared(record, relation)
+            every = [wrong] if wrong else [] if pair is None else pair_findings(record, pair)
+            for finding in every:
+                key = finding.code, finding.signals
+                findings[key] = findings.pop(key, finding)
+    return list(findings.values())
 
 
 def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair | None]:
@@ -101,8 +102,7 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
     best = _best_lag(values, rates, float(record.time_step))
     if best is None:
         return None
-    correlation, gain = best
-    units, likely = [], ""
+    (correlation, gain), units, likely = best, [], ""
     # No share of noise in either signal explains every gain that is not 1. Noise in the integrals
     # lowers the slope of increments on integrals, cov / var(integrals) = gain x correlation, below
     # the true gain; noise in the increments raises the inverse of the other regression's slope,
@@ -219,11 +219,10 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
     if pair.course.kind != "steady":
         yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0), or_else)
     if pair.is_late:
-        by = fit.delay + fit.lag
-        names, late, other = _sides(pair, by > 0)
-        samples, seconds = abs(by), abs(by) * step
+        names, late, other = _sides(pair, fit.delay > 0)
+        samples, seconds = abs(fit.delay), abs(fit.delay) * step
         size = f"{samples:.3g} \u00b1 {fit.errors[0]:.1g} samples ({1e3 * seconds:.3g} ms)"
-        option = "--unfilter" if pair.lagged else "--shift"
+        option = "--unfilter" if fit.lagged else "--shift"
         remedy = option_for(option, names, f"{seconds:.4g}")
         how = shlex.join(remedy)
         said, next_step = (
@@ -233,7 +232,7 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
                 f"and loses what is fast. Record both alike, or undo it ({how}).{or_else}",
                 f"Undo the low-pass of {late}",
             )
-            if pair.lagged
+            if fit.lagged
             else (
                 f"{late} {'are' if len(names) > 1 else 'is'} {size} late against {other}.{or_else} "
                 f"{how} brings it forward, as --align auto does when the file is read. Whether "
@@ -242,7 +241,7 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
             )
         )
         yield Finding(
-            "low_passed" if pair.lagged else "late_signal",
+            "low_passed" if fit.lagged else "late_signal",
             said,
             names,
             doubt=min(turn * samples, 1.0),
@@ -263,34 +262,29 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
             f"{'sign or unit' if gross else 'unit'}: scale it ({how}).{or_else}"
             if several
             else f"{size} Which of the two is calibrated wrongly they cannot tell: scale that one "
-            f"({how}, or --scale {pair.signal}={gain:.5g}).",
-            (pair.suspect,) if several else (derivative, pair.signal),
+            f"({how}, or --scale {relation.signal}={gain:.5g}).",
+            (pair.suspect,) if several else (derivative, relation.signal),
             # A term may hold the signal squared, as drag does.
             doubt=min(max(gain**2, gain**-2) - 1, 1.0),
             remedy=remedy,
             step=f"Scale {pair.suspect}"
             if several
-            else f"Scale {derivative} or {pair.signal}, whichever sensor is off",
+            else f"Scale {derivative} or {relation.signal}, whichever sensor is off",
         )
     if not (value := pair.drift or pair.offset):
         return
-    names = relation.names
-    time = np.asarray(record.time)
+    names, time = relation.names, np.asarray(record.time)
     derivative, factor = pair.zeroed
-    signal = pair.signal if len(names) == 2 else relation.words(derivative)[1]
+    signal = relation.signal if len(names) == 2 else relation.words(derivative)[1]
     share = abs(value) * step / pair.scale / pair.rms
     size = f"{value * factor:.3g} {record.signal(derivative).unit}".rstrip()
     per = factor * pair.scale / step
-    what = f"has an offset of {size}"
-    change = 0.0
-    whose = f" Or {signal} drifts by that per second."
-    if pair.drift:
-        what = f"drifts by {size} over {time[-1] - time[0]:.4g} s"
-        change = fit.drift * per
-        whose = ""
+    lasts, change = f"over {time[-1] - time[0]:.4g} s", fit.drift * per if pair.drift else 0.0
+    what = f"drifts by {size} {lasts}" if pair.drift else f"has an offset of {size}"
+    whose = "" if pair.drift else f" Or {signal} drifts by that per second."
     # Whose it is one relation cannot tell.
-    if others := " or ".join(n for n in names if n not in (derivative, pair.signal)):
-        whose = f" Or {others} has it, or {pair.signal} drifts."
+    if others := " or ".join(n for n in names if n not in (derivative, relation.signal)):
+        whose = f" Or {others} has it, or {relation.signal} drifts."
     remedy = line_taken_off(derivative, time, fit.offset * per, change)
     yield Finding(
         "drifting_signal" if pair.drift else "velocity_offset",
@@ -317,7 +311,7 @@ def _uneven(record: Record, pair: Pair, doubt: float, or_else: str) -> Finding:
     course, step, time = pair.course, pair.step, np.asarray(record.elapsed)
     lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
     names, mine, others = _sides(pair, True)
-    both = (*names, *(name for name in pair.relation.names if name not in names))
+    both = tuple(dict.fromkeys((*names, *pair.relation.names)))
     if course.kind == "clocks":
         per = step / PPM / float(time[-1] - time[0])
         rate, start = per * course.change, float(time[0])

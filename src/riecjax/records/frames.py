@@ -71,33 +71,30 @@ def from_dataset(dataset: Any, settings: Frame) -> Record:
         raise DataError(f"there is no coordinate '{axis}'; there are: {there}.")
     if axis is None and settings.time_step is None:
         along = [name for name in dataset.dims if name in dataset.coords]
-        found = [name for name in TIME_COLUMNS if name in along][:1]
-        found = found or [name for name in along if dataset[name].dtype.kind in "mM"]
-        if len(found) != 1:
+        times = [name for name in TIME_COLUMNS if name in along][:1]
+        times = times or [name for name in along if dataset[name].dtype.kind in "mM"]
+        if len(times) != 1:
             raise DataError(
                 "time= must name the coordinate that is time; there are:"
                 f" {', '.join(map(str, along)) or 'none'}."
             )
-        axis = found[0]
+        axis = times[0]
     arrays: dict[str, np.ndarray] = {}
     stated: dict[str, str] = {}
     left_out: dict[str, str] = {}
-    for label, variable in dataset.data_vars.items():
-        name = str(label)
+    for name, variable in ((str(label), each) for label, each in dataset.data_vars.items()):
         if axis is not None and axis not in variable.dims:
             left_out[name] = f"it does not depend on {axis}"
-            continue
-        values = _numbers(variable.transpose(axis, ...) if axis is not None else variable)
-        if values is None:
+        elif (values := _numbers(variable.transpose(*[axis] * (axis is not None), ...))) is None:
             left_out[name] = f"it holds {variable.dtype}, not numbers"
-            continue
-        parts = {name: values} if values.ndim == 1 else {
-            f"{name}[{place}]": column
-            for place, column in enumerate(values.reshape(values.shape[0], -1).T)
-        }  # fmt: skip
-        arrays |= parts
-        if variable.attrs.get("units"):
-            stated |= dict.fromkeys(parts, str(variable.attrs["units"]))
+        else:
+            parts = {name: values} if values.ndim == 1 else {
+                f"{name}[{place}]": column
+                for place, column in enumerate(values.reshape(values.shape[0], -1).T)
+            }  # fmt: skip
+            arrays |= parts
+            unit = variable.attrs.get("units")
+            stated |= dict.fromkeys(parts, str(unit)) if unit else {}
     renamed = dict(settings.rename)
     if axis is not None:
         name = str(axis)

@@ -17,7 +17,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, require
@@ -77,8 +77,7 @@ class SignalNoise:
         freedom: Mapping[str, Float[Leaf, "*batch"]] | None = None,
     ):
         self.kernels = dict(kernels or {})
-        known = dict(freedom or {})
-        self.freedom = {source: known.get(source, np.asarray(np.inf)) for source in self.kernels}
+        self.freedom = {s: (freedom or {}).get(s, np.asarray(np.inf)) for s in self.kernels}
 
     @property
     def std(self) -> Float[Leaf, ""]:
@@ -153,9 +152,8 @@ class Noise(eqx.Module):
         freedom: Mapping[str, Float[Leaf, ""]] | None = None,
     ):
         self.kernels = {name: dict(sources) for name, sources in (kernels or {}).items()}
-        used = {source for sources in self.kernels.values() for source in sources}
-        known = {source: np.asarray(np.inf) for source in used} | dict(freedom or {})
-        self.freedom = {source: known[source] for source in sorted(used)}
+        used = sorted({source for sources in self.kernels.values() for source in sources})
+        self.freedom = {source: (freedom or {}).get(source, np.asarray(np.inf)) for source in used}
 
     @classmethod
     def of(cls, signals: Mapping[str, SignalNoise]) -> "Noise":
@@ -265,6 +263,13 @@ def shortened(
     return taps[half - kept : half + kept + 1]
 
 
+def stretches_of(count: int) -> Int[np.ndarray, "stretches samples"]:
+    """Places of the samples that are looked at: all, of a long signal stretches, evenly spread."""
+    if count <= STRETCHES * STRETCH:
+        return np.arange(count)[None]
+    return np.linspace(0, count - STRETCH, STRETCHES).astype(int)[:, None] + np.arange(STRETCH)
+
+
 def noise_level(
     samples: Float[Array, "*batch n"] | Float[np.ndarray, "*batch n"],
 ) -> Float[Leaf, "*batch"]:
@@ -272,19 +277,15 @@ def noise_level(
 
     From its differences of sixth order: the median of their size, which steps and spikes do not
     reach, says which are of noise, and the mean square of these how large that is. Content near
-    half the sampling rate counts as noise. Of a long signal it looks at stretches, evenly spread.
+    half the sampling rate counts as noise.
 
     **Arguments:** `samples`, NaN in gaps; no difference reaches across.
     """
-    n = samples.shape[-1]
     xp = namespace(samples)
-    if n <= DIFFERENCE_ORDER:
+    if samples.shape[-1] <= DIFFERENCE_ORDER:
         return xp.zeros(samples.shape[:-1])
-    places = np.arange(n)
-    if n > STRETCHES * STRETCH:
-        starts = np.linspace(0, n - STRETCH, STRETCHES).astype(int)
-        places = starts[:, None] + np.arange(STRETCH)
-    differences = xp.diff(xp.asarray(samples)[..., places], n=DIFFERENCE_ORDER)
+    rows = xp.asarray(samples)[..., stretches_of(samples.shape[-1])]
+    differences = xp.diff(rows, n=DIFFERENCE_ORDER)
     gain = np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2))
     return usual_size(differences.reshape(*samples.shape[:-1], -1)) / gain
 

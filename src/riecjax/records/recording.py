@@ -270,11 +270,12 @@ def _recording(
         ),
     ]
     units = dict(selected.record.units)
-    read_steps = [f"{name}: column scaled by {by:g}" for name, by in settings.scale.items()]
-    read_steps += [f"{name}: {old} to {units[name]}" for name, old in selected.converted.items()]
-    if settings.resample is not None:
-        read_steps.append(f"resampled to {settings.resample:g} Hz")
-    read_steps += [f"{name}: {formula}" for name, formula in settings.derive.items()]
+    read_steps = [
+        *(f"{name}: column scaled by {by:g}" for name, by in settings.scale.items()),
+        *(f"{name}: {old} to {units[name]}" for name, old in selected.converted.items()),
+        *(f"resampled to {hertz:g} Hz" for hertz in filter(None, [settings.resample])),
+        *(f"{name}: {formula}" for name, formula in settings.derive.items()),
+    ]
     used = {*read, *TIME_COLUMNS, *settings.rename.values(), *channels.time_of.values()}
     return Recording(
         record,
@@ -307,9 +308,8 @@ def _explaining(
             raise
         message = str(error)
         if isinstance(error, MissingSignalError):
-            taken = [new for new, column in renamed.items() if column == error.signal]
             listed = ", ".join(error.available) or "none"
-            if taken:
+            if taken := [new for new, column in renamed.items() if column == error.signal]:
                 message = (
                     f"there is no signal '{error.signal}': its column was renamed to '{taken[0]}' "
                     f"(--map {taken[0]}={error.signal}); there are: {listed}."
@@ -327,8 +327,6 @@ def _explaining(
 def common_steps(recordings: Sequence[Recording]) -> list[str]:
     """Steps that all recordings have in common once, and those of one with its name."""
     first, *others = recordings
-    if not others:
-        return list(first.steps)
     common = [step for step in first.steps if all(step in other.steps for other in others)]
     own = [f"{r.name}: {step}" for r in recordings for step in r.steps if step not in common]
     return common + own

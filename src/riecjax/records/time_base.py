@@ -77,16 +77,28 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     rounding = _resolution(stamps, usual)
     # A step of an even grid comes out longer by the rounding at most.
     pauses = np.flatnonzero(steps > max(SHORTEST_PAUSE * usual, usual + rounding)) + 1
-    rounded = _coarsely_rounded(stamps, steps, pauses, usual) if pauses.size >= FEWEST_ODD else None
-    if rounded is not None:
-        return rounded
+    if pauses.size >= FEWEST_ODD:
+        # A grid rounded to a digit not much shorter than its step has steps of one digit or of two,
+        # which are no pauses: of 1 or 2 ms at 700 Hz.
+        short = float(np.mean(steps[steps <= 2.5 * np.median(steps)]))
+        longer = np.flatnonzero(steps > short + _resolution(stamps, short / 0.9)) + 1
+        rounded = _grid_of_decimals(stamps, longer) if longer.size < pauses.size else None
+        if rounded is not None:
+            return rounded
+        coarse = _resolution(stamps, usual / 0.85) > 0.4 * usual
+        if coarse and pauses.size > MOST_LOST * steps.size:
+            raise StampError(
+                f"its stamps are too coarse to tell lost rows from rounding: {pauses.size} of"
+                f" {steps.size} steps are longer than {usual:g} s. Give the seconds between samples"
+                f" (--time-step, about {short:.3g} here), or resample the record to a uniform rate"
+                " (on the command line: --resample HZ)."
+            )
     inner = np.delete(steps, pauses - 1)
     step = float(inner.mean()) if inner.size else usual
     # Either no step differs much, while a slow clock may drift; or all stamps lie within their
     # rounding of a grid, while single steps differ by as much as a step.
-    even_steps = inner.size == 0 or np.max(np.abs(inner - step)) <= STEP_TOLERANCE * step + 2 * (
-        np.spacing(np.max(np.abs(stamps)))
-    )
+    least = STEP_TOLERANCE * step + _finest(stamps) / 2
+    even_steps = np.max(np.abs(inner - step), initial=0.0) <= least
     if not even_steps and _distance_from_grid(stamps, pauses, step) > 1.01 * rounding:
         rounded = _rounded_grid(stamps)
         if rounded is not None:
@@ -158,29 +170,6 @@ def _remedy(steps: np.ndarray) -> str:
             "samples (--time-step)."
         )
     return "Sort the record or remove repeated rows."
-
-
-def _coarsely_rounded(
-    stamps: np.ndarray, steps: np.ndarray, pauses: np.ndarray, usual: float
-) -> TimeBase | None:
-    """A grid rounded to a digit not much shorter than its step; `None` if there is none.
-
-    Its steps are of one digit or of two, which are no pauses: of 1 or 2 ms at 700 Hz.
-
-    **Raises:** `StampError` where many steps may be pauses or of such a grid.
-    """
-    short = float(np.mean(steps[steps <= 2.5 * np.median(steps)]))
-    longer = np.flatnonzero(steps > short + _resolution(stamps, short / 0.9)) + 1
-    found = _grid_of_decimals(stamps, longer) if longer.size < pauses.size else None
-    coarse = _resolution(stamps, usual / 0.85) > 0.4 * usual
-    if found is None and coarse and pauses.size > MOST_LOST * steps.size:
-        raise StampError(
-            f"its stamps are too coarse to tell lost rows from rounding: {pauses.size} of"
-            f" {steps.size} steps are longer than {usual:g} s. Give the seconds between samples"
-            f" (--time-step, about {short:.3g} here), or resample the record to a uniform rate (on"
-            " the command line: --resample HZ)."
-        )
-    return found
 
 
 def _grid_of_decimals(stamps: np.ndarray, pauses: np.ndarray) -> TimeBase | None:

@@ -33,16 +33,15 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     """
     file = Path(path)
     check_writable(file)
-    writer = WRITERS[file.suffix.lower()]
     if "t" in record.arrays:
         raise DataError("a signal called 't' would take the place of time; give it another name.")
     # NaN in gaps, without the samples that mark pauses.
-    columns = {name: signal.with_nan for name, signal in record.by_name.items()}
-    columns = {"t": np.asarray(record.time, dtype=float)} | columns
+    signals = {name: signal.with_nan for name, signal in record.by_name.items()}
+    columns = {"t": np.asarray(record.time, dtype=float)} | signals
     if record.stamps is not None:
         # Samples that mark a pause: no signal has a value there, and they are off the even grid.
-        (time, *signals), step = columns.values(), float(record.time_step)
-        empty = np.all(np.isnan(signals), axis=0)
+        time, step = columns["t"], float(record.time_step)
+        empty = np.all(np.isnan([*signals.values()]), axis=0)
         off = np.abs(np.diff(time) - step) > STEP_TOLERANCE * step
         # An empty sample beside a pause is a real one, and the pause's lies midway; at an end of a
         # record that was cut there is nothing to lie midway of.
@@ -50,8 +49,8 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
         empty[1:-1] &= np.isclose(time[1:-1], middles, rtol=0, atol=1e-6 * step)
         valid = ~(empty & (np.append(off, False) | np.insert(off, 0, False)))
         columns = {name: values[valid] for name, values in columns.items()}
-    units = dict(record.units)
-    write_file(file, lambda temporary: writer(temporary, columns, units))
+    writer = WRITERS[file.suffix.lower()]
+    write_file(file, lambda temporary: writer(temporary, columns, dict(record.units)))
 
 
 def check_writable(file: Path) -> None:

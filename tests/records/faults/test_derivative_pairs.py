@@ -166,7 +166,7 @@ def test_a_delay_is_found_to_a_part_of_a_sample(noise, within, delay):
     assert pair.fit.delay == pytest.approx(delay, abs=within)
     assert pair.fit.gain == pytest.approx(1, abs=0.01)
     assert pair.is_late
-    assert not pair.lagged
+    assert not pair.fit.lagged
 
 
 def test_errors_are_what_delays_and_gains_scatter_by():

@@ -42,7 +42,8 @@ AWAY = 4
 class Visits(NamedTuple):
     """Times that a signal sits at an extreme where it does not just turn round."""
 
-    which: str
+    sign: float
+    """1 of the maximum, -1 of the minimum."""
     extreme: float
     starts: np.ndarray
     samples: int
@@ -60,7 +61,7 @@ def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iter
         remedy = ("--leave-out", signal.name)
         yield signal.finding(
             "clipped",
-            f"sits at its {side.which} of {signal.with_unit(side.extreme)} in {side.starts.size} "
+            f"sits at its {'maximum' if side.sign > 0 else 'minimum'} of {signal.with_unit(side.extreme)} in {side.starts.size} "
             f"place(s), {percent(side.samples, signal.sample_count)} of the samples, first at "
             f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does. "
             f"Record with a larger range, or leave them out (on the command line: "
@@ -76,19 +77,18 @@ def limits(signal: SampledSignal) -> list[Visits]:
     """Extremes into which a signal ran, real ones too."""
     if signal.is_command:
         return []
-    sides = (_visits(signal, "maximum", 1.0), _visits(signal, "minimum", -1.0))
-    found = [side for side in sides if side is not None and side.steep]
+    visits = (side for sign in (1.0, -1.0) if (side := _visits(signal, sign)) is not None)
+    sides = [side for side in visits if side.steep]
     unique = not signal.resolution and np.mean(signal.counts == 1) > 0.999
-    return found if sum(s.steep for s in found) >= (1 if unique else FEWEST_VISITS) else []
+    return sides if sum(s.steep for s in sides) >= (1 if unique else FEWEST_VISITS) else []
 
 
-def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:
+def _visits(signal: SampledSignal, sign: float) -> Visits | None:
     """Visits to one extreme; `None` where it is a crest, or where the signal rests."""
     outermost = slice(None, -6, -1) if sign > 0 else slice(5)
     extreme, (samples, *others) = signal.levels[outermost][0], signal.counts[outermost].tolist()
     ratio = PILE_UP if signal.resolution else REPEATS
-    piles_up = samples > ratio * np.mean(others)
-    if not piles_up or samples > LONGEST_REST * signal.sample_count:
+    if not ratio * np.mean(others) < samples <= LONGEST_REST * signal.sample_count:
         return None
     visits = np.abs(signal.run_values - extreme) <= signal.rounding
     starts, lengths = signal.run_starts[visits], signal.run_lengths[visits]
@@ -109,7 +109,7 @@ def _visits(signal: SampledSignal, which: str, sign: float) -> Visits | None:
         depth = np.fmax.reduceat(inside[4:-4], gaps.ravel())[::2]
         away = (np.diff(gaps)[:, 0] <= AWAY) & (depth > STEEP * quantum)
         steep |= np.pad(away, (0, 1)) | np.pad(away, (1, 0))
-    return Visits(which, float(extreme), starts, samples, int(steep.sum()))
+    return Visits(sign, float(extreme), starts, samples, int(steep.sum()))
 
 
 def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]) -> bool:
@@ -131,7 +131,6 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     if not held.any() or free.size < 100:
         return False
     size = float(np.std(target[free]))
-    sign = 1.0 if side.which == "maximum" else -1.0
     for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
         kept = [row for i, row in enumerate(rows) if i not in left_out]
         columns = np.concatenate([*kept, np.ones((1, target.size))])[:, known]
@@ -139,7 +138,7 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
         outside, there = np.searchsorted(np.flatnonzero(known), free), held[known]
         weights = np.linalg.lstsq(columns[:, outside].T, target[free] / size, rcond=1e-10)[0]
         error = float(np.std(target[free] / size - weights @ columns[:, outside]))
-        beyond = sign * (weights @ columns[:, there] - side.extreme / size)
+        beyond = side.sign * (weights @ columns[:, there] - side.extreme / size)
         surely = np.mean(beyond) + 2 * np.std(beyond) / np.sqrt(side.starts.size)
         if error**2 < 1 - FOLLOWED and surely < BEYOND:
             return True
@@ -208,29 +207,21 @@ def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Fi
         )
 
 
-def stuck_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndarray:
-    """Which of the signal's runs no sensor measured."""
-    return np.union1d(long_runs(signal, others), dropouts(signal))
-
-
 def dropouts(signal: SampledSignal) -> np.ndarray:
     """Runs of a value that is entered and left by jumps, several times, and shown in no other way.
 
     A motion that comes to rest, or runs into a limit, gets there by steps as small as any other.
     """
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
-    several, none = np.flatnonzero(lengths >= SHORT), np.zeros(0, int)
-    if not several.size:
-        return none
-    steps = np.abs(np.diff(signal.values))
+    several, steps = np.flatnonzero(lengths >= SHORT), np.abs(np.diff(signal.values))
     moving = _moving(signal, steps, several, beside=1)
     if not moving.size:
-        return none
+        return np.zeros(0, int)
     usual = float(np.quantile(moving, STEADY))
     padded = np.pad(steps, 1, constant_values=np.inf)
     into, out = padded[starts], padded[starts + lengths]
     least, most = np.fmin(into, out), np.where(np.isfinite(into + out), np.fmax(into, out), 0.0)
-    found = []
+    found = [np.zeros(0, int)]
     # An encoder has thousands of values: those are looked at that are entered or left by jumps.
     for value in np.unique(values[several[most[several] > JUMP * usual]]):
         own = np.flatnonzero(values == value)
@@ -250,20 +241,17 @@ def dropouts(signal: SampledSignal) -> np.ndarray:
             and np.median(ends) > TURNING * np.median(moving)
         ):
             found.append(again)
-    return np.unique(np.concatenate(found)) if found else none
+    return np.unique(np.concatenate(found))
 
 
 def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndarray:
     """Which of the signal's runs a stuck sensor showed."""
     starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
-    usual, none = float(np.quantile(lengths, 0.95)), np.zeros(0, int)
+    usual, steps = float(np.quantile(lengths, 0.95)), np.abs(np.diff(signal.values))
     long = np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
-    if not long.size:
-        return none
-    steps = np.abs(np.diff(signal.values))
     moving = _moving(signal, steps, long)
-    if not moving.size:
-        return none
+    if not (long.size and moving.size):
+        return np.zeros(0, int)
     least = max(ABRUPT * float(np.median(moving[moving > 0])), ABRUPT_QUANTA * signal.resolution)
     # The larger one of the steps into and out of each run.
     padded = np.pad(steps, 1, constant_values=np.nan)
@@ -273,14 +261,13 @@ def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndar
     ends = np.abs(values[:, None] - signal.levels[[0, -1]]).min(axis=1) <= signal.rounding
     edges = np.where(ends & (edges <= JUMP * usual), 0.0, edges)
     # A machine comes to rest and leaves it gently, and rests in the same place more than once.
-    found = [
-        run
-        for run in long
-        if np.sum(values[long] == values[run]) == 1
+    stuck = [
+        np.sum(values[long] == values[run]) == 1
         and edges[run] > least
-        and _rest_of_record(others, starts[run], lengths[run])
+        and bool(_rest_of_record(others, starts[run], lengths[run]))
+        for run in long
     ]
-    return np.array(found, int)
+    return long[stuck]
 
 
 def _moving(

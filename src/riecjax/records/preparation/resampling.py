@@ -210,14 +210,15 @@ def on_grid_noise(
     """
     on_grid = {}
     for name, (time, values) in channels.items():
-        if name in given.kernels:
-            noise = given[name]
-        else:
-            noise = noise_of_level(name, uneven_level(time, values), Signal.of(values))
-        channel = _channel(name, time, values)
+        noise = (
+            given[name]
+            if name in given.kernels
+            else noise_of_level(name, uneven_level(time, values), Signal.of(values))
+        )
+        step = float(np.median(np.diff(time)))
         taps = (
-            resampled_taps(np.ones(1), 1 / (rate * channel.step))
-            if channel.step * rate < 1 - SAME_RATE
+            resampled_taps(np.ones(1), 1 / (rate * step))
+            if step * rate < 1 - SAME_RATE
             else spline_taps(np.interp(grid, time, np.arange(time.size)))
         )
         on_grid[name] = noise.convolved(taps)
@@ -285,13 +286,11 @@ def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> 
 
     **Returns:** values of shape `(m,)`, NaN where the weights would reach beyond the samples.
     """
-    reach = reach_beyond(spacing)
-    positions = np.round(positions, PHASE_DIGITS)
-    found = np.full(positions.size, np.nan)
+    reach, positions = reach_beyond(spacing), np.round(positions, PHASE_DIGITS)
+    values, offsets = np.full(positions.size, np.nan), np.arange(-reach + 1, reach + 1)
     inside = np.flatnonzero((positions >= reach) & (positions <= samples.size - 1 - reach))
     if not inside.size:
-        return found
-    offsets = np.arange(-reach + 1, reach + 1)
+        return values
     neighbours = np.lib.stride_tricks.sliding_window_view(samples, offsets.size)
     for block in np.array_split(inside, math.ceil(inside.size * offsets.size / LARGEST_BLOCK)):
         before = np.floor(positions[block]).astype(int)
@@ -300,8 +299,8 @@ def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> 
         )
         weights = _weights(offsets - phases[:, None], spacing)
         weights /= weights.sum(axis=1, keepdims=True)
-        found[block] = np.einsum("ij,ij->i", weights[which], neighbours[before - reach + 1])
-    return found
+        values[block] = np.einsum("ij,ij->i", weights[which], neighbours[before - reach + 1])
+    return values
 
 
 @functools.lru_cache(64)

@@ -90,7 +90,7 @@ def prepare(
         record = record.through(ops)
         words += words_of(ops)
     for name, of in derived.items():
-        if name in record.signals:
+        if name in record.arrays:
             continue
         record = judged(record, "auto", of)
         record.signal(of)  # without it there is a helpful error, and no noise to look up
