@@ -22,19 +22,19 @@ from numpy.typing import ArrayLike
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.faults.sampled_signal import levels_of, resolution_of, rounding_of
-from riecjax.records.noise import (
+from riecjax.records.record import Record, runs
+from riecjax.records.signal import (
     DIFFERENCE_ORDER,
     REPEATS,
     STRETCH,
     STRETCHES,
     Noise,
+    Signal,
     SignalNoise,
     noise_level,
     shortened,
     stretches_of,
 )
-from riecjax.records.record import Record, runs
-from riecjax.records.signal import Signal
 
 SEGMENT = 256
 """Samples of a piece whose spectrum is taken."""
@@ -211,8 +211,7 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     alike = np.maximum.accumulate(rows, 1) < LEVELLED * np.minimum.accumulate(rows, 1)
     lengths = np.argmin(np.pad(alike, [(0, 0), (0, 1)]), axis=1)
     lower = LOWEST + int(np.argmax(lengths))
-    upper = lower + int(np.max(lengths))
-    band = slice(lower + CLOSE - 1, upper)
+    band = slice(lower + CLOSE - 1, lower + int(np.max(lengths)))
     if band.stop < max(OCTAVE * band.start, band.start + NARROWEST * size):
         return None
     density = float(np.mean(of.density[band]))
@@ -274,8 +273,7 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
             signal = record.by_name[name]
             others = [values for other, values in record.arrays.items() if other != name]
             with np.errstate(all="ignore"):
-                level = noise_level(signal.with_nan)
-                estimates[name] = noise_of_level(name, level, signal, others)
+                estimates[name] = noise_of_level(name, noise_level(signal.with_nan), signal, others)
     return known.with_noise(Noise.of(estimates))
 
 
@@ -309,7 +307,7 @@ def noise_of_level(
 
     **Arguments:** `others`, the record's other signals.
     """
-    xp = namespace(level, signal.values, signal.present)
+    xp = namespace(level, signal)
     samples = xp.asarray(signal.values)
     level = xp.asarray(xp.where(level > MOST_NOISE * xp.std(samples, axis=-1), 0.0, level))
     seen = min(samples.shape[-1], STRETCHES * STRETCH)

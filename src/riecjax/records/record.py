@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
-from riecjax.records.noise import Noise, SignalNoise
-from riecjax.records.signal import Signal, both
+from riecjax.records.signal import Noise, Signal, SignalNoise, both
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn, framed
 
@@ -133,17 +132,15 @@ class Record(Drawn, eqx.Module):
         step, start, stamps = time_step, 0.0, None
         if time is not None:
             given = every["t"]
-            step, start, pauses = time_base(given)
+            (step, pauses), start = time_base(given), given[0]
             if pauses.size:
                 # The middle of each pause.
-                middles = 0.5 * (given[pauses - 1] + given[pauses])
-                stamps = np.insert(given, pauses, middles)
+                stamps = np.insert(given, pauses, 0.5 * (given[pauses - 1] + given[pauses]))
                 arrays = {k: np.insert(v, pauses, np.nan) for k, v in arrays.items()}
         step = float(_checked_step(step, 0))
         if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
-        known = units or {}
-        by_name = {name: Signal.of(v, known.get(name, "")) for name, v in arrays.items()}
+        by_name = {name: Signal.of(v, (units or {}).get(name, "")) for name, v in arrays.items()}
         return cls(by_name, step, start, stamps)
 
     @property
@@ -164,8 +161,7 @@ class Record(Drawn, eqx.Module):
     @property
     def noise(self) -> Noise:
         """What is known of the signals' noise."""
-        known = {name: signal.noise for name, signal in self.by_name.items()}
-        return Noise.of({name: noise for name, noise in known.items() if noise is not None})
+        return Noise.of({n: s.noise for n, s in self.by_name.items() if s.noise is not None})
 
     def signal(self, name: str) -> Signal:
         """A signal; of a missing one, an error that says which ones exist."""

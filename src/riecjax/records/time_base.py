@@ -1,6 +1,5 @@
 """From the time stamps of a logger to a time step: even, even with pauses, or neither."""
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -35,12 +34,10 @@ class StampError(DataError):
 class TimeBase(NamedTuple):
     """An evenly sampled time axis.
 
-    **Fields:** `step` in seconds; `start`, the first stamp; `pauses`, the samples before which
-    the logger paused.
+    **Fields:** `step` in seconds; `pauses`, the samples before which the logger paused.
     """
 
     step: float
-    start: float
     pauses: np.ndarray
 
 
@@ -97,9 +94,9 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     step = float(inner.mean()) if inner.size else usual
     # Either no step differs much, while a slow clock may drift; or all stamps lie within their
     # rounding of a grid, while single steps differ by as much as a step.
-    least = STEP_TOLERANCE * step + _finest(stamps) / 2
-    even_steps = np.max(np.abs(inner - step), initial=0.0) <= least
-    if not even_steps and _distance_from_grid(stamps, pauses, step) > 1.01 * rounding:
+    most = STEP_TOLERANCE * step + _finest(stamps) / 2
+    uneven = np.max(np.abs(inner - step), initial=0.0) > most
+    if uneven and _distance_from_grid(stamps, pauses, step) > 1.01 * rounding:
         rounded = _rounded_grid(stamps)
         if rounded is not None:
             return rounded
@@ -107,13 +104,12 @@ def time_base(stamps: np.ndarray) -> TimeBase:
             f"samples must be evenly spaced; steps range from {steps.min():g} to {steps.max():g} s."
             " Resample the record to a uniform rate (on the command line: --resample HZ)."
         )
-    return TimeBase(step, float(stamps[0]), pauses)
+    return TimeBase(step, pauses)
 
 
 def _not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
     """Why stamps do not increase: rows out of order, or stamps too coarse for the rate."""
-    first = int(np.argmax(steps <= 0)) + 1
-    standing = float(np.mean(steps == 0))
+    first, standing = int(np.argmax(steps <= 0)) + 1, float(np.mean(steps == 0))
     if (steps >= 0).all() and standing > COARSE and stamps[-1] > stamps[0]:
         counts = np.unique(stamps, return_counts=True)[1]
         repeated = int(counts[0])
@@ -177,12 +173,11 @@ def _grid_of_decimals(stamps: np.ndarray, pauses: np.ndarray) -> TimeBase | None
 
     All must lie within half a digit of it: rows that are lost here and there do not.
     """
-    edges = np.concatenate([[0], pauses, [stamps.size]])
-    stretches = [stamps[first:last] for first, last in itertools.pairwise(edges)]
+    stretches = np.split(stamps, pauses)
     places = [np.arange(one.size) - (one.size - 1) / 2 for one in stretches]
     step = sum(map(np.dot, places, stretches)) / sum(place @ place for place in places)
     off = _distance_from_grid(stamps, pauses, float(step))
-    return TimeBase(float(step), float(stamps[0]), pauses) if off <= 0.51 * _digit(stamps) else None
+    return TimeBase(float(step), pauses) if off <= 0.51 * _digit(stamps) else None
 
 
 def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
@@ -207,27 +202,19 @@ def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
     step, start = np.polyfit(index, stamps, 1, w=1 / unit)
     off = np.abs(stamps - (start + step * index))
     resolved = unit.min() < 0.5 * step and unit.max() > unit.min()
-    return (
-        TimeBase(float(step), float(stamps[0]), index[:0])
-        if (resolved and np.all(off <= 0.6 * unit))
-        else None
-    )
+    return TimeBase(float(step), index[:0]) if resolved and np.all(off <= 0.6 * unit) else None
 
 
 def _distance_from_grid(stamps: np.ndarray, pauses: np.ndarray, step: float) -> float:
     """How far a stamp lies off the even grid of its own stretch, in seconds."""
-    edges = np.concatenate([[0], pauses, [stamps.size]])
-    return max(
-        float(np.ptp(stamps[first:last] - step * np.arange(last - first))) / 2
-        for first, last in itertools.pairwise(edges)
-    )
+    stretches = np.split(stamps, pauses)
+    return max(float(np.ptp(part - step * np.arange(part.size))) / 2 for part in stretches)
 
 
 def _resolution(stamps: np.ndarray, step: float) -> float:
     """The digit or the 32-bit spacing that the stamps are rounded to; at least 64-bit's."""
-    largest = np.max(np.abs(stamps))
     narrow = np.array_equal(stamps, stamps.astype(np.float32).astype(float))
-    single = float(np.spacing(np.float32(largest))) if narrow else 0.0
+    single = float(np.spacing(np.float32(np.max(np.abs(stamps))))) if narrow else 0.0
     return max(_finest(stamps), single, _digit(stamps, 0.9 * step))
 
 

@@ -16,11 +16,11 @@ from riecjax.records import align
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.derived import derived
 from riecjax.records.faults.derivative_pairs import Pair, Relation, compare
-from riecjax.records.noise import Noise
 from riecjax.records.preparation import set_clocks, shift, unfilter
 from riecjax.records.preparation.alignment import declared_pairs
 from riecjax.records.preparation.steps import cut
 from riecjax.records.record import Record
+from riecjax.records.signal import Noise
 
 STEP, COUNT = 0.005, 6000
 TIME = STEP * np.arange(COUNT)

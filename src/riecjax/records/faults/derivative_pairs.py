@@ -37,9 +37,9 @@ import scipy
 from jaxtyping import Bool, Complex, Float
 
 from riecjax.findings import option_for
-from riecjax.records.noise import noise_level
 from riecjax.records.record import Record, run_lengths
 from riecjax.records.remembered import remembered
+from riecjax.records.signal import noise_level
 from riecjax.records.time_base import SHORTEST_PAUSE
 
 EDGE = 100
@@ -145,7 +145,6 @@ def fit_pair(
         return None
     levels, rough = _levels(pieces)
     levels = levels if known is None else known.levels
-    afresh = start is None and known is None
     whole, fit = 0, None
     theta = np.array([0.0, 1.0, 0.0, 0.0] if start is None else start[:4])
     if start is None and not lagged:
@@ -159,14 +158,13 @@ def fit_pair(
         if penalised[size // 8] <= NEAR * np.max(penalised):
             whole = int(lags[np.argmax(penalised)])
     for iteration in range(steps):
-        first = afresh and iteration < ROUGH_ITERATIONS
+        first = start is None and known is None and iteration < ROUGH_ITERATIONS
         if abs(theta[0]) > 1 and not lagged:
             whole, theta[0] = whole + round(theta[0]), theta[0] - round(theta[0])
         moved = [p for p in (_shifted(p, whole) for p in pieces) if p.x.size >= SHORTEST_PIECE]
         if not moved:
             return None
-        expected = Left(rough, *EVEN) if first else known
-        noise = rough if first else levels
+        expected, noise = (Left(rough, *EVEN), rough) if first else (known, levels)
         bins = _bins(moved, 0.0 if lagged else theta[0], count, noise)
         fit = _step(bins, theta, lagged, expected, noise)
         if fit is None:
@@ -181,8 +179,8 @@ def _levels(pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray]:
     """Noise of x, v and u, and what to begin with: of none, whatever is left is trusted."""
     _, *every = zip(*pieces)
     levels = np.array([np.median([noise_level(one) for one in some]) for some in every])
-    sizes = np.array([max(np.std(one) for one in some) for some in every])
-    return levels, np.maximum(levels, ROUGHLY * sizes)
+    sizes = [max(map(np.std, some)) for some in every]
+    return levels, np.maximum(levels, ROUGHLY * np.array(sizes))
 
 
 def _step(
@@ -608,8 +606,7 @@ class Pair(NamedTuple):
     @property
     def _sure(self) -> float:
         """Standard errors that count: more where several may be wrong and none stands out."""
-        several = len(self.alike) + 1 == len(self.relation.names) > 2
-        return 2 * SURE if several else SURE
+        return 2 * SURE if len(self.alike) + 1 == len(self.relation.names) > 2 else SURE
 
     @property
     def is_late(self) -> bool:
@@ -802,8 +799,7 @@ def _filled(values: np.ndarray) -> np.ndarray:
     gaps = np.isnan(found)
     if gaps.any() and np.sum(~gaps) > 4:
         at, short = np.arange(found.size), gaps & (run_lengths(gaps) <= SHORT_GAP)
-        cubics = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])
-        found[short] = cubics(at[short])
+        found[short] = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])(at[short])
     return found
 
 

@@ -28,8 +28,8 @@ from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
 from riecjax.records.linear_op import LinearOp
-from riecjax.records.noise import NORMAL
 from riecjax.records.record import Record
+from riecjax.records.signal import NORMAL
 
 if TYPE_CHECKING:
     from riecjax.records.recording import Recording
@@ -114,9 +114,8 @@ def without_repetitions(record: Record) -> tuple[Record, list[Finding]]:
     if not repeated:
         return record, []
     time, step = np.asarray(record.elapsed), float(record.time_step)
-    for values in columns.values():
-        for stretch in repeated:
-            values[stretch.again : stretch.again + stretch.rows] = np.nan
+    for values, stretch in itertools.product(columns.values(), repeated):
+        values[stretch.again : stretch.again + stretch.rows] = np.nan
     first, *others = repeated
     more = f", and {len(others)} more such stretches" if others else ""
     said = Finding(
@@ -149,11 +148,9 @@ def duplicates(recordings: Sequence["Recording"]) -> list[Finding]:
         for first, second, shift in _candidates(chosen):
             pair = members[first], members[second]
             across = names == others or (pair[0] in groups[names]) != (pair[1] in groups[names])
-            if across and pair not in found:
-                starts = max(shift, 0), max(-shift, 0)
-                rows = _rows_in_common(chosen[first], chosen[second], starts)
-                if not rows:
-                    continue
+            starts = max(shift, 0), max(-shift, 0)
+            new = across and pair not in found
+            if new and (rows := _rows_in_common(chosen[first], chosen[second], starts)):
                 one, other = (recordings[number] for number in pair)
                 counts = [each.record.sample_count for each in (one, other)]
                 shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
@@ -178,8 +175,9 @@ def refuse_duplicates(recordings: Sequence["Recording"]) -> None:
     **Raises:** `DuplicateRecordingError` that names them.
     """
     for found in duplicates(recordings):
-        said = f"{found.message} Leave it out, or allow it: --allow-duplicates."
-        raise DuplicateRecordingError(said)
+        raise DuplicateRecordingError(
+            f"{found.message} Leave it out, or allow it: --allow-duplicates."
+        )
 
 
 def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[int, int, int]]:
@@ -227,16 +225,17 @@ def _rows_in_common(
     rows = min(sizes[0] - starts[0], sizes[1] - starts[1])
     short = second if sizes[1] <= sizes[0] else first
     near = {name: ROUNDED * _spread(v) for name, v in short.items() if np.ptp(v) > 0}
-    if not near or rows < max(LEAST * min(sizes), FEWEST):
-        return 0
+
+    def agree(name: str, stride: int) -> bool:
+        one, other = (
+            columns[name][start : start + rows : stride]
+            for columns, start in zip((first, second), starts)
+        )
+        return bool(np.mean(np.abs(one - other) <= near[name]) >= (ALIKE if stride == 1 else 0.5))
+
     # Some rows tell most apart.
-    for stride in (max(rows // 64, 1), 1):
-        for name, within in near.items():
-            one = first[name][starts[0] : starts[0] + rows : stride]
-            other = second[name][starts[1] : starts[1] + rows : stride]
-            if np.mean(np.abs(one - other) <= within) < (ALIKE if stride == 1 else 0.5):
-                return 0
-    return rows
+    strides = (max(rows // 64, 1), 1) if near and rows >= max(LEAST * min(sizes), FEWEST) else ()
+    return rows if strides and all(agree(n, stride) for stride in strides for n in near) else 0
 
 
 def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
@@ -247,8 +246,8 @@ def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
     """
     for one, other in itertools.combinations(signals, 2):
         stride = max(one.values.size // ENOUGH, 1)
-        some = _line(one.values[::stride], other.values[::stride], 1.0)
-        line = some and _line(one.values, other.values, SMOOTH)
+        line = _line(one.values[::stride], other.values[::stride], 1.0)
+        line = line and _line(one.values, other.values, SMOOTH)
         if line is None:
             continue
         factor, offset = line

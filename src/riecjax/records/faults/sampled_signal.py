@@ -50,8 +50,7 @@ def resolution_of(levels: np.ndarray) -> float:
 def is_piecewise_linear(values: np.ndarray, levels: np.ndarray, rounding: float) -> bool:
     """Whether more than half of the samples lie on straight lines, as only commands do."""
     bend = np.diff(values, 2)
-    extreme = np.isin(values[1:-1], levels[[0, -1]])
-    inner = np.abs(bend[~extreme & ~np.isnan(bend)])
+    inner = np.abs(bend[~np.isin(values[1:-1], levels[[0, -1]]) & ~np.isnan(bend)])
     return not inner.size or bool(np.mean(inner <= rounding) > 0.5)
 
 

@@ -36,9 +36,9 @@ from riecjax.records.faults.sampled_signal import (
     levels_of,
     resolution_of,
 )
-from riecjax.records.noise import DIFFERENCE_ORDER, NORMAL
 from riecjax.records.record import run_lengths
 from riecjax.records.remembered import remembered
+from riecjax.records.signal import DIFFERENCE_ORDER, GAIN, NORMAL
 
 SUSPECT = 4.5
 """Standard deviations past which a sixth difference makes suspects of the samples around it."""
@@ -88,7 +88,6 @@ PASSES = 12
 """Times that suspects are found anew, once spikes do not hide others."""
 LARGEST = 1e60
 """Robust scales at which values are cut off, so that their squares are numbers."""
-GAIN = float(np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2)))
 GAIN_OF_TWO = float(np.linalg.norm(np.convolve(np.poly([1.0] * DIFFERENCE_ORDER), [1, 1])))
 LARGE = 6.5
 """Standard deviations of the sum of two neighbouring differences that make suspects, too: two equal
@@ -179,13 +178,13 @@ def _judged(
     for _ in range(PASSES):
         differences = np.diff(cleaned, DIFFERENCE_ORDER)
         sixth = np.abs(differences) / GAIN
-        of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
         around = _by_block(sixth, BLOCK, scaled.size) / NORMAL
         usual = np.median(around[around > 0]) if np.any(around > 0) else 0.0
         around = np.maximum(np.where(np.isnan(around), usual, around), STEADIEST * usual)
         noise = np.maximum(around, quantum)
         large = np.zeros(scaled.size, bool)
         large[half:-half] = sixth > SUSPECT * noise[half:-half]
+        of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
         pairs = of_two > LARGE * noise[half : -half - 1]
         if pairs.any() and np.median(noise) > local.error(cleaned) / 2:
             large[half : -half - 1] |= pairs
@@ -197,9 +196,7 @@ def _judged(
         before, now = noise_of_kept[suspects], noise[suspects]
         matters = (now != before) & (np.maximum(now, before) > kept[3, suspects])
         anew = suspects[matters | np.isnan(kept[0, suspects])]
-        if anew.size:
-            held = np.where(sizes > 0, np.nan, scaled)
-            kept[:, anew] = fits(held, anew, noise, stretch, local)
+        kept[:, anew] = fits(np.where(sizes > 0, np.nan, scaled), anew, noise, stretch, local)
         noise_of_kept[anew] = noise[anew]
         fit, scale, *_ = kept[:, suspects]
         off = np.abs(scaled[suspects] - fit)
@@ -283,22 +280,15 @@ def _threshold(
 
 
 class Local(NamedTuple):
-    """Polynomials of one degree over the samples of a window.
-
-    **Fields:** orthonormal `columns`, shape `(samples, degree + 1)`; `products` of each two, a row
-    for each sample.
-    """
+    """Polynomials of one degree over the samples of a window, by orthonormal `columns`."""
 
     columns: Float[np.ndarray, "samples coefficients"]
-    products: Float[np.ndarray, "samples pairs"]
 
     @classmethod
     def of(cls, degree: int) -> "Local":
         """Of a degree, over `BESIDE` samples to each side."""
         places = np.arange(-BESIDE, BESIDE + 1)[:, None] / BESIDE
-        columns = np.linalg.qr(places ** np.arange(degree + 1))[0]
-        products = columns[:, :, None] * columns[:, None, :]
-        return cls(columns, products.reshape(len(columns), -1))
+        return cls(np.linalg.qr(places ** np.arange(degree + 1))[0])
 
     def off(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """How far each sample is off the one through all, over its gain for white noise.
@@ -343,6 +333,7 @@ def fits(
     median[used] = medians(np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used])
     offsets, parts = np.arange(-BESIDE, BESIDE + 1), []
     count, middle = local.columns.shape[1], local.columns[BESIDE]
+    products = (local.columns[:, :, None] * local.columns[:, None, :]).reshape(offsets.size, -1)
     for some in np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE)):
         near = some[:, None] + offsets
         inside = np.clip(near, 0, values.size - 1)
@@ -357,7 +348,7 @@ def fits(
         start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
         weight, grams, fitted, scale = start, *(np.zeros(0) for _ in range(3))
         for i in range(ROUNDS):
-            grams = (weight @ local.products).reshape(-1, count, count) + RIDGE * np.eye(count)
+            grams = (weight @ products).reshape(-1, count, count) + RIDGE * np.eye(count)
             fitted = np.linalg.solve(grams, (weight * window @ local.columns)[..., None])[..., 0]
             off = np.where(there, np.abs(window - fitted @ local.columns.T), np.nan)
             own = medians(off) / NORMAL

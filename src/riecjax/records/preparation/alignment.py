@@ -1,7 +1,6 @@
 """Signals brought forward in time, by what is asked or by what recorded derivatives tell."""
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -69,7 +68,7 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Operations:
                 f"cannot shift '{name}' by {late:g} s, which is {by:.4g} samples of "
                 f"{record.sample_count}. Give seconds, less than half the record."
             )
-        whole = math.floor(by + SAME_TIME)
+        whole = int(np.floor(by + SAME_TIME))
         between, at, taps = by - whole, np.zeros(1, int), np.ones(1)
         if between >= 2 * SAME_TIME and longest_stretch(record, name) >= 2 * MOST_LOST * reach:
             at = np.arange(1 - reach, reach + 1)
@@ -108,7 +107,7 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Operations:
                 f"of the time, less than {MOST_PPM:g}."
             )
         late = PPM * rate * np.asarray(record.elapsed) / float(record.time_step)
-        lost = reach + math.ceil(np.max(np.abs(late[[0, -1]])))
+        lost = reach + int(np.ceil(np.max(np.abs(late[[0, -1]]))))
         yield (
             name,
             LinearOp.of_stretches(
@@ -170,8 +169,7 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
             if group is None:
                 groups.append(group := {})
             # By a signal that both know.
-            both = (group[name] - seconds for name, seconds in pair.late.items() if name in group)
-            ahead = next(both, 0.0)
+            ahead = next((group[name] - s for name, s in pair.late.items() if name in group), 0.0)
             for name, seconds in pair.late.items():
                 group.setdefault(name, ahead + seconds)
         after = ((name, s - min(g.values())) for g in groups for name, s in g.items())

@@ -1,6 +1,5 @@
 """Filters without phase, offsets, drifts and derivatives."""
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -41,7 +40,7 @@ def low_pass(record: Record, cutoffs: Mapping[str, float]) -> Operations:
                 f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
                 f"the sampling rate, {nyquist:g} Hz."
             )
-        lost = math.ceil(SETTLING_PERIODS / cutoff / float(record.time_step))
+        lost = int(np.ceil(SETTLING_PERIODS / cutoff / float(record.time_step)))
         shortest = max(2 * lost + 2, FILTER_PADDING) + 1
         if record.sample_count < shortest:
             raise DataError(

@@ -109,10 +109,10 @@ class Spectrum(NamedTuple):
 
 def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     """The spectrum of samples, straight across gaps; `None` where there is none to speak of."""
-    missing, index = np.isnan(values), np.arange(values.size)
-    if missing.all() or values.size < 4 * AROUND:
+    known = np.flatnonzero(~np.isnan(values))
+    if not known.size or values.size < 4 * AROUND:
         return None
-    values = np.interp(index, index[~missing], values[~missing])
+    values = np.interp(np.arange(values.size), known, values[known])
     size = float(np.max(np.abs(values))) or 1.0
     values = values / size
     rms = float(np.std(values))
@@ -124,8 +124,7 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     rows = (values[: stretches * length].reshape(stretches, length) - np.mean(values)) / rms
     rows = rows - np.mean(rows, axis=1, keepdims=True)
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
-    transform = np.fft.rfft(rows * window, axis=1)
-    power = np.mean(np.abs(transform) ** 2, axis=0) * (4 / length) ** 2
+    power = np.mean(np.abs(np.fft.rfft(rows * window, axis=1)) ** 2, axis=0) * (4 / length) ** 2
     usual = scipy.ndimage.median_filter(power, 2 * AROUND + 1, mode="nearest")
     ratio = power / np.maximum(
         usual * stretches / scipy.special.gammaincinv(stretches, 0.5), np.finfo(float).tiny
@@ -177,13 +176,14 @@ def hum(
         for name in (n for n in names if n in lines):
             others = {verdicts[other] for other in lines if other != name}
             hums = not others or (False in others and True not in others)
-            if not (verdicts[name] is False or (verdicts[name] is None and hums)):
+            if verdicts[name] or (verdicts[name] is None and not hums):
                 continue
             amplitude, rms = largest[name].amplitude, known[name].rms
             share = sum((line.amplitude / rms) ** 2 for line in lines[name]) / 2
             at = ", ".join(
                 f"{line.nominal:.4g} Hz"
-                + (f" (seen at {line.seen:.4g} Hz)" * (abs(line.seen - line.nominal) > 0.1 * grid))
+                if abs(line.seen - line.nominal) <= 0.1 * grid
+                else f"{line.nominal:.4g} Hz (seen at {line.seen:.4g} Hz)"
                 for line in lines[name]
             )
             yield signals[name].finding(

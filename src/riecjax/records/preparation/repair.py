@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.held_values import dropouts, limits, long_runs
 from riecjax.records.faults.sampled_signal import sampled_signal
+from riecjax.records.faults.signals import dropouts, limits, long_runs
 from riecjax.records.faults.spikes import (
     DONE,
     Spikes,
@@ -77,11 +77,11 @@ def signed(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], in
 
 
 class Treated(NamedTuple):
-    """Samples as they are after treatment; spikes among them as they were recorded, if there were
-    some, and whether they acted: then they are still there."""
+    """Samples as they are after treatment, their spikes as they were recorded, and whether these
+    acted: then they are still there."""
 
     values: Float[np.ndarray, " n"]
-    spikes: Spikes | None = None
+    spikes: Spikes
     acted: bool = False
 
 
@@ -103,7 +103,7 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     columns = {n: record.signal(n).with_nan for n in {**dict.fromkeys(signals), **record.arrays}}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
     for name, one in _treated(signals or tuple(columns), columns, times, how).items():
-        if one.spikes and not one.acted:
+        if not one.acted:
             yield name, LinearOp.of_values("{}: without outliers", one.values)
 
 
@@ -157,22 +157,21 @@ def treat_all(
     """
     turns = {name: unwrapped(column) for name, column in columns.items()}
     columns = {name: column for name, (column, _) in turns.items()}
-    even = {name: (step or 1.0) * np.arange(column.size) for name, column in columns.items()}
-    every, findings = {**even, **times}, []
+    every = {n: times.get(n, (step or 1.0) * np.arange(v.size)) for n, v in columns.items()}
     words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
-    treated = _treated(tuple(columns), columns, every, how)
+    treated, findings = _treated(tuple(columns), columns, every, how), []
     for name, (_, spikes, acted) in treated.items():
-        count = 0 if spikes is None else spikes.places.size
+        count = spikes.places.size
         if acted:
             words.append(f"{name}: {count} samples of short pulses kept, which other signals show")
-        elif spikes is not None:
+        else:
             done = "repaired" if how == "repair" else "marked as missing"
             words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
             used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
             time, unit = every[name] - every[name][0], units.get(name, "")
             finding = finding_of(name, spikes, columns[name], time, unit, how)
             findings.append(finding._replace(signals=(name, *used)))
-    return {name: one.values for name, one in treated.items()}, words, findings
+    return {**columns, **{name: one.values for name, one in treated.items()}}, words, findings
 
 
 def _treated(
@@ -181,31 +180,27 @@ def _treated(
     times: Mapping[str, Float[np.ndarray, " n"]],
     how: Treatment,
 ) -> dict[str, Treated]:
-    """These signals without spikes; as they are where there are none, too many, or they acted.
+    """Of these signals those with spikes, unless there are too many.
 
     **Raises:** `DataError` for another treatment.
     """
     if how not in DONE:
         raise DataError(f"outliers are for {', '.join(DONE)}; got '{how}'.")
-    treated = {name: Treated(columns[name]) for name in names}
-    if how == "keep":
-        return treated
-    for name in names:
+    treated: dict[str, Treated] = {}
+    for name in names if how != "keep" else ():
         values, time = columns[name], times[name]
         steps = np.diff(time) if time.size > 1 else np.ones(1)
         pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
         # No polynomial reaches across a pause.
         spikes = find_spikes(np.insert(values, pauses, np.nan))
-        if not spikes.places.size or too_many(spikes, values):
-            continue
-        places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
-        changed = values.copy()
-        changed[places] = spikes.repaired if how == "repair" else np.nan
-        treated[name] = Treated(changed, spikes._replace(places=places))
+        if spikes.places.size and not too_many(spikes, values):
+            places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
+            changed = values.copy()
+            changed[places] = spikes.repaired if how == "repair" else np.nan
+            treated[name] = Treated(changed, spikes._replace(places=places))
     without = {**columns, **{name: one.values for name, one in treated.items()}}
     for name, (_, spikes, _) in treated.items():
-        together = (other for other in without if np.array_equal(times[other], times[name]))
-        others = (without[other] for other in together if other != name)
-        if spikes is not None and are_answered(spikes.places, others):
+        others = (n for n in without if n != name and np.array_equal(times[n], times[name]))
+        if are_answered(spikes.places, [without[other] for other in others]):
             treated[name] = Treated(columns[name], spikes, acted=True)
     return treated

@@ -25,17 +25,17 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.memory import in_gigabytes, require_memory
 from riecjax.records.linear_op import SAME_TIME, LinearOp, Operations, step
-from riecjax.records.noise import (
+from riecjax.records.noise_judgement import noise_of_level
+from riecjax.records.record import Record
+from riecjax.records.signal import (
     DIFFERENCE_ORDER,
     STRETCH,
     STRETCHES,
     Noise,
+    Signal,
     shortened,
     usual_size,
 )
-from riecjax.records.noise_judgement import noise_of_level
-from riecjax.records.record import Record
-from riecjax.records.signal import Signal
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""
@@ -89,8 +89,7 @@ def resample(record: Record, rate: float) -> Operations:
     stretches are all too short.
     """
     _check_rate(rate)
-    spacing = 1.0 / (rate * float(record.time_step))
-    yield from _spaced(record, f"resampled to {rate:g} Hz", spacing)
+    yield from _spaced(record, f"resampled to {rate:g} Hz", 1.0 / (rate * float(record.time_step)))
 
 
 @step
@@ -194,8 +193,7 @@ def on_grid(
             f"Choose a higher rate, or leave this channel out."
         )
     rows = slice(full[0], full[-1] + 1)
-    kept = {name: values[rows] for name, values in columns.items()}
-    return grid[rows], {name: v for name, v in kept.items() if not np.isnan(v).all()}
+    return grid[rows], {n: v[rows] for n, v in columns.items() if not np.isnan(v[rows]).all()}
 
 
 def on_grid_noise(
@@ -406,26 +404,21 @@ def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
     sampled = np.full(grid.size, np.nan)
     for time, values in channel.stretches:
         a, b = np.searchsorted(grid, [time[0] - same_time, time[-1] + same_time])
-        there, few = grid[a:b], time.size < FEWEST_KNOTS
+        there, since, few = grid[a:b], time - time[0], time.size < FEWEST_KNOTS
+        step = float(since[-1]) / max(time.size - 1, 1)
+        uneven = np.max(np.abs(since - step * np.arange(time.size))) > EVEN * step
         if not faster:
             if not few:
-                sampled[a:b] = scipy.interpolate.CubicSpline(time - time[0], values)(
-                    there - time[0]
-                )
+                sampled[a:b] = scipy.interpolate.CubicSpline(since, values)(there - time[0])
             nearest = np.clip(np.searchsorted(time, there - same_time), 0, time.size - 1)
             same = np.abs(time[nearest] - there) <= same_time
             sampled[a:b][same] = values[nearest[same]]
-            continue
-        step = float(time[-1] - time[0]) / max(time.size - 1, 1)
-        uneven = np.max(np.abs(time - time[0] - step * np.arange(time.size))) > EVEN * step
-        if not step or (uneven and few):
-            continue
-        if uneven:
-            # Twice as dense, so that the denser parts of uneven times lose nothing.
-            step = channel.step / 2
-            even = np.arange(0, time[-1] - time[0], step)
-            values = scipy.interpolate.CubicSpline(time - time[0], values)(even)
-        sampled[a:b] = band_limited(values, (there - time[0]) / step, 1 / (rate * step))
+        elif step and not (uneven and few):
+            if uneven:
+                # Twice as dense, so that the denser parts of uneven times lose nothing.
+                step = channel.step / 2
+                values = scipy.interpolate.CubicSpline(since, values)(np.arange(0, since[-1], step))
+            sampled[a:b] = band_limited(values, (there - time[0]) / step, 1 / (rate * step))
     return sampled
 
 
