@@ -286,16 +286,15 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
     names, time = relation.names, np.asarray(record.time)
     derivative, factor = pair.zeroed
     signal = relation.signal if len(names) == 2 else relation.words(derivative)[1]
-    share = abs(value) * step / pair.scale / pair.rms
+    share = abs(value) / pair.rms
     size = f"{value * factor:.3g} {record.signal(derivative).unit}".rstrip()
-    per = factor * pair.scale / step
-    lasts, change = f"over {time[-1] - time[0]:.4g} s", fit.drift * per if pair.drift else 0.0
+    lasts, change = f"over {time[-1] - time[0]:.4g} s", fit.drift * factor if pair.drift else 0.0
     what = f"drifts by {size} {lasts}" if pair.drift else f"has an offset of {size}"
     whose = "" if pair.drift else f" Or {signal} drifts by that per second."
     # Whose it is one relation cannot tell.
     if others := " or ".join(n for n in names if n not in (derivative, relation.signal)):
         whose = f" Or {others} has it, or {relation.signal} drifts."
-    remedy = line_taken_off(derivative, time, fit.offset * per, change)
+    remedy = line_taken_off(derivative, time, fit.offset * factor, change)
     yield Finding(
         "drifting_signal" if pair.drift else "velocity_offset",
         f"{derivative} {what} against {signal}, {100 * share:.2g} % of its rms. Take it off (on "
@@ -425,7 +424,7 @@ def filter_between(
     """Taps of the shortest filter that makes one signal of another, whose noise has this standard
     deviation; `None` if none does."""
     stretches = runs(~(np.isnan(signal) | np.isnan(other))).T.tolist()
-    first, stop = max(stretches, key=lambda ends: ends[1] - ends[0], default=(0, 0))
+    first, stop = max(stretches, key=lambda ends: ends[1] - ends[0], default=(0, 1))
     # Differences are one-sided at the ends.
     position, rate = (each[first + 1 : stop - 1][:ENOUGH] for each in (signal, other))
     x, y = (np.diff(each, SHARPENED) for each in (position, rate))

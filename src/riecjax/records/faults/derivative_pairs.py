@@ -421,13 +421,12 @@ def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tupl
     left, coefficients, errors = _left(delays, np.array([ones, 0.5 * (first + last) / edges[-1]]))
     best = Course("clocks", coefficients[1], errors[1], (0, edges[-1]), coefficients[0]), left
     # The change lies between two parts, or within one, which then says nothing; two are behind it.
-    for k, within in ((k, within) for k in range(2, size - 1) for within in (0, 1)):
-        if k + within <= size - 2:
-            after = np.arange(size) >= k + within
-            alone = np.eye(size)[k : k + within]
-            left, coefficients, errors = _left(delays, np.array([ones, after, *alone]))
+    for k, stop in ((k, k + within) for k in range(2, size - 1) for within in (0, 1)):
+        if stop <= size - 2:
+            rows = np.array([ones, np.arange(size) >= stop, *np.eye(size)[k:stop]])
+            left, coefficients, errors = _left(delays, rows)
             if left + 4 < best[1]:
-                place = int(first[k - 1 + within]), int(last[k])
+                place = int(first[stop - 1]), int(last[k])
                 best = Course("rows", coefficients[1], errors[1], place, coefficients[0]), left
     return best
 
@@ -660,9 +659,7 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     step, count = float(record.time_step), x.size
     # What is too fast has an integral that depends on what it does between samples.
     rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in terms.values())
-    if len(terms) > 1 and any(rough):
-        return None
-    if np.isnan(x).all():
+    if (len(terms) > 1 and any(rough)) or np.isnan(x).all():
         return None
     centre = np.nanmedian(x)
     scale = float(np.nanquantile(np.abs(x - centre), 0.9))
@@ -689,11 +686,12 @@ def compare(record: Record, relation: Relation) -> Pair | None:
         for first, last in itertools.pairwise(edges)
     ]
     course, spread = delay_course(parts, edges, count, one.fit)
-    fit, rms = one.fit._replace(errors=one.fit.errors * spread), one.rms * abs(one.size)
+    fit, unit = one.fit._replace(errors=one.fit.errors * spread), scale / step
+    rms = one.rms * abs(one.size) * unit
     alike = tuple(n for n, more in excess.items() if n != suspect and more < LIKELIER)
-    pair = Pair(relation, suspect, one.sized(fit), course, scale, rms, step, alike)
+    pair = Pair(relation, suspect, one.sized(fit, unit), course, rms, step, alike)
     lag = _low_pass(one.pieces, count, fit) if pair.is_late else None
-    return pair if lag is None else pair._replace(fit=one.sized(lag))
+    return pair if lag is None else pair._replace(fit=one.sized(lag, unit))
 
 
 class _Held(NamedTuple):
@@ -711,10 +709,11 @@ class _Held(NamedTuple):
     rms: float
     fit: PairFit
 
-    def sized(self, fit: PairFit) -> PairFit:
-        """A fit of v as it is."""
-        size, errors = self.size, fit.errors * [1, *np.full(3, abs(self.size))]
-        gain, offset, drift = size * fit.gain, size * fit.offset, size * fit.drift
+    def sized(self, fit: PairFit, unit: float) -> PairFit:
+        """A fit of v as it is, offset and drift in their unit of which the fit's is so many."""
+        factors = self.size * np.array([1.0, unit, unit])
+        gain, offset, drift = (factors * fit[1:4]).tolist()
+        errors = fit.errors * np.abs([1.0, *factors])
         return fit._replace(gain=gain, offset=offset, drift=drift, errors=errors)
 
 

@@ -88,8 +88,7 @@ def limits(signal: SampledSignal) -> list[Visits]:
     """Extremes into which a signal ran, real ones too."""
     if signal.is_command:
         return []
-    visits = (side for sign in (1.0, -1.0) if (side := _visits(signal, sign)) is not None)
-    sides = [side for side in visits if side.steep]
+    sides = [side for sign in (1.0, -1.0) if (side := _visits(signal, sign)) and side.steep]
     unique = not signal.resolution and np.mean(signal.counts == 1) > 0.999
     return sides if sum(s.steep for s in sides) >= (1 if unique else FEWEST_VISITS) else []
 
