@@ -557,16 +557,15 @@ class Pair(NamedTuple):
 
     **Fields:** `relation`; `suspect`, the one of its signals that alone explains best what is
     amiss; `fit` of it, or of the sum if it is the signal that is differentiated, in samples and
-    units of the signal's `scale`, lagged where a low-pass describes it better than a delay;
-    `course` of the delay; `rms` of the derivative, in the fit's unit; `step` of time in seconds;
-    `alike`, signals that explain it hardly worse.
+    the derivative's unit, lagged where a low-pass describes it better than a delay; `course` of the
+    delay; `rms` of the derivative; `step` of time in seconds; `alike`, signals that explain it
+    hardly worse.
     """
 
     relation: Relation
     suspect: str
     fit: PairFit
     course: Course
-    scale: float
     rms: float
     step: float
     alike: tuple[str, ...] = ()
@@ -633,7 +632,7 @@ class Pair(NamedTuple):
 
     def _if_sure(self, size: float, share: float, error: float) -> float:
         sure = abs(size) > max(share * self.rms, TAILS * self._sure * error)
-        return size * self.scale / self.step if sure else 0.0
+        return size if sure else 0.0
 
 
 @remembered(
