@@ -77,7 +77,7 @@ class Record(Drawn, eqx.Module):
         dtype = jnp.result_type(float)
         self.by_name = {}
         for name, given in by_name.items():
-            signal = given if isinstance(given, Signal) else Signal(given)
+            signal = given if isinstance(given, Signal) else Signal(_numbers(name, given))
             values = _owned(_numbers(name, signal.values), dtype)
             present = None if signal.present is None else _owned(signal.present, bool)
             self.by_name[name] = Signal(values, present, signal.unit, signal.noise)
@@ -227,7 +227,9 @@ class Record(Drawn, eqx.Module):
         """
         units = {name: signal.unit for name, signal in self.by_name.items()}
         given = {
-            name: signal if isinstance(signal, Signal) else Signal(signal, unit=units.get(name, ""))
+            name: signal
+            if isinstance(signal, Signal)
+            else Signal(_numbers(name, signal), unit=units.get(name, ""))
             for name, signal in signals.items()
         }
         return dataclasses.replace(self, by_name={**self.by_name, **given})

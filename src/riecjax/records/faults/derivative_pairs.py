@@ -228,7 +228,8 @@ def _step(
     unlike = smoothed * bins.noise / bins.energy / (1 + more / bins.noise)
     errors = np.sqrt(np.diag(covariance) * bins.shared)
     after = Left(levels, bins.omega, smoothed, left, unlike)
-    return PairFit(*(theta + step).tolist(), errors, after, counted, lagged)
+    delay, gain, offset, drift = (theta + step).tolist()
+    return PairFit(delay, gain, offset, drift, errors, after, counted, lagged)
 
 
 def _shifted(piece: Piece, whole: int) -> Piece:

@@ -208,7 +208,8 @@ def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[i
         pair, shift = divmod(code, span)
         tried[pair] += 1
         if tried[pair] <= tries:
-            yield *divmod(pair, len(keys)), shift - span // 2
+            first, second = divmod(pair, len(keys))
+            yield first, second, shift - span // 2
 
 
 def _spread(values: np.ndarray) -> float:
