@@ -52,7 +52,6 @@ from .fleets.fleet import fleet as fleet
 from .models.catalogue import find_model as find_model
 from .records.frames import from_dataframe as from_dataframe
 from .records.frames import from_dataset as from_dataset
-from .records.noise import Noise as Noise
 from .records.preparation import differentiate as differentiate
 from .records.preparation import low_pass as low_pass
 from .records.preparation import remove_drift as remove_drift
@@ -64,6 +63,7 @@ from .records.recording import Recording as Recording
 from .records.recording import read_record as read_record
 from .records.recording import read_recording as read_recording
 from .records.recording import read_recordings as read_recordings
+from .records.signal import Noise as Noise
 from .records.signal import Signal as Signal
 from .records.writing import write_record as write_record
 from .refinement.integral_error import IntegralError as IntegralError

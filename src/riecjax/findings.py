@@ -157,9 +157,9 @@ CODES: dict[str, FindingCode] = {
     ),
     "constant_signal": FindingCode("sensors", "{signals} never varies"),
     "stuck_sensor": FindingCode(
-        "sensors", "{signals} is stuck for a while", "records.faults.held_values:STUCK_RATIO"
+        "sensors", "{signals} is stuck for a while", "records.faults.signals:STUCK_RATIO"
     ),
-    "clipped": FindingCode("sensors", "{signals} is clipped", "records.faults.held_values:PILE_UP"),
+    "clipped": FindingCode("sensors", "{signals} is clipped", "records.faults.signals:PILE_UP"),
     "outliers": FindingCode("sensors", "{signals} has outliers", "records.faults.spikes:SPIKE"),
     "hum": FindingCode(
         "sensors", "the mains hum in {signals}", "records.preparation.hum:BY_CHANCE"

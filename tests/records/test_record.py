@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.records.noise import Noise
 from riecjax.records.record import Record, stack_records
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Noise, Signal
 
 
 def ramp(count=5):

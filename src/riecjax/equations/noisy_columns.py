@@ -44,9 +44,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import combined, evaluate, read_expression
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf
-from riecjax.records.noise import Noise
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Noise, Signal
 
 _Part = tuple[AbstractTerm, int, Float[Array, "columns samples"]]
 """A term, and values that it adds to columns of one order."""

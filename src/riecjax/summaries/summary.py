@@ -17,7 +17,7 @@ from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.linear_algebra import factor_of_gram, joined_factor
-from riecjax.records.noise import Noise
+from riecjax.records.signal import Noise
 from riecjax.shows import Shown
 from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from riecjax.leaves import Leaf, namespace
-from riecjax.records.noise import Noise
+from riecjax.records.signal import Noise
 from riecjax.summaries.normal_equations import NormalEquations
 
 

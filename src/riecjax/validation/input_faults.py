@@ -15,8 +15,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off
-from riecjax.records.noise import noise_level
 from riecjax.records.record import Record
+from riecjax.records.signal import noise_level
 from riecjax.validation.equation_errors import EquationError, errors_over_records
 from riecjax.validation.residuals import window_errors
 
