@@ -8,7 +8,7 @@ from tests.machines import MACHINES, Shape
 
 import riecjax as rx
 from riecjax.criteria import chunks
-from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.summaries.one_pass import stage_normal_equations
 
 EQUATION = rx.Equation(rx.Term("m", "dx", derivative=1), rx.Term("k", "x"), -rx.Term(1.0, "u"))
 STEP = 0.01

@@ -8,7 +8,7 @@ import pytest
 import riecjax as rx
 from nightly import by_day, nightly
 from riecjax.summaries import one_pass
-from riecjax.summaries.stage_sums import traced_sums
+from riecjax.summaries.one_pass import traced_sums
 from riecjax.summaries.task import ready, task
 
 STEP = 0.005

@@ -22,7 +22,7 @@ from riecjax.summaries.normal_equations import (
     stack_normal_equations,
     sum_of_equations,
 )
-from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.summaries.one_pass import stage_normal_equations
 
 
 class Solution(eqx.Module):

@@ -13,12 +13,14 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation import kept_jit
+from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks, in_chunks
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion, Rows
 from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
@@ -29,12 +31,11 @@ from riecjax.equations.expressions import evaluate
 from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, namespace, on_host
 from riecjax.linear_algebra import gram_suffices
 from riecjax.records.record import Record, both, filled_up
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
-from riecjax.summaries.stage_sums import moments_of_drawn
 from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
 
 PART = 2**17
@@ -62,12 +63,13 @@ class Request(NamedTuple):
 
     **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
     longest window, or rows are drawn); `blocks` of an array; in each, rows that are `surveyed`,
-    none unless a survey is asked for.
+    none unless a survey is asked for; whether the products with a `constant` are kept as well.
     """
 
     block: Int[Array, ""] | int
     blocks: int
-    surveyed: int
+    surveyed: int = 0
+    constant: bool = True
 
 
 class Part(NamedTuple):
@@ -78,8 +80,8 @@ class Part(NamedTuple):
     """
 
     record: Record
-    first: Int[Array, ""] | int
-    held: Int[Array, ""] | None
+    first: Int[Array, ""] | int = 0
+    held: Int[Array, ""] | None = None
 
 
 class Surveyed(NamedTuple):
@@ -105,21 +107,21 @@ def of_all_windows(
     criterion: AbstractCriterion,
     part: Part,
     lengths: tuple[Lengths, ...],
-    band: tuple[Int[Array, ""], Int[Array, ""]],
+    band: tuple[Int[Leaf, ""], Int[Leaf, ""]],
     request: Request,
 ) -> list[list[PartSums]]:
     """What blocks of starts of a part say of each equation of each stage, where windows are summed.
 
     The closed form sums the windows that start in a block from running sums over the block and its
-    reach, so that a block shorter than a window costs as much as one as long. Where windows are
-    longer, neighbouring blocks are summed as one, and the first of them holds the sums.
+    reach, so that a block shorter than a window costs as much as one as long. Where some lengths
+    are longer, neighbouring blocks are summed as one, and the first of them holds the sums.
 
     **Arguments:** `band`, shortest and longest lag of the law.
     """
 
     def of_lengths(noisy: NoisyColumns, which: Lengths, blocks: StartBlocks) -> EquationSums:
         size, wider = blocks.size, 1
-        if isinstance(size, int):
+        if isinstance(size, int) and which is not lengths[0]:
             while wider * size < which.reach and blocks.number % (2 * wider) == 0:
                 wider *= 2
             blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
@@ -129,16 +131,11 @@ def of_all_windows(
             behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
             return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
 
-        def moments_of(columns: Columns) -> tuple[Array, Array]:
+        def products(columns: Columns) -> Moments:
             return criterion.test_function.moments(columns, which.lags, blocks, which.reach)
 
-        found, number = moments_of(with_constant(noisy.columns))
-        added = criterion.noise_of(noisy, which.lags, blocks, lambda c: moments_of(c)[0])
-        moments, constant = without_constant(found)
-        sums = EquationSums(moments, number, noisy.columns.parameters, constant=constant)
-        if added is not None:
-            sums = sums.with_noise(added.total, added.of_source[None])
-        return sums.each(spread)
+        sums = _equation_sums(criterion, noisy, which.lags, blocks, products, request)
+        return sums.each(spread, noise_of_source=lambda sources: sources[None])
 
     def sums_of(noisy: NoisyColumns, blocks: StartBlocks) -> tuple[EquationSums, ...]:
         return tuple(of_lengths(noisy, which, blocks) for which in lengths)
@@ -155,18 +152,6 @@ def of_all_windows(
     return _in_chunks(model, criterion, part, sums_of, some_windows, reach, request)
 
 
-def with_constant(columns: Columns) -> Columns:
-    """The same with a column behind that is 1 at every sample."""
-    ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
-    values = jnp.concatenate([columns.values, ones], axis=1)
-    return dataclasses.replace(columns, values=values, parameters=(*columns.parameters, ""))
-
-
-def without_constant(moments: Array) -> tuple[Array, Array]:
-    """Moments without their last column, a constant, and its products: with itself first."""
-    return moments[..., :-1, :-1], jnp.roll(moments[..., -1, :], 1, axis=-1)
-
-
 @kept_jit
 def of_rows(
     model: Model,
@@ -179,18 +164,47 @@ def of_rows(
     drawn = criterion.draw(part.record, key, part.held)
 
     def sums_of(noisy: NoisyColumns, blocks: StartBlocks) -> tuple[EquationSums, ...]:
-        names = noisy.columns.parameters
-        beside = noisy._replace(columns=with_constant(noisy.columns))
-        found = moments_of_drawn(criterion, beside, drawn, blocks)
-        _, constant = without_constant(found.moments)
-        found = found.in_columns(lambda matrix: matrix[..., :-1, :-1], names)
-        sums = EquationSums(found.moments, found.count, names, found.noise, constant=constant)
-        sums = jax.tree.map(lambda leaf: leaf[:, None], sums)
-        of_source = jax.tree.map(lambda leaf: leaf[None, None], found.noise_of_source)
-        return (sums.with_noise(sums.noise, of_source),)
+        place = (drawn.start / blocks.size).astype(jnp.int32)
+        place = jnp.clip(place, 0, blocks.number - 1) if blocks.number > 1 else None
+
+        def products(columns: Columns) -> Moments:
+            rows = criterion.rows_of(columns, drawn, blocks.unpadded)
+            sums = NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
+            return sums.moments, sums.count
+
+        sums = _equation_sums(criterion, noisy, drawn, blocks, products, request)
+        bins = sums.each(
+            lambda leaf: leaf[:, None], noise_of_source=lambda sources: sources[None, None]
+        )
+        return (bins,)
 
     every = WindowSet(drawn.start[None], drawn.stop[None])
     return _in_chunks(model, criterion, part, sums_of, lambda _: every, 0, request)
+
+
+def _equation_sums(
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    windows: LagBins | WindowSet,
+    blocks: StartBlocks,
+    products: Callable[[Columns], Moments],
+    request: Request,
+) -> EquationSums:
+    """Sums of an equation's rows by `products` of its columns, and what noise adds to them."""
+    columns, constant = noisy.columns, None
+    if request.constant:
+        # A column behind that is 1 at every sample, whose product with itself comes first.
+        ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
+        values = jnp.concatenate([columns.values, ones], axis=1)
+        names = (*columns.parameters, "")
+        moments, number = products(dataclasses.replace(columns, values=values, parameters=names))
+        constant = jnp.roll(moments[..., -1, :], 1, axis=-1)
+        moments = moments[..., :-1, :-1]
+    else:
+        moments, number = products(columns)
+    sums = EquationSums(moments, number, columns.parameters, constant=constant)
+    added = criterion.noise_of(noisy, windows, blocks, lambda moved: products(moved)[0])
+    return sums if added is None else sums.with_noise(added.total, added.of_source)
 
 
 @kept_jit
@@ -331,199 +345,188 @@ def stretch_starts(criterion: AbstractCriterion, time_step: float, wanted: int) 
     return power_of_two(max(wanted, PART, 4 * longest))
 
 
-class _Layout(NamedTuple):
-    """Blocks of a recording and how it is cut for one pass.
+def traced_sums(
+    model: Model,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    *,
+    apart: bool = False,
+    blocks: bool = True,
+) -> RecordingSums:
+    """Moments of one record, for code that is traced: shapes are those of the record.
 
-    **Fields:** `block`, starts to a block as they are summed; `starts` of a part; `filled`, samples
-    that each part is filled up to, `None` to leave the record as it is; `request`.
+    **Arguments:** `apart`, windows of each length by themselves, where the test function asks for
+    that; `blocks`, of starts, where rows are not summed in one.
     """
+    n, windows = record.sample_count, criterion.windows
+    closed = criterion.in_closed_form and windows is not None
+    size = criterion.block_samples(record) if blocks or closed else n
+    number = -(-n // size)
+    if closed:
+        law = jax.tree.map(
+            lambda lags: lags[:, None] if apart else lags[None], criterion.law(record)
+        )
+        lengths = (Lengths(law, windows.every.reach(n)),)
+        request = Request(size, number, constant=False)
+        found = of_all_windows(model, criterion, Part(record), lengths, (0, 0), request)
+    else:
+        request = Request(jnp.asarray(size), number, constant=False)
+        found = of_rows(model, criterion, Part(record), key, request)
 
-    block: int
-    starts: int
-    filled: int | None
-    request: Request
+    def of_bins(sums: EquationSums) -> EquationSums:
+        return sums.each(
+            lambda blocks: jnp.swapaxes(blocks, 0, 1), noise_of_source=lambda chunks: chunks.sum(0)
+        )
+
+    stages = [[of_bins(sums) for (sums,), _ in stage] for stage in found]
+    return _of_recording(stages, record, criterion, n, record.time_step, np.zeros(8, np.uint32))
 
 
-@dataclasses.dataclass(frozen=True)
-class OnePass:
-    """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][].
+@eqx.filter_jit
+def stage_normal_equations(
+    model: Model,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    *,
+    blocks: bool = False,
+) -> list[NormalEquations]:
+    """Normal equations of each stage on one record.
+
+    With `blocks`, the leading axis is one of short blocks of start times, each of
+    `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
+    length one.
+    """
+    sums = traced_sums(model, record, criterion, key, blocks=blocks)
+    stages = jax.tree.map(lambda bins: bins[0], sums.stages)
+    return [sum_of_equations(stage, names) for stage, names in zip(stages, model.stage_parameters)]
+
+
+def _of_recording(
+    stages: Sequence[Sequence[EquationSums]],
+    record: Record,
+    criterion: AbstractCriterion,
+    samples: int,
+    step: Leaf,
+    digest: np.ndarray,
+) -> RecordingSums:
+    """The sums of so many of a record's samples, `step` seconds apart."""
+    # Of some starts it is not known how many windows there would be without gaps.
+    offered = criterion.row_count(record) if samples == record.sample_count else None
+    return RecordingSums(
+        tuple(map(tuple, stages)),
+        np.asarray(stages[0][0].count.shape[-1]),
+        namespace(step).multiply(criterion.block_samples(record), step),
+        np.asarray(np.nan if offered is None else float(offered)),
+        np.asarray(samples),
+        step,
+        digest,
+        record.noise,
+    )
+
+
+# What overflows is for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def recording_sums(
+    model: Model,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    bins: LengthBins | None,
+    survey: bool = False,
+    starts: tuple[int, int] | None = None,
+) -> RecordingSums:
+    """One recording, summed in one pass (not under jit); arguments as for [`summarise`][].
 
     `starts`, first of the starts that are summed and one beyond the last; all, unless others see
     to the rest: then see [`stretch_starts`][].
+
+    **Raises:** `ModelError` for an expression that mixes samples of a long recording.
     """
-
-    model: Model
-    record: Record
-    criterion: AbstractCriterion
-    key: Key[Array, ""] | None
-    bins: LengthBins | None
-    survey: bool
-    starts: tuple[int, int] | None = None
-
-    @property
-    def step(self) -> float:
-        """Seconds between samples."""
-        return float(self.record.time_step)
-
-    @property
-    def count(self) -> int:
-        """Samples of the record."""
-        return self.record.sample_count
-
-    @property
-    def ends(self) -> tuple[int, int]:
-        """First of the starts that are summed, and one beyond the last."""
-        return self.starts or (0, self.count)
-
-    # What overflows is for the fit to refuse.
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def sums(self) -> RecordingSums:
-        """All sums of the recording.
-
-        **Raises:** `ModelError` for an expression that mixes samples of a long recording.
-        """
-        equations = self.model.equations
-        mixing = mixing_expressions(equations, self.record)
-        if mixing and (self.count > PART or self.criterion.in_chunks(self.record)):
-            raise ModelError(
-                f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
-                f"long is worked through in chunks. Compute it beforehand as a signal of the "
-                f"record."
-            )
-        closed = self.criterion.in_closed_form
-        # What mixes samples would mix those that the record is filled up with.
-        block, stages = (self._all_windows if closed else self._rows)(not mixing)
-        first, last = self.ends
-        whole = last - first == self.count
-        # Of some starts it is not known how many windows there would be without gaps.
-        offered = self.criterion.row_count(self.record) if whole else None
-        sums = RecordingSums(
-            tuple(tuple(stage) for stage in stages),
-            np.asarray(stages[0][0].count.shape[-1]),
-            np.asarray(block * self.step),
-            np.asarray(np.nan if offered is None else float(offered)),
-            np.asarray(last - first),
-            np.asarray(self.step),
-            digest_of(self.model, self.record, self.criterion, self.key, self.bins),
-            self.record.noise,
+    n, step = record.sample_count, float(record.time_step)
+    mixing = mixing_expressions(model.equations, record)
+    if mixing and (n > PART or criterion.in_chunks(record)):
+        raise ModelError(
+            f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
+            f"long is worked through in chunks. Compute it beforehand as a signal of the "
+            f"record."
         )
-        # The order of axes in memory is one in which NumPy adds up: it must survive a file.
-        return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
-
-    def _all_windows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
-        """Starts to a block, and sums over all windows."""
-        windows = self.criterion.windows
-        assert windows is not None
-        windows = windows.every
-        lengths = self._lengths(windows)
-        reach = lengths[-1].reach
-        layout = self._layout(windows, reach, fill)
-        lags = windows.lags(
-            self.count, self.record.time_step, self.criterion.test_function.length_multiple
-        )
+    begin, end = starts or (0, n)
+    block = unit = criterion.block_samples(record)
+    # What mixes samples would mix those that the record is filled up with. Starts of a part, and
+    # samples that it is filled up to; `None` to leave the record as it is.
+    width, filled = n, None if mixing else _filled(n)
+    reach = 0
+    if criterion.in_closed_form:
+        assert criterion.windows is not None
+        windows, weight = criterion.windows.every, criterion.test_function
+        lengths = _lengths(criterion, windows, record, bins)
+        reach, longest = lengths[-1].reach, windows.reach(n)
+        if block < longest:
+            request = Request(jnp.asarray(block), 2, survey * SURVEYED // 2)
+        else:
+            unit = longest
+            if n > FILLED[-1] and not mixing:
+                width = max(PART, 4 * longest)
+                filled = width + reach + 2 * weight.margin
+            elif not mixing:
+                width = filled
+            size = (n if filled is None else filled) // (1 if width <= FILLED[0] else 4)
+            surveyed = survey * max(SURVEYED * longest // size, 1)
+            request = Request(longest, -(-width // longest), surveyed)
+        lags = windows.lags(n, record.time_step, weight.length_multiple)
         band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
-        given = (self.model, self.criterion)
-        parts = [
-            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, band, layout.request))
-            for part in self._parts(layout, reach)
-        ]
-        grouped = windows.block(self.count) // layout.block
-        return layout.block * grouped, self._stages(parts, layout.block, grouped)
 
-    def _stages(
-        self, parts: list[list[list[PartSums]]], block: int, grouped: int
-    ) -> list[list[EquationSums]]:
-        """Sums of all equations from those of each part, with so many blocks to one."""
-        count = -(-(self.ends[1] - self.ends[0]) // block)
+        def sums_of(part: Part) -> list[list[PartSums]]:
+            return of_all_windows(model, criterion, part, lengths, band, request)
 
-        def in_bins(blocks: Leaf) -> Leaf:
-            bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
-            return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
+    else:
+        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(survey))
 
-        def of_equation(i: int, j: int) -> EquationSums:
-            every = [part[i][j] for part in parts]
-            # Blocks, or chunks, of all parts one after the other; then bins of all lengths.
-            lengths = [
-                jax.tree.map(lambda *leaves: np.concatenate(leaves), *group)
-                for group in zip(*(sums for sums, _ in every))
-            ]
-            sums: EquationSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
-            sums = sums.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
+        def sums_of(part: Part) -> list[list[PartSums]]:
+            return of_rows(model, criterion, part, key, request)
 
-            surveys = [survey for _, survey in every if survey is not None]
-            survey = _survey(surveys, float(self.record.skipped)) if surveys else None
-            return dataclasses.replace(sums, survey=survey)
-
-        shape = [len(stage) for stage in self.model.stages]
-        return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
-
-    def _lengths(self, windows: AllWindows) -> tuple[Lengths, ...]:
-        """Window lengths, those longer than the law's apart: they reach further than a block."""
-        law = self.criterion.law(self.record)
-        every = LagBins(np.asarray(law.first), np.asarray(law.last), np.asarray(law.weight))
-        reach = windows.reach(self.count)
-        if self.bins is None:
-            return (Lengths(_each(every, None), reach),)
-        multiple = self.criterion.test_function.length_multiple
-        cut = law_in_bins(every, self.bins, multiple * self.step, (self.count - 1) // multiple)
-        beyond = self.bins.band[1]
-        if beyond == self.bins.edges.size - 1:
-            return (Lengths(cut, reach),)
-        longest = power_of_two(float(self.bins.edges[-1]) / self.step + 2)
-        within, longer = _each(cut, slice(beyond)), _each(cut, slice(beyond, None))
-        return Lengths(within, reach), Lengths(longer, longest)
-
-    def _layout(self, windows: AllWindows, reach: int, fill: bool) -> _Layout:
-        n = self.count
-        longest = windows.reach(n)
-        if (block := windows.block(n)) < longest:
-            request = Request(jnp.asarray(block), 2, self.survey * SURVEYED // 2)
-            return _Layout(block, n, _filled(n) if fill else None, request)
-        starts = max(PART, 4 * longest)
-        filled = starts + reach + 2 * self.criterion.test_function.margin
-        if not fill:
-            starts, filled = n, None
-        elif n <= FILLED[-1]:
-            starts = filled = _filled(n)
-        blocks = -(-starts // longest)
-        size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
-        request = Request(longest, blocks, self.survey * max(SURVEYED * longest // size, 1))
-        return _Layout(longest, starts, filled, request)
-
-    def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
+    def parts() -> Iterator[Part]:
         """The recording cut into parts, each with what its windows reach beyond it."""
-        if layout.filled is None:
-            record = dataclasses.replace(self.record, skipped=np.zeros(()))
-            yield Part(record, 0, None)
+        if filled is None:
+            yield Part(dataclasses.replace(record, skipped=np.zeros(())))
             return
-        margin = self.criterion.test_function.margin
-        for start in range(*self.ends, layout.starts):
-            begin = max(start - margin, 0)
-            stop = min(start + layout.starts + reach + margin, self.count)
-            yield Part(
-                filled_up(self.record, layout.filled, begin, stop),
-                jnp.asarray(start - begin),
-                jnp.asarray(stop - begin),
-            )
+        margin = criterion.test_function.margin
+        for start in range(begin, end, width):
+            first = max(start - margin, 0)
+            stop = min(start + width + reach + margin, n)
+            samples = filled_up(record, filled, first, stop)
+            yield Part(samples, jnp.asarray(start - first), jnp.asarray(stop - first))
 
-    def _rows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
-        """Starts to a block, and sums over rows: samples, or windows that are drawn."""
-        n = self.count
-        block = self.criterion.block_samples(self.record)
-        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(self.survey))
-        layout = _Layout(block, n, _filled(n) if fill else None, request)
-        (part,) = self._parts(layout, 0)
-        given = (self.model, self.criterion, part, self.key)
-        found = jax.tree.map(np.asarray, of_rows(*given, request))
-        stages = self._stages([found], block, 1)
+    found = [jax.tree.map(np.asarray, sums_of(part)) for part in parts()]
+    count, grouped = -(-(end - begin) // unit), block // unit
+
+    def in_bins(blocks: Leaf) -> Leaf:
+        bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
+        return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
+
+    def joined(of_parts: Sequence[PartSums]) -> EquationSums:
+        """An equation's sums: blocks, or chunks, of all parts one after the other; then bins of all
+        lengths."""
+        lengths = [
+            jax.tree.map(lambda *leaves: np.concatenate(leaves), *group)
+            for group in zip(*(sums for sums, _ in of_parts))
+        ]
+        sums: EquationSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
+        surveys = [rows for _, rows in of_parts if rows is not None]
+        surveyed = _survey(surveys, float(record.skipped)) if surveys else None
+        sums = sums.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
+        return dataclasses.replace(sums, survey=surveyed)
+
+    stages = [[joined(equation) for equation in zip(*stage)] for stage in zip(*found)]
+    if not criterion.in_closed_form:
         # Whether some stage's moments lose more digits than its rows would. What is not finite is
         # for the fit to refuse.
-        totals = []
-        for stage, names in zip(stages, self.model.stage_parameters):
-            apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
-            totals.append(np.asarray(sum_of_equations(apart, names).total().gram))
-        if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in totals):
-            rows = all_rows(*given)
+        raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages)
+        grams = [np.asarray(sum_of_equations(stage).gram) for stage in raw]
+        if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in grams):
+            rows = all_rows(model, criterion, next(parts()), key)
             stages = [
                 [
                     dataclasses.replace(e, factor=np.linalg.qr(np.asarray(r.columns).T, mode="r"))
@@ -531,12 +534,32 @@ class OnePass:
                 ]
                 for pair in zip(stages, rows)
             ]
-        return block, stages
+    digest = digest_of(model, record, criterion, key, bins)
+    sums = _of_recording(stages, record, criterion, end - begin, np.asarray(step), digest)
+    # The order of axes in memory is one in which NumPy adds up: it must survive a file.
+    return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
 
 
-def _each(law: LagBins, index: slice | None) -> LagBins:
-    """Some bins of a law; of `None`, all of it as one bin."""
-    return LagBins(law.first[index], law.last[index], law.weight[index])
+def _lengths(
+    criterion: AbstractCriterion, windows: AllWindows, record: Record, bins: LengthBins | None
+) -> tuple[Lengths, ...]:
+    """Window lengths, those longer than the law's apart: they reach further than a block."""
+    n, step = record.sample_count, float(record.time_step)
+    law, reach = on_host(criterion.law(record)), windows.reach(n)
+
+    def some(law: LagBins, index: slice | None) -> LagBins:
+        return jax.tree.map(lambda leaf: leaf[index], law)
+
+    if bins is None:
+        return (Lengths(some(law, None), reach),)
+    multiple = criterion.test_function.length_multiple
+    cut = law_in_bins(law, bins, multiple * step, (n - 1) // multiple)
+    beyond = bins.band[1]
+    if beyond == bins.edges.size - 1:
+        return (Lengths(cut, reach),)
+    longest = power_of_two(float(bins.edges[-1]) / step + 2)
+    within, longer = some(cut, slice(beyond)), some(cut, slice(beyond, None))
+    return Lengths(within, reach), Lengths(longer, longest)
 
 
 def _filled(samples: int) -> int:

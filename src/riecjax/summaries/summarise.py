@@ -15,9 +15,8 @@ from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import explaining_errors
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.one_pass import OnePass
+from riecjax.summaries.one_pass import recording_sums, traced_sums
 from riecjax.summaries.sensor_choice import with_less_noise
-from riecjax.summaries.stage_sums import traced_sums
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.sums import RecordingSums
 from riecjax.summaries.task import Task, ready, task
@@ -97,8 +96,8 @@ def summed(
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
         read = with_less_noise(in_motion(model, record), record, criterion)
         if traced:
-            return traced_sums(read, record, criterion, key, own is not None)
-        return OnePass(read, record, criterion, key, kept_apart, survey, starts).sums()
+            return traced_sums(read, record, criterion, key, apart=own is not None)
+        return recording_sums(read, record, criterion, key, kept_apart, survey, starts)
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)
