@@ -9,6 +9,7 @@ which is linear in theta: a row of a regression, target first. Least squares ove
 windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
@@ -310,10 +311,7 @@ class RIEC(AbstractCriterion):
 
     def between(self, alpha: float | Array, beta: float | Array) -> "RIEC":
         """The same with windows of other lengths."""
-        return self._over(self.windows.between(alpha, beta))
-
-    def _over(self, windows: RandomWindows | AllWindows) -> "RIEC":
-        return RIEC(windows, self.test_function, self.why)
+        return dataclasses.replace(self, windows=self.windows.between(alpha, beta))
 
     def finest(self) -> "RIEC":
         """The same with the test function's finest quadrature; windows between samples have one."""
@@ -330,11 +328,11 @@ class RIEC(AbstractCriterion):
     @property
     def every(self) -> "RIEC":
         """This criterion with all windows, which random ones converge to."""
-        return self._over(self.windows.every)
+        return dataclasses.replace(self, windows=self.windows.every)
 
     def fitted(self, records: Sequence[Record]) -> "RIEC":
         """This criterion with what it takes from the records before tracing."""
-        return self._over(self.windows.fitted(records))
+        return dataclasses.replace(self, windows=self.windows.fitted(records))
 
     def check(self, record: Record) -> None:
         """The record must be longer than the longest window."""

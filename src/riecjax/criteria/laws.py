@@ -160,14 +160,6 @@ MOST_BINS = 2**10
 """Bins of window lengths: memory grows with each, and neighbours hardly differ."""
 
 
-def _require_memory(bins: int) -> None:
-    if bins > MOST_BINS:
-        raise ModelError(
-            f"sums of {bins} bins of window lengths would take too much memory: give at most "
-            f"{MOST_BINS}, bins=12 as a rule."
-        )
-
-
 class LengthBins(NamedTuple):
     """Stretches of window lengths in seconds, among whose edges are alpha and beta.
 
@@ -179,31 +171,30 @@ class LengthBins(NamedTuple):
     band: tuple[int, int]
 
     @classmethod
-    def around(cls, alpha: float, beta: float, edges: ArrayLike) -> "LengthBins":
-        """Bins with these edges, in seconds, and with alpha and beta.
+    def of(cls, alpha: float, beta: float, bins: int | ArrayLike) -> "LengthBins":
+        """So many bins from alpha to beta, in equal ratios; or with these edges, in seconds, and
+        with alpha and beta.
 
-        **Raises:** `ModelError` unless edges are positive and finite, and for too many.
+        **Raises:** `ModelError` for fewer than one, for too many, and unless edges are positive
+        and finite.
         """
-        given = np.asarray(edges, float).ravel()
-        if not (np.isfinite(given).all() and (given > 0).all()):
+        edges = None if isinstance(bins, int | np.integer) else np.asarray(bins, float).ravel()
+        number = int(bins) if edges is None else edges.size - 1
+        if edges is None and number < 1:
+            raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
+        if edges is not None and not (np.isfinite(edges).all() and (edges > 0).all()):
             raise ModelError("edges of bins of window lengths are positive numbers of seconds.")
-        _require_memory(given.size - 1)
+        if number > MOST_BINS:
+            raise ModelError(
+                f"sums of {number} bins of window lengths would take too much memory: give at most "
+                f"{MOST_BINS}, bins=12 as a rule."
+            )
+        edges = np.geomspace(alpha, beta, number + 1) if edges is None else edges
         # Edges that are alpha or beta but for rounding would make bins of nothing.
-        near = np.isclose(given, alpha, rtol=1e-9) | np.isclose(given, beta, rtol=1e-9)
-        every = np.unique([*given[~near], alpha, beta])
+        near = np.isclose(edges, alpha, rtol=1e-9) | np.isclose(edges, beta, rtol=1e-9)
+        every = np.unique([*edges[~near], alpha, beta])
         first, last = np.searchsorted(every, [alpha, beta])
         return cls(every, (int(first), int(last)))
-
-    @classmethod
-    def of_number(cls, alpha: float, beta: float, number: int) -> "LengthBins":
-        """So many bins from alpha to beta, in equal ratios.
-
-        **Raises:** `ModelError` for fewer than one, and for too many.
-        """
-        if number < 1:
-            raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
-        _require_memory(number)
-        return cls.around(alpha, beta, np.geomspace(alpha, beta, number + 1))
 
     def lags(
         self, unit: float, most: int

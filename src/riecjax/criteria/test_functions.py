@@ -33,12 +33,11 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.criteria.all_windows import Moments, moments_in_blocks
+from riecjax.criteria.all_windows import Moments, Points, moments_in_blocks
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins, each_bin, sum_over_lengths
 from riecjax.criteria.noise_moments import (
     NoiseWeights,
-    Points,
     boxcar_noise_weights,
     hat_noise_weights,
     noise_weights_of_lengths,

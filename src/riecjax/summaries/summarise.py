@@ -1,6 +1,5 @@
 """Sum up what recordings say to a model: the only step that reads samples."""
 
-import numpy as np
 from jaxtyping import Array, Key
 from numpy.typing import ArrayLike
 
@@ -76,21 +75,17 @@ def summed(
     model = model.linear
     outline = Outline.of(model)
     traced = not is_concrete(model, records, criterion, keys) or is_under_trace()
-    windows, own = criterion.windows, None
+    windows, own, kept_apart = criterion.windows, None, None
     if bins is None and windows is not None and criterion.in_closed_form and is_concrete(windows):
         own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
-    kept_apart = None if own is None else LengthBins(own, (0, len(own) - 1))
+        kept_apart = None if own is None else LengthBins(own, (0, len(own) - 1))
     if bins is not None:
         if traced or not criterion.in_closed_form or windows is None:
             raise ModelError(
                 "bins of window lengths are kept of all windows, with numbers that are known: use "
                 "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
             )
-        alpha, beta = float(windows.alpha), float(windows.beta)
-        if isinstance(bins, int | np.integer):
-            kept_apart = LengthBins.of_number(alpha, beta, int(bins))
-        else:
-            kept_apart = LengthBins.around(alpha, beta, bins)
+        kept_apart = LengthBins.of(float(windows.alpha), float(windows.beta), bins)
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
