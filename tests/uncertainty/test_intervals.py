@@ -7,7 +7,6 @@ import pytest
 import scipy.stats
 
 from riecjax.criteria.criterion import Rows
-from riecjax.estimation.stages import solve
 from riecjax.summaries.normal_equations import (
     MOST_BLOCKS,
     NormalEquations,
@@ -63,7 +62,7 @@ def statistics_of(fine, blocks=BLOCKS, short=SETTING) -> BlockStatistics:
     flat = [stage.flattened() for stage in fine]
     unknowns = unknowns_of(flat, {})
     totals = [stage.total() for stage in flat]
-    values = staged_values(totals, unknowns, {}, lambda e: solve(e).theta)
+    values = staged_values(totals, unknowns, {})
     used = jnp.array([blocks])
     merged = [stage.merged(short, used) for stage in fine]
     return BlockStatistics(

@@ -61,8 +61,7 @@ def in_chunks(
     - `block`: starts to a block; `reach`: samples that a window reaches beyond its start at most;
       `margin`: samples more on either side, for quadrature.
     - `unpadded`: samples before the padding, all by default. It may be traced: chunks
-      beyond are not worked through, and what is returned for their blocks is zero. That cannot be
-      differentiated backwards.
+      beyond are not worked through, and what is returned for their blocks is zero.
     - `first` of the starts, and `number` of blocks from there: by default all that there are.
     """
     n = record.sample_count
@@ -85,27 +84,14 @@ def in_chunks(
         blocks = StartBlocks(start - begin, block, length // block, here)
         return of_chunk(record.stretch(begin, width), blocks)
 
-    rounds = -(-count * block // length)
-    if unpadded is None:
-        chunks = jax.lax.map(one, jnp.arange(rounds))
-        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
+    def unless_beyond(index: Array) -> Any:
+        if unpadded is None:
+            return one(index)
+        # To learn the shapes and to loop it is traced once.
+        once = jax.jit(one)
+        shapes = jax.eval_shape(once, index)
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        return jax.lax.cond(first + index * length < unpadded, once, lambda _: nothing, index)
 
-    # To learn the shapes and to loop it is traced once.
-    one = jax.jit(one)
-
-    def add(index: Array, total: Any) -> Any:
-        return jax.tree.map(
-            lambda every, own: jax.lax.dynamic_update_slice_in_dim(
-                every, own, index * own.shape[0], axis=0
-            ),
-            total,
-            one(index),
-        )
-
-    shapes = jax.eval_shape(one, jnp.zeros((), int))
-    none = jax.tree.map(
-        lambda leaf: jnp.zeros((rounds * leaf.shape[0], *leaf.shape[1:]), leaf.dtype), shapes
-    )
-    there = jnp.minimum(unpadded - first, count * block)
-    total = jax.lax.fori_loop(0, -(-there // length), add, none)
-    return jax.tree.map(lambda leaf: leaf[:count], total)
+    chunks = jax.lax.map(unless_beyond, jnp.arange(-(-count * block // length)))
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)

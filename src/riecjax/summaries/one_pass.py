@@ -85,12 +85,10 @@ class Part(NamedTuple):
 
 
 class Surveyed(NamedTuple):
-    """Rows of some windows in each block, and where they start; the same by the finest quadrature,
-    and what noise adds to them; least and largest argument of each basis."""
+    """Rows of some windows in each block: by the criterion, by the finest quadrature, and what
+    noise adds to them; where they start; least and largest argument of each basis."""
 
-    rows: Float[Array, "blocks rows columns"]
-    finer: Float[Array, "blocks rows columns"]
-    noise: Float[Array, "blocks rows columns"]
+    rows: Float[Array, "blocks rows 3 columns"]
     start: Float[Array, "blocks rows"]
     valid: Bool[Array, "blocks rows"]
     reach: dict[str, Float[Array, "1 2"]]
@@ -280,10 +278,9 @@ def _in_chunks(
                 high = jnp.max(argument, where=real, initial=-jnp.inf)
                 reaches[str(term.name)] = jnp.stack([low, high])[None]
         at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
+        by_finest = values if finer is criterion else rows(columns, finer)[0]
         return Surveyed(
-            values,
-            values if finer is criterion else rows(columns, finer)[0],
-            rows(added, criterion)[0],
+            jnp.stack([values, by_finest, rows(added, criterion)[0]], axis=-2),
             record.elapsed[at].reshape(windows.start.shape),
             valid,
             reaches,
@@ -569,19 +566,17 @@ def _filled(samples: int) -> int:
 
 def _survey(parts: Sequence[Surveyed], skipped: float) -> Survey:
     """Rows of all parts, the first sample at `skipped` seconds, and what they come to."""
-
-    def flat(of: str) -> Float[np.ndarray, "rows columns"]:
-        return np.concatenate([getattr(p, of).reshape(-1, p.rows.shape[-1]) for p in parts])
-
+    every = np.concatenate([p.rows.reshape(-1, *p.rows.shape[-2:]) for p in parts])
+    # Each as its own array: in which order products add up depends on how they lie in memory.
+    rows, finer, noise = np.ascontiguousarray(np.moveaxis(every, 1, 0))
     valid = np.flatnonzero(np.concatenate([p.valid.ravel() for p in parts]))
-    rows, finer, noise = flat("rows"), flat("finer"), flat("noise")
     start = skipped + np.concatenate([p.start.ravel() for p in parts])
     shown = valid[np.linspace(0, max(valid.size - 1, 0), min(valid.size, SHOWN)).astype(int)]
     shown = shown[np.argsort(start[shown], kind="stable")]
     quadrature = np.stack([each.T @ each for each in (rows - finer, finer)])
-    ends = {name: np.concatenate([p.reach[name] for p in parts]) for name in parts[0].reach}
-    reach: dict[str, Leaf] = {
-        name: np.array([own[:, 0].min(), own[:, 1].max()]) for name, own in ends.items()
-    }
+    reach: dict[str, Leaf] = {}
+    for name in parts[0].reach:
+        low, high = np.concatenate([p.reach[name] for p in parts]).T
+        reach[name] = np.array([low.min(), high.max()])
     covariance = noise.T @ noise / max(valid.size, 1)
     return Survey(covariance, quadrature, rows[shown], start[shown], reach)

@@ -13,7 +13,7 @@ blocks that are long enough once that length is known from the data.
 # parameter, so every parameter has its length and the longest is taken: too long a block costs
 # degrees of freedom, which Student's t pays for, too short a one costs coverage that nothing shows.
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -210,15 +210,13 @@ def unknowns_of(stages: Sequence[NormalEquations], known: Mapping[str, Array]) -
 
 
 def staged_values(
-    totals: list[NormalEquations],
-    unknowns: Unknowns,
-    known: Mapping[str, Array],
-    solver: Callable[[NormalEquations], Float[Array, " p"]],
+    totals: list[NormalEquations], unknowns: Unknowns, known: Mapping[str, Array]
 ) -> dict[str, Array]:
     """Every parameter by name, from the stages' normal equations (without an axis of blocks)."""
     found = dict(known)
     for i, names in unknowns:
-        found |= dict(zip(names, solver(totals[i].fix(found))))
+        stage = totals[i].fix(found)
+        found |= dict(zip(names, solve_scaled(stage.gram, stage.moment[:, None])[:, 0]))
     return found
 
 

@@ -329,9 +329,6 @@ def studentized_replicates(
     found = statistics.estimate
     moments = [stage.clean.reshape(stage.count.shape[0], -1) for stage in stages]
 
-    def solved(equations: NormalEquations) -> Float[Array, " p"]:
-        return solve_scaled(equations.gram, equations.moment[:, None])[:, 0]
-
     def replicate(drawn: Float[Array, "records blocks_of_record"]) -> Float[Array, " p"]:
         weights = drawn_counts(drawn, used).astype(found.dtype).ravel()
         totals = [
@@ -340,7 +337,7 @@ def studentized_replicates(
             )
             for m, s in zip(moments, stages)
         ]
-        again = staged_values(totals, unknowns, statistics.known, solved)
+        again = staged_values(totals, unknowns, statistics.known)
         # Elimination with every block's score on the right would take half as long again.
         curvature = slope(totals, unknowns)
         inverse = solve_scaled(curvature, jnp.eye(curvature.shape[0], dtype=curvature.dtype))
