@@ -232,10 +232,7 @@ def _side_by_side(
     """
     values, mean, block, count = primitives.values, primitives.mean, blocks.size, blocks.number
     assert isinstance(block, int)
-    columns, whole = values.shape[0], (count + 1) * block
-    padded = jnp.pad(values, ((0, 0), (0, whole)))
-    parts = jax.lax.dynamic_slice_in_dim(padded, blocks.first, whole, axis=1)
-    parts = parts.reshape(columns, count + 1, block)
+    parts = blocks.cut(values, count + 1)
     valid = jnp.clip(blocks.unpadded - blocks.first - block * jnp.arange(count + 1), 0, block)
     inside = (jnp.arange(block)[None, :] < valid[:, None])[None]
     place = jnp.arange(block) - (block - 1) / 2

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from riecjax.records.record import Record
 
@@ -39,6 +39,32 @@ class StartBlocks(NamedTuple):
     size: Int[Array, ""] | int
     number: int
     unpadded: Int[Array, ""] | int
+
+    def cut(
+        self, values: Float[Array, "columns n"], number: int
+    ) -> Float[Array, "columns number size"]:
+        """The first of so many blocks of a size that is known, zero beyond the last sample."""
+        assert isinstance(self.size, int)
+        room = number * self.size
+        # Room behind, so that no slice would begin earlier than asked for.
+        padded = jnp.pad(values, ((0, 0), (0, room)))
+        part = jax.lax.dynamic_slice_in_dim(padded, self.first, room, axis=1)
+        return part.reshape(values.shape[0], number, self.size)
+
+    def products(
+        self, left: Float[Array, "a n"], right: Float[Array, "b n"]
+    ) -> Float[Array, "blocks a b"]:
+        """sum_u left[u] right[u]^T by blocks; what lies beyond counts to the last one."""
+        n, number, size = left.shape[1], self.number, self.size
+        if not isinstance(size, int):
+            block = jnp.clip((jnp.arange(n) - self.first) // size, 0, number - 1)
+            each = left.T[:, :, None] * right.T[:, None]
+            return jax.ops.segment_sum(each, block, num_segments=number)
+        # As many blocks of the same size as the samples could fill.
+        room, precision = max(-(-n // size), number), jax.lax.Precision.HIGHEST
+        blocks = self.cut(left, room), self.cut(right, room)
+        sums = jnp.einsum("abu,cbu->bac", *blocks, precision=precision)
+        return sums[:number].at[-1].add(jnp.sum(sums[number:], axis=0))
 
 
 def in_chunks(

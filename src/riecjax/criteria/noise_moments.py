@@ -274,44 +274,20 @@ def _weighted(
     movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
 ) -> Float[Array, "blocks columns columns"]:
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
-    total = jnp.zeros((blocks.number, size, size), weights.dtype)
+    n, total = weights.shape[-1], jnp.zeros((blocks.number, size, size), weights.dtype)
+    unit = jnp.ones((1, n), weights.dtype)
     for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
         rows, columns = np.array(movement.rows[k]), np.array(movement.rows[m])
-        part = _sums_in_blocks(left, weights[k, m], right, blocks)
+        weight = weights[k, m][None]
+        if left.shape[1] == right.shape[1] == 1:
+            # What is the same at every sample stands before the sum.
+            part = blocks.products(weight, unit) * (left @ right.T)[None]
+        else:
+            part = blocks.products(weight * left, right * unit)
         total = total.at[:, rows[:, None], columns[None, :]].add(part)
         if k != m:
             total = total.at[:, columns[:, None], rows[None, :]].add(jnp.swapaxes(part, 1, 2))
     return total
-
-
-def _sums_in_blocks(
-    left: Float[Array, "a samples"],
-    weight: Float[Array, " n"],
-    right: Float[Array, "b samples"],
-    blocks: StartBlocks,
-) -> Float[Array, "blocks a b"]:
-    """sum_u weight[u] left[u] right[u]^T by blocks; what lies beyond counts to the last one."""
-    number, size, n = blocks.number, blocks.size, weight.shape[0]
-    if left.shape[1] == right.shape[1] == 1:
-        # What is the same at every sample stands before the sum.
-        unit = jnp.ones((1, n), weight.dtype)
-        return _sums_in_blocks(unit, weight, unit, blocks) * (left @ right.T)[None]
-    weighted, right = weight[None] * left, jnp.broadcast_to(right, (right.shape[0], n))
-    if not isinstance(size, int):
-        block = jnp.clip((jnp.arange(n) - blocks.first) // size, 0, number - 1)
-        products = weighted.T[:, :, None] * right.T[:, None]
-        return jax.ops.segment_sum(products, block, num_segments=number)
-    # As many blocks of the same size as the samples could fill, the first sample in the first one.
-    room = max(-(-n // size), number)
-
-    def apart(values: Array) -> Array:
-        padded = jnp.pad(values, ((0, 0), (0, room * size)))
-        part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, room * size, axis=1)
-        return part.reshape(values.shape[0], room, size)
-
-    precision = jax.lax.Precision.HIGHEST
-    sums = jnp.einsum("abu,cbu->bac", apart(weighted), apart(right), precision=precision)
-    return sums[:number].at[-1].add(jnp.sum(sums[number:], axis=0))
 
 
 def _probed(

@@ -502,28 +502,15 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
         everywhere = self._at_every_start(columns, blocks.unpadded)
-        (_, size, room), dtype = columns.values.shape, columns.values.dtype
-        # Blocks of a known size are a reshape; of a traced one, a mask for each block.
-        count, starts = blocks.number, blocks.size
-        place = (jnp.arange(room) - blocks.first) // starts
-
-        def in_blocks(values: Float[Array, "columns n"]) -> Float[Array, "columns count starts"]:
-            if not isinstance(starts, int):
-                inside = place[None, :] == jnp.arange(count)[:, None]
-                return jnp.where(inside[None], values[:, None, :], 0.0)
-            # Room behind, so that no slice would begin earlier than asked for.
-            padded = jnp.pad(values, ((0, 0), (0, count * starts)))
-            part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * starts, axis=1)
-            return part.reshape(values.shape[0], count, starts)
+        count, dtype = columns.values.shape[1], columns.values.dtype
 
         def of_length(length: Leaf, weight: Leaf) -> Moments:
-            valid = self._whole(columns, length, blocks)
-            parts = in_blocks(jnp.where(valid[None, :], everywhere(length), 0.0))
-            number = jnp.sum(in_blocks(valid[None].astype(parts.dtype))[0], axis=1)
-            moments = jnp.einsum("ibs,jbs->bij", parts, parts)
-            return jnp.asarray(weight) * moments, jnp.asarray(weight) * number
+            valid = self._whole(columns, length, blocks)[None, :]
+            rows, there = jnp.where(valid, everywhere(length), 0.0), valid.astype(dtype)
+            number = blocks.products(there, there)[:, 0, 0]
+            return jnp.asarray(weight) * blocks.products(rows, rows), jnp.asarray(weight) * number
 
-        none = (jnp.zeros((count, size, size), dtype), jnp.zeros(count, dtype))
+        none = (jnp.zeros((blocks.number, count, count), dtype), jnp.zeros(blocks.number, dtype))
 
         def law_moments(law: LagBins) -> Moments:
             return sum_over_lengths(of_length, (law.first, law.weight), none)
@@ -536,21 +523,20 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         """Of all windows, from the squares of each length's weights."""
         if not isinstance(windows, LagBins):
             return None
-        start = jnp.arange(columns.sample_count)
-        within = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
 
         def of_length(length: Leaf, weight: Leaf) -> tuple[Array, Array]:
-            at = jnp.where(within & self._whole(columns, length, blocks), weight, 0.0)
+            at = jnp.where(self._whole(columns, length, blocks), weight, 0.0)
             return at, self._weights(length, columns)
 
         return noise_weights_of_lengths(of_length, (windows.first, windows.weight))
 
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
-        """Where a window of this length may start: inside, with no sample missing."""
+        """Where a window of this length may start: in a block, with no sample missing."""
         start = jnp.arange(columns.sample_count)
+        within = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
         window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
         unbroken = valid_windows(window, columns.present)
-        valid: Any = both(unbroken, start + length < blocks.unpadded)
+        valid: Any = both(unbroken, within & (start + length < blocks.unpadded))
         return valid
 
     def _at_every_start(

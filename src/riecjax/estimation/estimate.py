@@ -1,5 +1,6 @@
 """Parameters with units and uncertainty, however they were estimated."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Self
 
@@ -71,11 +72,9 @@ class AbstractEstimate(Saved, eqx.Module):
     def __getitem__(self, name: str) -> Float[Array, "*batch"]:
         if not isinstance(name, str) or name not in self.known:
             return self._of(self.theta, name)
-        if not self.batch_shape:
-            return _single(self.known[name])
-        value, shape = self.known[name], self.batch_shape
         # What is known may be one value for all of a batch.
-        return value if value.shape == shape else namespace(value).broadcast_to(value, shape)
+        value = namespace(self.known[name]).broadcast_to(self.known[name], self.batch_shape)
+        return value if self.batch_shape else _single(value)
 
     def __iter__(self) -> Iterator[str]:
         return iter((*self.parameters, *self.known))
@@ -141,9 +140,8 @@ class AbstractEstimate(Saved, eqx.Module):
 
         Floats, or of a batch arrays of its shape.
         """
-        index = self._index(name)
-        low, high = (ends[..., index] for ends in self.intervals(level))
-        return (low, high) if self.batch_shape else (float(low), float(high))
+        self._index(name)
+        return self.interval_by_name(level)[name]
 
     def intervals(
         self, level: float = 0.95
@@ -180,15 +178,14 @@ class AbstractEstimate(Saved, eqx.Module):
         if not self.batch_shape:
             return list(host._findings())
         first: dict[str, Finding] = {}
-        concerned: dict[str, int] = {}
+        concerned = Counter[str]()
         for place in np.ndindex(self.batch_shape):
-            at = ", ".join(map(str, place))
-            said = list(host.member(*place)._findings())
-            for finding in said:
+            at, said = ", ".join(map(str, place)), dict[str, Finding]()
+            for finding in host.member(*place)._findings():
                 message = f"first in member {at}: {finding.message}"
-                first.setdefault(finding.code, finding._replace(message=message))
-            for code in {finding.code for finding in said}:
-                concerned[code] = concerned.get(code, 0) + 1
+                said.setdefault(finding.code, finding._replace(message=message))
+            concerned.update(said.keys())
+            first |= {code: said[code] for code in said if code not in first}
         size = int(np.prod(self.batch_shape))
         return [
             finding._replace(message=f"in {concerned[code]} of {size} members, {finding.message}")
