@@ -143,25 +143,20 @@ def estimated(
     intervals: AbstractIntervals,
 ) -> Estimate:
     """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
-    equations = summary.equations()
-    modes, short = None, summary.short_blocks
-    if model.has_hidden:
-        if table.per_record:
-            raise ModelError("per_record has no meaning yet for a model with hidden elements.")
-        from riecjax.estimation.mode_windows import find_modes
-
-        modes = find_modes(model, summary, table.known)
-        equations = modes.equations
+    equations, short = summary.equations(), summary.short_blocks
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = intervals.drawn(short.number.shape[0])
-    given = summary.noise_freedom, short, window, table, drawn
-    fit = _solve(equations, *given)
-    if modes is not None:
+    given, modes = (summary.noise_freedom, short, window, table, drawn), None
+    if not model.has_hidden:
+        fit = _solve(equations, *given)
+    elif table.per_record:
+        raise ModelError("per_record has no meaning yet for a model with hidden elements.")
+    else:
         from riecjax.estimation.mode_windows import find_modes
 
-        other = find_modes(model, summary, table.known, rank=1)
-        beside = _solve(other.equations, *given)
+        modes, other = (find_modes(model, summary, table.known, rank) for rank in (0, 1))
+        fit, beside = (_solve(found.equations, *given) for found in (modes, other))
         # Which lengths tell most of hidden elements is a choice among nearly equals, and what the
         # model and its integrals leave out weighs differently in each. As in an average over models
         # (Buckland, Burnham and Augustin 1997), what the choice moves is part of the variance. It

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from riecjax.compilation import kept_jit
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.chunks import StartBlocks, in_chunks
-from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion, Rows
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
 from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
 from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
 from riecjax.equations.dry_friction import InMotion
@@ -34,6 +34,7 @@ from riecjax.errors import ModelError
 from riecjax.leaves import Leaf, namespace, on_host
 from riecjax.linear_algebra import gram_suffices
 from riecjax.records.record import Record, both, filled_up
+from riecjax.records.signal import Signal
 from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
@@ -62,12 +63,16 @@ class Request(NamedTuple):
     """What to sum, as far as it is compiled in.
 
     **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
-    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `surveyed`,
-    none unless a survey is asked for; whether the products with a `constant` are kept as well.
+    longest window, or rows are drawn); `blocks` of an array; `lengths` of windows that are summed
+    in closed form, none where a criterion has single rows, and the shortest and longest lag of
+    their law; in each block, rows that are `surveyed`, none unless a survey is asked for; whether
+    the products with a `constant` are kept as well.
     """
 
     block: Int[Array, ""] | int
     blocks: int
+    lengths: tuple[Lengths, ...] = ()
+    band: tuple[Int[Leaf, ""] | int, Int[Leaf, ""] | int] = (0, 0)
     surveyed: int = 0
     constant: bool = True
 
@@ -100,84 +105,102 @@ bins)` and of sources `(chunks, bins)`, and a survey."""
 
 
 @kept_jit
-def of_all_windows(
+def part_sums(
+    part: Part,
     model: Model,
     criterion: AbstractCriterion,
-    part: Part,
-    lengths: tuple[Lengths, ...],
-    band: tuple[Int[Leaf, ""], Int[Leaf, ""]],
+    key: Key[Array, ""] | None,
     request: Request,
 ) -> list[list[PartSums]]:
-    """What blocks of starts of a part say of each equation of each stage, where windows are summed.
+    """What blocks of starts of a part say of each equation of each stage."""
+    lengths, smoothness = request.lengths, criterion.smoothness
+    drawn = None if lengths else criterion.draw(part.record, key, part.held)
+
+    def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
+        # Every survey has noisy rows: what they are made of is evaluated once, for all.
+        disturbed, windows = record, drawn
+        if request.surveyed:
+            disturbed = _disturbed(record)
+            windows = _some_windows(criterion, blocks, request) if drawn is None else drawn
+
+        def of_equation(equation: Equation) -> PartSums:
+            noisy, survey = criterion.noisy_columns(equation, record), None
+            if request.surveyed and windows is not None:
+                noise = sampled_columns(equation, disturbed, smoothness)
+                noise = noise - sampled_columns(equation, record, smoothness)
+                beside = noisy.columns, noise
+                survey = _surveyed(criterion, equation, beside, record, blocks, windows)
+            if drawn is not None:
+                return (_sums_of_rows(criterion, noisy, drawn, blocks, request),), survey
+            sums = (_sums_of_windows(criterion, noisy, w, blocks, request) for w in lengths)
+            return tuple(sums), survey
+
+        return [[of_equation(equation) for equation in stage] for stage in model.stages]
+
+    if not isinstance(request.block, int):
+        held = part.record.sample_count if part.held is None else part.held
+        return of_chunk(part.record, StartBlocks(part.first, request.block, request.blocks, held))
+    return in_chunks(
+        part.record,
+        of_chunk,
+        block=request.block,
+        reach=lengths[-1].reach,
+        margin=criterion.test_function.margin,
+        unpadded=part.held,
+        first=part.first,
+        number=request.blocks,
+    )
+
+
+def _sums_of_windows(
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    which: Lengths,
+    blocks: StartBlocks,
+    request: Request,
+) -> EquationSums:
+    """Sums over all windows of some lengths.
 
     The closed form sums the windows that start in a block from running sums over the block and its
     reach, so that a block shorter than a window costs as much as one as long. Where some lengths
     are longer, neighbouring blocks are summed as one, and the first of them holds the sums.
-
-    **Arguments:** `band`, shortest and longest lag of the law.
     """
+    size, wider = blocks.size, 1
+    if isinstance(size, int) and which is not request.lengths[0]:
+        while wider * size < which.reach and blocks.number % (2 * wider) == 0:
+            wider *= 2
+        blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
 
-    def of_lengths(noisy: NoisyColumns, which: Lengths, blocks: StartBlocks) -> EquationSums:
-        size, wider = blocks.size, 1
-        if isinstance(size, int) and which is not lengths[0]:
-            while wider * size < which.reach and blocks.number % (2 * wider) == 0:
-                wider *= 2
-            blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
+    def spread(sums: Leaf) -> Leaf:
+        apart = jnp.swapaxes(sums, 0, 1)[:, None]
+        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
+        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
 
-        def spread(sums: Leaf) -> Leaf:
-            apart = jnp.swapaxes(sums, 0, 1)[:, None]
-            behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
-            return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
+    def products(columns: Columns) -> Moments:
+        return criterion.test_function.moments(columns, which.lags, blocks, which.reach)
 
-        def products(columns: Columns) -> Moments:
-            return criterion.test_function.moments(columns, which.lags, blocks, which.reach)
-
-        sums = _equation_sums(criterion, noisy, which.lags, blocks, products, request)
-        return sums.each(spread, noise_of_source=lambda sources: sources[None])
-
-    def sums_of(noisy: NoisyColumns, blocks: StartBlocks) -> tuple[EquationSums, ...]:
-        return tuple(of_lengths(noisy, which, blocks) for which in lengths)
-
-    def some_windows(blocks: StartBlocks) -> WindowSet:
-        # In each block, at places and of lengths that are drawn once for all.
-        share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
-        start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
-        start = start + (share[0] * blocks.size).astype(int)
-        lag = band[0] + (share[1] * (band[1] - band[0] + 1)).astype(int)
-        return WindowSet(start, start + criterion.test_function.length_multiple * lag)
-
-    reach = lengths[-1].reach
-    return _in_chunks(model, criterion, part, sums_of, some_windows, reach, request)
+    sums = _equation_sums(criterion, noisy, which.lags, blocks, products, request)
+    return sums.each(spread, noise_of_source=lambda sources: sources[None])
 
 
-@kept_jit
-def of_rows(
-    model: Model,
+def _sums_of_rows(
     criterion: AbstractCriterion,
-    part: Part,
-    key: Key[Array, ""] | None,
+    noisy: NoisyColumns,
+    drawn: WindowSet,
+    blocks: StartBlocks,
     request: Request,
-) -> list[list[PartSums]]:
+) -> EquationSums:
     """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
-    drawn = criterion.draw(part.record, key, part.held)
+    place = (drawn.start / blocks.size).astype(jnp.int32)
+    place = jnp.clip(place, 0, blocks.number - 1) if blocks.number > 1 else None
 
-    def sums_of(noisy: NoisyColumns, blocks: StartBlocks) -> tuple[EquationSums, ...]:
-        place = (drawn.start / blocks.size).astype(jnp.int32)
-        place = jnp.clip(place, 0, blocks.number - 1) if blocks.number > 1 else None
+    def products(columns: Columns) -> Moments:
+        rows = criterion.rows_of(columns, drawn, blocks.unpadded)
+        sums = NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
+        return sums.moments, sums.count
 
-        def products(columns: Columns) -> Moments:
-            rows = criterion.rows_of(columns, drawn, blocks.unpadded)
-            sums = NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
-            return sums.moments, sums.count
-
-        sums = _equation_sums(criterion, noisy, drawn, blocks, products, request)
-        bins = sums.each(
-            lambda leaf: leaf[:, None], noise_of_source=lambda sources: sources[None, None]
-        )
-        return (bins,)
-
-    every = WindowSet(drawn.start[None], drawn.stop[None])
-    return _in_chunks(model, criterion, part, sums_of, lambda _: every, 0, request)
+    sums = _equation_sums(criterion, noisy, drawn, blocks, products, request)
+    return sums.each(lambda sum_: sum_[:, None], noise_of_source=lambda sum_: sum_[None, None])
 
 
 def _equation_sums(
@@ -205,101 +228,66 @@ def _equation_sums(
     return sums if added is None else sums.with_noise(added.total, added.of_source)
 
 
-@kept_jit
-def all_rows(
-    model: Model, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
-) -> list[list[Rows]]:
-    """Every row of each equation of each stage."""
-    drawn = criterion.draw(part.record, key, part.held)
+def _disturbed(record: Record) -> Record:
+    """The record with white noise of its size on each signal; any stretch has the same."""
+    first = jnp.round(record.skipped / record.time_step).astype(int)
+    place, names = first + jnp.arange(record.sample_count), sorted(record.arrays)
+    white = jnp.asarray(NOISE, record.time_step.dtype)
 
-    def rows(equation: Equation) -> Rows:
-        columns = sampled_columns(equation, part.record, criterion.smoothness)
-        return criterion.rows_of(columns, drawn, part.held)
+    def disturbed(number: int, name: str) -> Signal:
+        signal = record.signal(name)
+        noise = record.noise.std(name) * white[(place + APART * number) % NOISE.size]
+        return dataclasses.replace(signal, values=signal.values + noise)
 
-    return [[rows(equation) for equation in stage] for stage in model.stages]
+    return record.with_signals({name: disturbed(i, name) for i, name in enumerate(names)})
 
 
-def _in_chunks(
-    model: Model,
+def _some_windows(criterion: AbstractCriterion, blocks: StartBlocks, request: Request) -> WindowSet:
+    """Windows in each block, at places and of lengths that are drawn once for all."""
+    share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
+    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
+    start = start + (share[0] * blocks.size).astype(int)
+    shortest, longest = request.band
+    lag = shortest + (share[1] * (longest - shortest + 1)).astype(int)
+    return WindowSet(start, start + criterion.test_function.length_multiple * lag)
+
+
+def _surveyed(
     criterion: AbstractCriterion,
-    part: Part,
-    sums_of: Callable[[NoisyColumns, StartBlocks], tuple[EquationSums, ...]],
-    surveyed_windows: Callable[[StartBlocks], WindowSet],
-    reach: int,
-    request: Request,
-) -> list[list[PartSums]]:
-    def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
-        # Every survey has noisy rows: what they are made of is evaluated once, for all.
-        disturbed = record
-        if request.surveyed:
-            # White noise of its size on each signal; any stretch has the same.
-            first = jnp.round(record.skipped / record.time_step).astype(int)
-            place = first + jnp.arange(record.sample_count)
-            names = sorted(record.arrays)
-            each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
-            sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
-            drawn = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
-            signals = zip(names, (record.signal(name) for name in names), drawn)
-            disturbed = record.with_signals(
-                {n: dataclasses.replace(s, values=s.values + own) for n, s, own in signals}
-            )
+    equation: Equation,
+    columns: tuple[Columns, Columns],
+    record: Record,
+    blocks: StartBlocks,
+    windows: WindowSet,
+) -> Surveyed:
+    """Rows of windows: of an equation's columns, and of what noise adds to these."""
+    clean, noise = columns
+    last = clean.sample_count - 1
+    windows = WindowSet(*(at.reshape(-1, at.shape[-1]) for at in windows))
+    shape = windows.start.shape
+    inside = (windows.stop < blocks.unpadded).ravel()
+    flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
 
-        def of_equation(equation: Equation) -> PartSums:
-            noisy, survey = criterion.noisy_columns(equation, record), None
-            if request.surveyed:
-                added = sampled_columns(equation, disturbed, criterion.smoothness)
-                added = added - sampled_columns(equation, record, criterion.smoothness)
-                survey = surveyed(equation, noisy.columns, added, record, blocks)
-            return sums_of(noisy, blocks), survey
+    def rows(by: AbstractCriterion, columns: Columns) -> tuple[Array, Array]:
+        found = by.rows_of(columns, flat, blocks.unpadded)
+        valid: Any = both(inside, found.valid)
+        return jnp.where(valid[:, None], found.columns.T, 0.0), valid.reshape(shape)
 
-        return [[of_equation(equation) for equation in stage] for stage in model.stages]
-
-    def surveyed(
-        equation: Equation, columns: Columns, added: Columns, record: Record, blocks: StartBlocks
-    ) -> Surveyed:
-        windows, last = surveyed_windows(blocks), columns.sample_count - 1
-        inside = (windows.stop < blocks.unpadded).ravel()
-        flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
-
-        def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
-            found = by.rows_of(of, flat, blocks.unpadded)
-            valid: Any = both(inside, found.valid)
-            values = jnp.where(valid[:, None], found.columns.T, 0.0)
-            return values.reshape(*windows.start.shape, -1), valid.reshape(windows.start.shape)
-
-        values, valid = rows(columns, criterion)
-        finer, reaches = criterion.finest(), {}
-        real = jnp.arange(record.sample_count) < blocks.unpadded
-        for term in equation.terms:
-            term = term.term if isinstance(term, InMotion) else term
-            if term.basis is not None:
-                argument = evaluate(term.of, record).values
-                low = jnp.min(argument, where=real, initial=jnp.inf)
-                high = jnp.max(argument, where=real, initial=-jnp.inf)
-                reaches[str(term.name)] = jnp.stack([low, high])[None]
-        at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
-        by_finest = values if finer is criterion else rows(columns, finer)[0]
-        return Surveyed(
-            jnp.stack([values, by_finest, rows(added, criterion)[0]], axis=-2),
-            record.elapsed[at].reshape(windows.start.shape),
-            valid,
-            reaches,
-        )
-
-    block = request.block
-    if not isinstance(block, int):
-        held = part.record.sample_count if part.held is None else part.held
-        return of_chunk(part.record, StartBlocks(part.first, block, request.blocks, held))
-    return in_chunks(
-        part.record,
-        of_chunk,
-        block=block,
-        reach=reach,
-        margin=criterion.test_function.margin,
-        unpadded=part.held,
-        first=part.first,
-        number=request.blocks,
-    )
+    (values, valid), finer = rows(criterion, clean), criterion.finest()
+    by_finest = values if finer is criterion else rows(finer, clean)[0]
+    every = jnp.stack([values, by_finest, rows(criterion, noise)[0]], axis=-2)
+    reaches = {}
+    real = jnp.arange(record.sample_count) < blocks.unpadded
+    for term in equation.terms:
+        term = term.term if isinstance(term, InMotion) else term
+        if term.basis is not None:
+            argument = evaluate(term.of, record).values
+            low = jnp.min(argument, where=real, initial=jnp.inf)
+            high = jnp.max(argument, where=real, initial=-jnp.inf)
+            reaches[str(term.name)] = jnp.stack([low, high])[None]
+    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
+    start = record.elapsed[at].reshape(shape)
+    return Surveyed(every.reshape(*shape, *every.shape[1:]), start, valid, reaches)
 
 
 # A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide
@@ -365,11 +353,10 @@ def traced_sums(
             lambda lags: lags[:, None] if apart else lags[None], criterion.law(record)
         )
         lengths = (Lengths(law, windows.every.reach(n)),)
-        request = Request(size, number, constant=False)
-        found = of_all_windows(model, criterion, Part(record), lengths, (0, 0), request)
+        request = Request(size, number, lengths, constant=False)
     else:
         request = Request(jnp.asarray(size), number, constant=False)
-        found = of_rows(model, criterion, Part(record), key, request)
+    found = part_sums(Part(record), model, criterion, key, request)
 
     def of_bins(sums: EquationSums) -> EquationSums:
         return sums.each(
@@ -460,8 +447,10 @@ def recording_sums(
         windows, weight = criterion.windows.every, criterion.test_function
         lengths = _lengths(criterion, windows, record, bins)
         reach, longest = lengths[-1].reach, windows.reach(n)
+        lags = windows.lags(n, record.time_step, weight.length_multiple)
+        of_windows = lengths, (jnp.asarray(lags[0]), jnp.asarray(lags[1]))
         if block < longest:
-            request = Request(jnp.asarray(block), 2, survey * SURVEYED // 2)
+            request = Request(jnp.asarray(block), 2, *of_windows, survey * SURVEYED // 2)
         else:
             unit = longest
             if n > FILLED[-1] and not mixing:
@@ -471,18 +460,9 @@ def recording_sums(
                 width = filled
             size = (n if filled is None else filled) // (1 if width <= FILLED[0] else 4)
             surveyed = survey * max(SURVEYED * longest // size, 1)
-            request = Request(longest, -(-width // longest), surveyed)
-        lags = windows.lags(n, record.time_step, weight.length_multiple)
-        band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
-
-        def sums_of(part: Part) -> list[list[PartSums]]:
-            return of_all_windows(model, criterion, part, lengths, band, request)
-
+            request = Request(longest, -(-width // longest), *of_windows, surveyed)
     else:
-        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(survey))
-
-        def sums_of(part: Part) -> list[list[PartSums]]:
-            return of_rows(model, criterion, part, key, request)
+        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, surveyed=int(survey))
 
     def parts() -> Iterator[Part]:
         """The recording cut into parts, each with what its windows reach beyond it."""
@@ -496,7 +476,8 @@ def recording_sums(
             samples = filled_up(record, filled, first, stop)
             yield Part(samples, jnp.asarray(start - first), jnp.asarray(stop - first))
 
-    found = [jax.tree.map(np.asarray, sums_of(part)) for part in parts()]
+    given = model, criterion, None if criterion.in_closed_form else key, request
+    found = [jax.tree.map(np.asarray, part_sums(part, *given)) for part in parts()]
     count, grouped = -(-(end - begin) // unit), block // unit
 
     def in_bins(blocks: Leaf) -> Leaf:
@@ -523,14 +504,13 @@ def recording_sums(
         raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages)
         grams = [np.asarray(sum_of_equations(stage).gram) for stage in raw]
         if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in grams):
-            rows = all_rows(model, criterion, next(parts()), key)
-            stages = [
-                [
-                    dataclasses.replace(e, factor=np.linalg.qr(np.asarray(r.columns).T, mode="r"))
-                    for e, r in zip(*pair)
+            rows_of = eqx.filter_jit(criterion.rows)
+            for stage, equations in zip(stages, model.stages):
+                rows = (np.asarray(rows_of(e, record, key).columns).T for e in equations)
+                stage[:] = [
+                    dataclasses.replace(sums, factor=np.linalg.qr(columns, mode="r"))
+                    for sums, columns in zip(stage, rows)
                 ]
-                for pair in zip(stages, rows)
-            ]
     digest = digest_of(model, record, criterion, key, bins)
     sums = _of_recording(stages, record, criterion, end - begin, np.asarray(step), digest)
     # The order of axes in memory is one in which NumPy adds up: it must survive a file.
@@ -543,20 +523,18 @@ def _lengths(
     """Window lengths, those longer than the law's apart: they reach further than a block."""
     n, step = record.sample_count, float(record.time_step)
     law, reach = on_host(criterion.law(record)), windows.reach(n)
-
-    def some(law: LagBins, index: slice | None) -> LagBins:
-        return jax.tree.map(lambda leaf: leaf[index], law)
-
     if bins is None:
-        return (Lengths(some(law, None), reach),)
+        return (Lengths(jax.tree.map(lambda leaf: leaf[None], law), reach),)
     multiple = criterion.test_function.length_multiple
     cut = law_in_bins(law, bins, multiple * step, (n - 1) // multiple)
     beyond = bins.band[1]
     if beyond == bins.edges.size - 1:
         return (Lengths(cut, reach),)
     longest = power_of_two(float(bins.edges[-1]) / step + 2)
-    within, longer = some(cut, slice(beyond)), some(cut, slice(beyond, None))
-    return Lengths(within, reach), Lengths(longer, longest)
+    parts = (slice(beyond), reach), (slice(beyond, None), longest)
+    return tuple(
+        Lengths(jax.tree.map(lambda leaf, i=i: leaf[i], cut), farthest) for i, farthest in parts
+    )
 
 
 def _filled(samples: int) -> int:
