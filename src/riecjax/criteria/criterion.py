@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins
-from riecjax.criteria.noise_moments import NoiseMoments, NoiseWeights, noise_moments
+from riecjax.criteria.noise_moments import NoiseWeights, noise_moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import AbstractWindows, AllWindows, Count, RandomWindows, WindowSet
 from riecjax.equations.equation import Equation
@@ -118,10 +118,6 @@ class AbstractCriterion(eqx.Module):
         """Seconds after which two rows share no data: their errors are not locked together."""
         return np.zeros(()) if self.windows is None else self.windows.beta
 
-    def in_chunks(self, record: Record) -> bool:
-        """Whether a record is so long that it is worked through in chunks."""
-        return isinstance(self.windows, AllWindows) and self.windows.in_chunks(record)
-
     def block_samples(self, record: Record) -> int:
         """Samples to one of the short blocks of start times that have moments of their own."""
         # At least two blocks, or nothing could be said of scatter.
@@ -198,8 +194,9 @@ class AbstractCriterion(eqx.Module):
         windows: LagBins | WindowSet,
         blocks: StartBlocks,
         products: Callable[[Columns], Array],
-    ) -> NoiseMoments | None:
-        """What noise adds to `products` of rows over windows, `None` without any.
+    ) -> tuple[Array, Array] | None:
+        """What noise adds to `products` of rows over windows, and what each of its sources adds
+        to those of all blocks; `None` without any.
 
         **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
         """
@@ -348,7 +345,11 @@ class RIEC(AbstractCriterion):
             return None
         # Inside a jitted function, JAX would trace arithmetic on known numbers too.
         with jax.ensure_compile_time_eval():
-            return self.test_function.window_count(self.windows.every, record)
+            # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
+            # n - k starts; a bin's lags have n - k on average at its middle.
+            first, last, weight = (np.asarray(leaf, float) for leaf in self.law(record))
+            starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
+            return float(np.sum(weight * (last - first + 1) * starts))
 
     def draw(
         self, record: Record, key: Key[Array, ""] | None, unpadded: Count | None = None

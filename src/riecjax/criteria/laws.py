@@ -47,8 +47,8 @@ class AbstractLaw(eqx.Module):
         raise NotImplementedError
 
     def describe(self) -> dict[str, object]:
-        """Name and settings, for tables and JSON."""
-        raise NotImplementedError
+        """Name and settings, for tables and JSON: nothing of what one expects."""
+        return {}
 
 
 class UniformLaw(AbstractLaw):
@@ -59,10 +59,6 @@ class UniformLaw(AbstractLaw):
         xp = namespace(shortest, longest, unit)
         first, last = rounded(shortest), rounded(longest)
         return LagBins(first[None], last[None], xp.ones(1, unit.dtype))
-
-    def describe(self) -> dict[str, object]:
-        """Nothing: it is what one expects."""
-        return {}
 
 
 class SteppedLaw(AbstractLaw):

@@ -209,25 +209,17 @@ PROBES = 8
 SIGNS = np.random.default_rng(7).integers(0, 2, (PROBES, 2**16), np.int8) * 2 - 1
 
 
-class NoiseMoments(eqx.Module):
-    """What noise adds to the sums of outer products of rows.
-
-    **Fields:** `total`, for blocks of starts; `of_source`, what each source adds to all of them,
-    in the order of the noise's sources.
-    """
-
-    total: Float[Array, "*bins blocks columns columns"]
-    of_source: Float[Array, "*bins sources columns columns"]
-
-
 def noise_moments(
     noisy: NoisyColumns,
     windows: LagBins | WindowSet,
     blocks: StartBlocks,
     weights_of: Callable[[LagBins | WindowSet], NoiseWeights | None],
     products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]],
-) -> NoiseMoments:
-    """What noise adds to the moments of an equation.
+) -> tuple[
+    Float[Array, "*bins blocks columns columns"], Float[Array, "*bins sources columns columns"]
+]:
+    """What noise adds to the moments of an equation, and what each of its sources adds to those of
+    all blocks.
 
     **Arguments:** `windows`, the law of all that start in the blocks, or those drawn; `weights_of`
     white noise at each sample, without which there is no closed form; `products`, sums of outer
@@ -267,7 +259,7 @@ def noise_moments(
         found[source] = _probed(parts, columns, products)
     nothing = jnp.zeros_like(next(iter(found.values())))
     of_source = [jnp.sum(found.get(source, nothing), axis=-3) for source in noise.sources]
-    return NoiseMoments(sum(found.values(), start=curved), jnp.stack(of_source, axis=-3))
+    return sum(found.values(), start=curved), jnp.stack(of_source, axis=-3)
 
 
 def _weighted(

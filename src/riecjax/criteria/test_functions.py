@@ -164,17 +164,6 @@ class AbstractTestFunction(eqx.Module):
         """
         return None
 
-    def window_count(self, windows: AllWindows, record: Record) -> float:
-        """Number of all windows of a record without gaps, by the weights of their law.
-
-        A lag of k samples has n - k starts; a bin's lags have n - k on average at its middle.
-        """
-        first, last, weight = self.lags(windows, record)
-        # In real numbers: windows may be more than 32-bit integers hold.
-        first, last = (np.asarray(edge, float) for edge in (first, last))
-        starts = record.sample_count - self.length_multiple * (first + last) / 2
-        return float(np.sum(np.asarray(weight, float) * (last - first + 1) * starts))
-
     def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
         """|H| of windows, eq. (13): size of the weighted integral of a unit oscillation.
 

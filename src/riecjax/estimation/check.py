@@ -173,29 +173,22 @@ def check_sums(
     constant = () if model.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
     sensors = [of_sensors(model, one, names) for one, names in zip(recordings, read)]
 
-    def is_for_all(finding: Finding) -> bool:
-        """Whether what is proposed does no harm to recordings without the fault."""
+    def told(number: int, finding: Finding) -> Finding:
+        """Of which recording it is; what is proposed, if it does no harm to those without it."""
+        prefix = f"record {number}: " if len(recordings) > 1 else ""
+        finding = finding._replace(message=prefix + finding.message)
         same = finding.code, finding.signals
-        return "--leave-out" in finding.remedy or all(
-            any((f.code, f.signals) == same for f in own) for own in sensors
-        )
+        everywhere = all(any((f.code, f.signals) == same for f in own) for own in sensors)
+        if "--leave-out" in finding.remedy or everywhere:
+            return finding
+        # Options are for all recordings.
+        step = finding.step and f"{finding.step}, in record {number} alone"
+        return finding._replace(remedy=(), step=step)
 
     findings = [
         *(f for one, names in zip(recordings, read) for f in one.concerning(names).findings),
         *duplicates(recordings),
-        *(
-            f._replace(message=prefix + f.message)
-            if is_for_all(f)
-            # Without options, which are for all recordings.
-            else f._replace(
-                message=prefix + f.message,
-                remedy=(),
-                step=f"{f.step}, in record {i} alone" if f.step else "",
-            )
-            for i, own in enumerate(sensors, 1)
-            for prefix in [f"record {i}: " if len(recordings) > 1 else ""]
-            for f in own
-        ),
+        *(told(i, finding) for i, own in enumerate(sensors, 1) for finding in own),
         *_windows([one.record for one in recordings], summary.criterion),
         *_quadrature(summary),
         *_break_points(model, summary),

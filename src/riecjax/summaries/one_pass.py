@@ -225,7 +225,7 @@ def _equation_sums(
         moments, number = products(columns)
     sums = EquationSums(moments, number, columns.parameters, constant=constant)
     added = criterion.noise_of(noisy, windows, blocks, lambda moved: products(moved)[0])
-    return sums if added is None else sums.with_noise(added.total, added.of_source)
+    return sums if added is None else sums.with_noise(*added)
 
 
 def _disturbed(record: Record) -> Record:
@@ -430,7 +430,8 @@ def recording_sums(
     """
     n, step = record.sample_count, float(record.time_step)
     mixing = mixing_expressions(model.equations, record)
-    if mixing and (n > PART or criterion.in_chunks(record)):
+    closed = criterion.in_closed_form and criterion.windows is not None
+    if mixing and (n > PART or (closed and criterion.windows.every.in_chunks(record))):
         raise ModelError(
             f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
             f"long is worked through in chunks. Compute it beforehand as a signal of the "
@@ -442,8 +443,7 @@ def recording_sums(
     # samples that it is filled up to; `None` to leave the record as it is.
     width, filled = n, None if mixing else _filled(n)
     reach = 0
-    if criterion.in_closed_form:
-        assert criterion.windows is not None
+    if closed:
         windows, weight = criterion.windows.every, criterion.test_function
         lengths = _lengths(criterion, windows, record, bins)
         reach, longest = lengths[-1].reach, windows.reach(n)
@@ -476,7 +476,7 @@ def recording_sums(
             samples = filled_up(record, filled, first, stop)
             yield Part(samples, jnp.asarray(start - first), jnp.asarray(stop - first))
 
-    given = model, criterion, None if criterion.in_closed_form else key, request
+    given = model, criterion, None if closed else key, request
     found = [jax.tree.map(np.asarray, part_sums(part, *given)) for part in parts()]
     count, grouped = -(-(end - begin) // unit), block // unit
 
@@ -498,7 +498,7 @@ def recording_sums(
         return dataclasses.replace(sums, survey=surveyed)
 
     stages = [[joined(equation) for equation in zip(*stage)] for stage in zip(*found)]
-    if not criterion.in_closed_form:
+    if not closed:
         # Whether some stage's moments lose more digits than its rows would. What is not finite is
         # for the fit to refuse.
         raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages)
