@@ -95,12 +95,12 @@ class AbstractCriterion(eqx.Module):
     @property
     def needs_key(self) -> bool:
         """Whether rows are drawn at random."""
-        return self.windows is not None and self.windows.needs_key
+        return isinstance(self.windows, RandomWindows)
 
     @property
-    def in_closed_form(self) -> bool:
-        """Whether all rows are summed at once, and there are no single rows."""
-        return self.windows is not None and not self.windows.needs_key
+    def all_windows(self) -> AllWindows | None:
+        """The windows, where all are summed at once; `None` where there are single rows."""
+        return self.windows if isinstance(self.windows, AllWindows) else None
 
     @property
     def smoothness(self) -> int:
@@ -318,9 +318,9 @@ class RIEC(AbstractCriterion):
 
     def block_samples(self, record: Record) -> int:
         """Of all windows, as many starts as they are summed over at once."""
-        if self.in_closed_form:
-            return self.windows.every.block(record.sample_count)
-        return super().block_samples(record)
+        if self.all_windows is None:
+            return super().block_samples(record)
+        return self.all_windows.block(record.sample_count)
 
     @property
     def every(self) -> "RIEC":

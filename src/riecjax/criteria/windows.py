@@ -22,7 +22,7 @@ cancels where x is small.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -82,8 +82,6 @@ class AbstractWindows(eqx.Module):
 
     alpha: eqx.AbstractVar[Leaf]
     beta: eqx.AbstractVar[Leaf]
-    needs_key: ClassVar[bool]
-    """Whether windows are drawn at random."""
 
     def check(self, sample_count: int, time_step: Array, multiple: int = 1) -> None:
         """Raise `DataError` if the record is too short or too coarse (not under jit)."""
@@ -202,7 +200,6 @@ class AllWindows(AbstractWindows):
     differentiated by alpha or beta.
     """
 
-    needs_key: ClassVar[bool] = False
     alpha: Leaf
     beta: Leaf
     law: AbstractLaw
@@ -300,7 +297,6 @@ class RandomWindows(AbstractWindows):
     alpha or beta on samples.
     """
 
-    needs_key: ClassVar[bool] = True
     alpha: Leaf
     beta: Leaf
     count: int = eqx.field(static=True)

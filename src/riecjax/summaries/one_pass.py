@@ -320,8 +320,8 @@ def stretch_starts(criterion: AbstractCriterion, time_step: float, wanted: int) 
 
     **Raises:** `ModelError` for a criterion whose windows are not all windows of known lengths.
     """
-    windows = criterion.windows
-    if windows is None or not criterion.in_closed_form:
+    windows = criterion.all_windows
+    if windows is None:
         raise ModelError(
             "a recording this long is summed stretch by stretch, for which all windows are needed: "
             "use rx.RIEC(rx.AllWindows(alpha, beta)) (on the command line: without --windows)."
@@ -344,15 +344,14 @@ def traced_sums(
     **Arguments:** `apart`, windows of each length by themselves, where the test function asks for
     that; `blocks`, of starts, where rows are not summed in one.
     """
-    n, windows = record.sample_count, criterion.windows
-    closed = criterion.in_closed_form and windows is not None
-    size = criterion.block_samples(record) if blocks or closed else n
+    n, windows = record.sample_count, criterion.all_windows
+    size = criterion.block_samples(record) if blocks or windows is not None else n
     number = -(-n // size)
-    if closed:
+    if windows is not None:
         law = jax.tree.map(
             lambda lags: lags[:, None] if apart else lags[None], criterion.law(record)
         )
-        lengths = (Lengths(law, windows.every.reach(n)),)
+        lengths = (Lengths(law, windows.reach(n)),)
         request = Request(size, number, lengths, constant=False)
     else:
         request = Request(jnp.asarray(size), number, constant=False)
@@ -430,8 +429,8 @@ def recording_sums(
     """
     n, step = record.sample_count, float(record.time_step)
     mixing = mixing_expressions(model.equations, record)
-    closed = criterion.in_closed_form and criterion.windows is not None
-    if mixing and (n > PART or (closed and criterion.windows.every.in_chunks(record))):
+    windows = criterion.all_windows
+    if mixing and (n > PART or (windows is not None and windows.in_chunks(record))):
         raise ModelError(
             f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
             f"long is worked through in chunks. Compute it beforehand as a signal of the "
@@ -443,8 +442,8 @@ def recording_sums(
     # samples that it is filled up to; `None` to leave the record as it is.
     width, filled = n, None if mixing else _filled(n)
     reach = 0
-    if closed:
-        windows, weight = criterion.windows.every, criterion.test_function
+    if windows is not None:
+        weight = criterion.test_function
         lengths = _lengths(criterion, windows, record, bins)
         reach, longest = lengths[-1].reach, windows.reach(n)
         lags = windows.lags(n, record.time_step, weight.length_multiple)
@@ -476,7 +475,7 @@ def recording_sums(
             samples = filled_up(record, filled, first, stop)
             yield Part(samples, jnp.asarray(start - first), jnp.asarray(stop - first))
 
-    given = model, criterion, None if closed else key, request
+    given = model, criterion, key if windows is None else None, request
     found = [jax.tree.map(np.asarray, part_sums(part, *given)) for part in parts()]
     count, grouped = -(-(end - begin) // unit), block // unit
 
@@ -498,7 +497,7 @@ def recording_sums(
         return dataclasses.replace(sums, survey=surveyed)
 
     stages = [[joined(equation) for equation in zip(*stage)] for stage in zip(*found)]
-    if not closed:
+    if windows is None:
         # Whether some stage's moments lose more digits than its rows would. What is not finite is
         # for the fit to refuse.
         raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages)

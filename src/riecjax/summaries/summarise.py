@@ -75,12 +75,12 @@ def summed(
     model = model.linear
     outline = Outline.of(model)
     traced = not is_concrete(model, records, criterion, keys) or is_under_trace()
-    windows, own, kept_apart = criterion.windows, None, None
-    if bins is None and windows is not None and criterion.in_closed_form and is_concrete(windows):
+    windows, own, kept_apart = criterion.all_windows, None, None
+    if bins is None and windows is not None and is_concrete(windows):
         own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
         kept_apart = None if own is None else LengthBins(own, (0, len(own) - 1))
     if bins is not None:
-        if traced or not criterion.in_closed_form or windows is None:
+        if traced or windows is None:
             raise ModelError(
                 "bins of window lengths are kept of all windows, with numbers that are known: use "
                 "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
