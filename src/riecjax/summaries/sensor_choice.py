@@ -47,8 +47,6 @@ def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) 
         ]
 
     def of(equation: Equation) -> Equation:
-        if not any(_has_both(term, record) for term in equation.terms):
-            return equation
         return equation.of_terms(*(each for term in equation.terms for each in read(term)))
 
     return Model(stages=model.by_stage(of))
