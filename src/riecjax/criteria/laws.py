@@ -230,24 +230,16 @@ def law_in_bins(law: LagBins, bins: LengthBins, unit: float, most: int) -> LagBi
 
     Inside the band lengths count by the law; beyond it all alike.
     """
-    first, last = bins.lags(unit, most)
-    parts = [np.asarray(leaf) for leaf in (law.first, law.last, law.weight)]
-    cut = []
-    for i, (low, high) in enumerate(zip(first, last)):
-        if bins.band[0] <= i < bins.band[1]:
-            begin, end = np.maximum(parts[0], low), np.minimum(parts[1], high)
-            held = begin <= end
-            cut.append((begin[held], end[held], parts[2][held]))
-        else:
-            cut.append((np.array([low]), np.array([high]), np.ones(1, parts[2].dtype)))
-    # As many entries for recordings of any length, or each would be compiled for.
-    room = 1 if parts[0].size == 1 else 2 ** int(np.ceil(np.log2(parts[0].size)))
-
-    def filled(place: int, nothing: float) -> np.ndarray:
-        rows = [np.pad(c[place], (0, room - c[place].size), constant_values=nothing) for c in cut]
-        return np.stack(rows).astype(parts[place].dtype)
-
-    return LagBins(filled(0, 1), filled(1, 0), filled(2, 0.0))
+    low, high = (ends[:, None] for ends in bins.lags(unit, most))
+    at, law = np.arange(low.size)[:, None], LagBins(*map(np.asarray, law))
+    inside = (bins.band[0] <= at) & (at < bins.band[1])
+    begin = np.where(inside, np.maximum(law.first, low), low)
+    end = np.where(inside, np.minimum(law.last, high), high)
+    weight = np.where(inside, law.weight, 1.0)
+    # Beyond the band the first entry has all of a bin.
+    held = (begin <= end) & (inside | (np.arange(law.first.size) == 0))
+    parts = (np.where(held, *of) for of in ((begin, 1), (end, 0), (weight, 0.0)))
+    return LagBins(*(part.astype(leaf.dtype) for part, leaf in zip(parts, law)))
 
 
 def each_bin(of_lags: Callable[[LagBins], Any], lags: LagBins) -> Any:

@@ -145,22 +145,12 @@ def _at_ends(start: Array, end: Array, weights: dict[int, float]) -> Array:
 def _interval_ends(quadrature: int) -> dict[int, float]:
     """sigma_j: weight of the sample j inwards from a window's end, 1 from some j on.
 
-    The sum of what the intervals from the end on give that sample.
+    The sum of what the intervals from the end on give that sample: interval i, between samples i
+    and i + 1 from the end, weighs sample j by its weight number j - i + reach - 1.
     """
     reach = quadrature // 2
-    weights = interval_weights(quadrature, reach - 1)
-    # Interval i, between samples i and i + 1 from the end, weighs sample j by its weight number
-    # j - i + reach - 1.
-    return {
-        j: float(
-            sum(
-                weights[j - i + reach - 1]
-                for i in range(2 * reach)
-                if 0 <= j - i + reach - 1 < quadrature
-            )
-        )
-        for j in range(-reach, reach + 1)
-    }
+    weights = np.cumsum(interval_weights(quadrature, reach - 1)).tolist()
+    return dict(zip(range(-reach, reach + 1), [0.0, *weights]))
 
 
 def _end_squares(quadrature: int) -> dict[int, float]:
