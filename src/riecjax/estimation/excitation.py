@@ -237,20 +237,7 @@ def _excitations(
     equations: list[list[NormalEquations]], table: ParameterTable
 ) -> tuple[list[Excitation], list[Float[Array, "records sources"]]]:
     """Of each stage that finds something, and what each of the noise's sources adds to its noisiest
-    combination."""
-    stages, _ = stages_over_records(equations, table)
-    found = [
-        excitation_of(stage, tuple(table[name] for name in unknown), label)
-        for stage, (label, unknown) in zip(stages, table.stages)
-        if unknown
-    ]
-    return [excitation for excitation, _ in found], [added for _, added in found]
-
-
-def excitation_of(
-    stage: NormalEquations, rows: tuple[Parameter, ...], label: str
-) -> tuple[Excitation, Float[Array, "records sources"]]:
-    """How a stage's regressors are excited, by its normal equations.
+    combination.
 
     With the regressors scaled to unit length their Gram matrix is G = V diag(s^2) V^T: s_1, the
     least singular value, is the size of the smallest combination of them (`weakest_share`), and
@@ -259,38 +246,42 @@ def excitation_of(
     direction holds j. Noise that is a share n_j of each column adds sum_j v_1j^2 n_j^2 to s_1^2;
     `findings` compares the two.
 
-    **Arguments:** `stage`, in one block for each record, with its noise; `rows`, which of the
-    parameters the stage finds; `label`, its name.
-
-    **Returns:** also what each of the noise's sources adds to the noisiest combination.
+    **Arguments:** `equations`, in one block for each record, with their noise.
     """
-    total, of_source = stage.total(), stage.noise_of_source
-    index = np.array([total.parameters.index(row.name) for row in rows])
-    assert total.noise is not None
-    assert of_source is not None
-    count = jnp.where(total.count > 0, total.count, 1.0)
-    mean, noise = (m[np.ix_(1 + index, 1 + index)] / count for m in (total.moments, total.noise))
-    size = jnp.sqrt(jnp.diagonal(mean))
-    scaled, scale = unit_diagonal(mean)
-    squares, directions = symmetric_eigen(scaled)
-    # Rounding of the Gram matrix hides shares below the root of eps.
-    squares = jnp.maximum(squares, 0.0)
-    floor = jnp.finfo(size.dtype).eps * len(rows)
-    dominance, noisiest = largest_share(noise, mean)
-    of_source = of_source[..., 1 + index, :][..., 1 + index]
-    added = jnp.einsum("i,rsij,j->rs", noisiest, of_source, noisiest)
-    noisiest = noisiest * size
-    length = jnp.sqrt(jnp.sum(noisiest**2))
-    inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
-    excitation = Excitation(
-        size=size,
-        own_share=jnp.where(size > 0, 1 / jnp.sqrt(inverse), 0.0),
-        noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)) * scale, 0.0),
-        weakest_direction=directions[:, 0],
-        weakest_share=jnp.sqrt(squares[0]),
-        noisiest_direction=noisiest / jnp.where(length > 0, length, 1.0),
-        noisiest_share=dominance,
-        rows=rows,
-        stage_name=label,
-    )
-    return excitation, added
+    stages, _ = stages_over_records(equations, table)
+    found, added = [], []
+    for stage, (label, unknown) in zip(stages, table.stages):
+        if not unknown:
+            continue
+        total, of_source = stage.total(), stage.noise_of_source
+        assert total.noise is not None
+        assert of_source is not None
+        index = 1 + np.array([total.parameters.index(name) for name in unknown])
+        count = jnp.where(total.count > 0, total.count, 1.0)
+        mean, noise = (m[np.ix_(index, index)] / count for m in (total.moments, total.noise))
+        size = jnp.sqrt(jnp.diagonal(mean))
+        scaled, scale = unit_diagonal(mean)
+        squares, directions = symmetric_eigen(scaled)
+        # Rounding of the Gram matrix hides shares below the root of eps.
+        squares = jnp.maximum(squares, 0.0)
+        floor = jnp.finfo(size.dtype).eps * len(unknown)
+        dominance, noisiest = largest_share(noise, mean)
+        of_source = of_source[..., index, :][..., index]
+        added.append(jnp.einsum("i,rsij,j->rs", noisiest, of_source, noisiest))
+        noisiest = noisiest * size
+        length = jnp.sqrt(jnp.sum(noisiest**2))
+        inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
+        found.append(
+            Excitation(
+                size=size,
+                own_share=jnp.where(size > 0, 1 / jnp.sqrt(inverse), 0.0),
+                noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)) * scale, 0.0),
+                weakest_direction=directions[:, 0],
+                weakest_share=jnp.sqrt(squares[0]),
+                noisiest_direction=noisiest / jnp.where(length > 0, length, 1.0),
+                noisiest_share=dominance,
+                rows=tuple(table[name] for name in unknown),
+                stage_name=label,
+            )
+        )
+    return found, added

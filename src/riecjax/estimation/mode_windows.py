@@ -189,7 +189,13 @@ def _contracted(
     not even compiled.
     """
     stage = ModeStage.of(expanded, sums, known)
-    at = at_minimum(stage, at) if stage.sought and moves else at
+    if stage.sought and moves:
+        # One more Newton step. At the minimum it is zero, and by the implicit function theorem its
+        # derivative is that of the minimum, the bend being held still: only derivatives come of it.
+        at = jax.lax.stop_gradient(at)
+        slope, bend = stage.slope_and_bend(at)
+        step = solve_scaled(jax.lax.stop_gradient(bend), slope[:, None])[:, 0]
+        at = at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
     values = stage.values(at) if stage.linear else stage.given
     mixes = [e.linearised(values) if e.elements else jnp.zeros((0, 0)) for e in expanded]
     return [_mixed(*each) for each in zip(expanded, mixes, sums)], mixes, values
@@ -199,19 +205,6 @@ def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquat
     if not expanded.elements:
         return sums
     return sums.in_columns(lambda m: mix @ m @ mix.T, expanded.all_parameters)
-
-
-def at_minimum(stage: ModeStage, at: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
-    """The same shapes, with the derivatives of the least energy's place: one more Newton step.
-
-    At the minimum the step is zero, and by the implicit function theorem its derivative is that of
-    the minimum, the bend being held still.
-    """
-    at = jax.lax.stop_gradient(at)
-    slope, bend = stage.slope_and_bend(at)
-    step = solve_scaled(jax.lax.stop_gradient(bend), slope[:, None])[:, 0]
-    # The value is what was found: only derivatives come from the step.
-    return at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
 
 
 def search_band(model: Model, summary: Summary, names: HiddenParameters) -> tuple[Leaf, Leaf]:

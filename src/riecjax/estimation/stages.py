@@ -222,21 +222,12 @@ def _fit_of_part(
     fit = _fit(equation, theta, jnp.where(has_target, equation.energy, largest))
     if not unknown:
         return fit
-    shrinkage = jnp.where(has_target, 0.0, _shrinkage(equation, stage, theta))
-    return dataclasses.replace(fit, shrinkage=shrinkage)
-
-
-def _shrinkage(
-    equation: NormalEquations, stage: NormalEquations, theta: Float[Array, " own"]
-) -> Float[Array, ""]:
-    """Share by which an equation without a target shrinks its coefficients theta.
-
-    Its residual A theta is homogeneous: scaled with s, theta costs s^2 |A theta|^2, and the minimum
-    of the sum trades that against what the stage's other equations ask for. With S their curvature
-    along theta, all other parameters following, the sum's slope vanishes at s = 1 and theirs alone
-    at 1 + |A theta|^2 / S.
-    """
-    own = np.array([stage.parameters.index(name) for name in equation.parameters])
+    # The share by which an equation without a target shrinks its coefficients theta. Its residual
+    # A theta is homogeneous: scaled with s, theta costs s^2 |A theta|^2, and the minimum of the sum
+    # trades that against what the stage's other equations ask for. With S their curvature along
+    # theta, all other parameters following, the sum's slope vanishes at s = 1 and theirs alone at
+    # 1 + |A theta|^2 / S.
+    own = np.array([stage.parameters.index(name) for name in unknown])
     others = np.setdiff1d(np.arange(len(stage.parameters)), own)
     rest = stage.gram - equation.embed(stage.parameters).gram
     pulled = rest[:, own] @ theta
@@ -246,7 +237,8 @@ def _shrinkage(
         curvature = curvature - pulled[others] @ follow
     energy = equation.residual_energy(theta)
     both = energy + jnp.maximum(curvature, 0.0)
-    return jnp.where(both > 0, energy / jnp.where(both > 0, both, 1.0), 0.0)
+    share = jnp.where(both > 0, energy / jnp.where(both > 0, both, 1.0), 0.0)
+    return dataclasses.replace(fit, shrinkage=jnp.where(has_target, 0.0, share))
 
 
 def all_normal_equations(
