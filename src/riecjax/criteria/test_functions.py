@@ -223,7 +223,7 @@ class _Differences(AbstractTestFunction):
     have s seconds more than the equation: it is integrated s times. s is the `smoothness`.
     """
 
-    quadrature: eqx.AbstractVar[int]
+    quadrature: int = eqx.field(static=True, default=4)
 
     def __check_init__(self):
         if self.quadrature not in ORDERS:
@@ -341,7 +341,6 @@ class Boxcar(_Differences):
 
     name: ClassVar[str] = "boxcar"
     smoothness: ClassVar[int] = 1
-    quadrature: int = eqx.field(static=True, default=4)
 
 
 class Hat(_Differences):
@@ -359,7 +358,6 @@ class Hat(_Differences):
     smoothness: ClassVar[int] = 2
     length_multiple: ClassVar[int] = 2
     row_seconds: ClassVar[int] = 2
-    quadrature: int = eqx.field(static=True, default=4)
 
 
 def valid_windows(

@@ -80,8 +80,8 @@ class AbstractWindows(eqx.Module):
     of the fastest (alpha) and of the slowest mode (beta) that the model should have.
     """
 
-    alpha: eqx.AbstractVar[Leaf]
-    beta: eqx.AbstractVar[Leaf]
+    alpha: Leaf
+    beta: Leaf
 
     def check(self, sample_count: int, time_step: Array, multiple: int = 1) -> None:
         """Raise `DataError` if the record is too short or too coarse (not under jit)."""
@@ -200,8 +200,6 @@ class AllWindows(AbstractWindows):
     differentiated by alpha or beta.
     """
 
-    alpha: Leaf
-    beta: Leaf
     law: AbstractLaw
     longest_samples: int | None = eqx.field(static=True)
 
@@ -297,8 +295,6 @@ class RandomWindows(AbstractWindows):
     alpha or beta on samples.
     """
 
-    alpha: Leaf
-    beta: Leaf
     count: int = eqx.field(static=True)
     between_samples: bool = eqx.field(static=True)
 

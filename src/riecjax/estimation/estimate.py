@@ -47,12 +47,12 @@ class AbstractEstimate(Saved, eqx.Module):
       seconds that each lasts.
     """
 
-    theta: eqx.AbstractVar[Float[Array, "*batch p"]]
-    uncertainty: eqx.AbstractVar[Uncertainty]
-    table: eqx.AbstractVar[ParameterTable]
-    inflation: eqx.AbstractVar[Float[Array, "*batch p"]]
-    block_count: eqx.AbstractVar[Int[Array, "*batch"]]
-    block_length: eqx.AbstractVar[Float[Array, "*batch"]]
+    theta: Float[Array, "*batch p"]
+    uncertainty: Uncertainty
+    table: ParameterTable
+    inflation: Float[Array, "*batch p"]
+    block_count: Int[Array, "*batch"]
+    block_length: Float[Array, "*batch"]
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -361,15 +361,9 @@ class Estimate(AbstractEstimate):
       `jax.vmap`, where each member of a batch would carry its own.
     """
 
-    theta: Float[Array, "*batch p"]
-    uncertainty: Uncertainty
     naive: Float[Array, "*batch p"]
-    inflation: Float[Array, "*batch p"]
     stages: tuple[StageSolution, ...]
-    table: ParameterTable
     criterion: AbstractCriterion
-    block_count: Int[Array, "*batch"]
-    block_length: Float[Array, "*batch"]
     rows_offered: Float[Leaf, "*batch stages"]
     summary: Summary | None
     stage_names: tuple[str, ...] = eqx.field(static=True)
