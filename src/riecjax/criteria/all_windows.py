@@ -63,26 +63,26 @@ from riecjax.leaves import Leaf
 from riecjax.records.signal import both
 
 
-class StartRange(NamedTuple):
-    """Range of samples at which windows may start."""
-
-    first: Int[Array, ""]
-    stop: Int[Array, ""]
-
-
 class Runs(NamedTuple):
-    """For each sample, the first and last sample of the run of valid samples it lies in."""
+    """Runs of valid samples, and the starts of windows in them.
+
+    **Fields:** `first`, for each sample where the first window starts that may hold it; `last`
+    sample of the run it lies in; `stop`, where the last window of all starts.
+    """
 
     first: Int[Array, " n"]
     last: Int[Array, " n"]
+    stop: Int[Array, ""] | int
 
     @classmethod
-    def of(cls, valid: Bool[Array, " n"]) -> "Runs":
-        """Of a mask."""
+    def of(
+        cls, valid: Bool[Array, " n"], first: Int[Array, ""] | int, count: Int[Array, ""] | int
+    ) -> "Runs":
+        """Of a mask, and so many starts from the `first` on."""
         at = jnp.arange(valid.shape[0])
         gap_before = jax.lax.cummax(jnp.where(valid, -1, at))
         gap_after = jax.lax.cummin(jnp.where(valid, at.size, at), reverse=True)
-        return cls(gap_before + 1, gap_after - 1)
+        return cls(jnp.maximum(gap_before + 1, first), gap_after - 1, first + count - 1)
 
 
 class Points(NamedTuple):
@@ -94,11 +94,11 @@ class Points(NamedTuple):
     end: Float[Array, " n"]
 
     @classmethod
-    def of_bin(cls, bin_: LagBins, runs: Runs, starts: StartRange, pieces: int) -> "Points":
+    def of_bin(cls, bin_: LagBins, runs: Runs, pieces: int) -> "Points":
         """How many windows of a bin's lengths, `pieces` lags each, have their ends at each sample;
         without weights."""
         at, shortest, longest = jnp.arange(runs.last.shape[0]), bin_.first, bin_.last
-        first, last, stop = jnp.maximum(runs.first, starts.first), runs.last, starts.stop - 1
+        first, last, stop = runs
 
         def counted(low: Leaf, high: Array) -> tuple[Array, Array]:
             number = jnp.maximum(high - low + 1, 0)
@@ -171,8 +171,8 @@ def moments_in_blocks(
             slope = (phi @ place) / jnp.maximum(jnp.sum(place**2), 1.0)
             phi = phi - slope[:, None] * place[None, :]
         there = jax.lax.dynamic_slice_in_dim(valid, begin, width)
-        starts = StartRange(first - begin, first - begin + size)
-        return each_bin(lambda law: window_moments(phi, there, starts, law, order), lags)
+        runs = Runs.of(there, first - begin, size)
+        return each_bin(lambda law: window_moments(phi, runs, law, order), lags)
 
     moments, number = jax.lax.map(of_block, jnp.arange(blocks.number))
     if lags.first.ndim == 1:
@@ -257,19 +257,15 @@ def _products(
 
 
 def window_moments(
-    phi: Float[Array, "columns n"],
-    valid: Bool[Array, " n"],
-    starts: StartRange,
-    bins: LagBins,
-    difference: int,
+    phi: Float[Array, "columns n"], runs: Runs, bins: LagBins, difference: int
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
     """Sum of the outer products of all rows, and their number: of boxcars (a first difference of
     phi) or hats (a second one)."""
-    at, runs = jnp.arange(valid.shape[0]), Runs.of(valid)
+    at = jnp.arange(phi.shape[1])
 
     def of_bin(bin_: LagBins) -> _Sums:
         shortest, longest = bin_.first, bin_.last
-        points = Points.of_bin(bin_, runs, starts, difference)
+        points = Points.of_bin(bin_, runs, difference)
 
         def beyond(count: Array, low: Leaf, high: Array, stride: int = 1) -> Array:
             sums = sum_between(phi, at + stride * low, at + stride * high, stride)
@@ -281,9 +277,8 @@ def window_moments(
         if difference == 2:
             # From the middle u: the start u - k and the end u + k in the run, the start in the
             # range.
-            low = jnp.maximum(shortest, at - starts.stop + 1)
-            high = jnp.minimum(longest, runs.last - at)
-            high = jnp.minimum(high, at - jnp.maximum(runs.first, starts.first))
+            low = jnp.maximum(shortest, at - runs.stop)
+            high = jnp.minimum(longest, jnp.minimum(runs.last - at, at - runs.first))
             ends = beyond(points.start, shortest, most, stride=2)
             inner = ends + 2 * (inner - beyond(points.middle, low, high))
         squares = points.start + 4 * points.middle + points.end

@@ -34,7 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.criteria.all_windows import Points, Runs, StartRange
+from riecjax.criteria.all_windows import Points, Runs
 from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins, sum_over_lengths
 from riecjax.criteria.quadrature import interval_weights
@@ -49,13 +49,15 @@ NoiseWeights = Float[Array, "orders orders n"]
 def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, pieces: int) -> Points:
     """Where all windows of a law that start in some blocks have their ends, `pieces` lags long."""
     at, present = jnp.arange(columns.sample_count), columns.present
-    runs = Runs(jnp.zeros_like(at), jnp.broadcast_to(blocks.unpadded - 1, at.shape))
-    if present is not None:
-        runs = Runs.of(present & (at < blocks.unpadded))
-    starts = StartRange(blocks.first, blocks.first + blocks.size * blocks.number)
+    starts = blocks.first, blocks.size * blocks.number
+    if present is None:
+        ends = (jnp.broadcast_to(end, at.shape) for end in (blocks.first, blocks.unpadded - 1))
+        runs = Runs(*ends, sum(starts) - 1)
+    else:
+        runs = Runs.of(present & (at < blocks.unpadded), *starts)
 
     def of_bin(bin_: LagBins) -> Points:
-        counts = Points.of_bin(bin_, runs, starts, pieces)
+        counts = Points.of_bin(bin_, runs, pieces)
         return jax.tree.map(lambda leaf: bin_.weight * leaf, counts)
 
     return sum_over_bins(lags, of_bin)

@@ -24,7 +24,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -85,15 +85,10 @@ def _nodes() -> tuple[np.ndarray, np.ndarray]:
     return np.polynomial.legendre.leggauss(NODES)
 
 
-class Integrals(NamedTuple):
-    """Weighted integrals of every column of an equation over every window.
-
-    **Fields:** `columns`, the target first; `valid`, False for windows that touch a missing or
-    masked sample and hold no meaning, `None` where there are none.
-    """
-
-    columns: Float[Array, "columns windows"]
-    valid: Bool[Array, " windows"] | None
+Integrals = tuple[Float[Array, "columns windows"], Bool[Array, " windows"] | None]
+"""Weighted integrals of every column of an equation over every window, the target first; and False
+for windows that touch a missing or masked sample and hold no meaning, `None` where there are
+none."""
 
 
 class AbstractTestFunction(eqx.Module):
@@ -213,7 +208,7 @@ class Dirac(AbstractTestFunction):
         valid: Any = valid_windows(windows, columns.present)
         if unpadded is not None:
             valid = both(valid, windows.start < unpadded)
-        return Integrals(columns.values[0][:, windows.start], valid)
+        return columns.values[0][:, windows.start], valid
 
 
 class _Differences(AbstractTestFunction):
@@ -297,7 +292,7 @@ class _Differences(AbstractTestFunction):
                 "on samples (between_samples=False)."
             )
         values = self.primitives(columns, unpadded).differences(*windows)
-        return Integrals(values, valid_windows(windows, columns.present))
+        return values, valid_windows(windows, columns.present)
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts."""
@@ -478,7 +473,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
 
         empty = jnp.zeros((columns.values.shape[1], windows.start.shape[0]), columns.values.dtype)
         total, _ = jax.lax.scan(of_length, empty, lengths)
-        return Integrals(total, valid_windows(windows, columns.present))
+        return total, valid_windows(windows, columns.present)
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
         """The law at `lengths` window lengths."""

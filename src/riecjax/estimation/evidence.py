@@ -7,7 +7,6 @@ put it.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,12 +47,8 @@ NEAR = 2**0.5
 """Ratio of frequencies up to which a mode is near another frequency: half an octave."""
 
 
-class Stray(NamedTuple):
-    """A mode that was `asked` for near a frequency, and `found` elsewhere, both in hertz."""
-
-    parameters: ModeParameters
-    asked: float
-    found: float
+Stray = tuple[ModeParameters, float, float]
+"""A mode, the frequency in hertz near which it was asked for, and that where it was found."""
 
 
 # It prints in words, which no named tuple can take from a base class.
@@ -165,7 +160,7 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
                 hz = model.hidden[names].hz
                 at_hz = float(mode_frequency(values, names)[0])
                 if hz is not None and not hz / NEAR <= at_hz <= hz * NEAR:
-                    strays.append(Stray(names, hz, at_hz))
+                    strays.append((names, hz, at_hz))
                     if names == own[-1]:
                         low, high = np.minimum(low, at_hz / NEAR), np.maximum(high, at_hz * NEAR)
             band = low, high
