@@ -75,6 +75,8 @@ class ProgramKey:
     """The key of a call, and the functions on its way, which what it returns may hold.
 
     **Fields:** `digest` in hexadecimal; `functions` in the order in which they were found.
+
+    **Raises:** `NoKey` where none is sure.
     """
 
     def __init__(self, function: Callable, arguments: Any) -> None:
@@ -91,7 +93,9 @@ class ProgramKey:
         self._alive: list[Any] = []
         self.functions: list[FunctionType] = []
         self._add(function)
-        self._add(arguments)
+        self._add(
+            jax.tree.map(lambda leaf: ArrayType(leaf) if eqx.is_array(leaf) else leaf, arguments)
+        )
         self.digest = self._hash.hexdigest()
 
     def _write(self, *parts: object) -> None:
@@ -217,17 +221,6 @@ def _names(code: CodeType) -> set[str]:
     return set(code.co_names).union(*map(_names, inner))
 
 
-def key_of(function: Callable, arguments: Any) -> ProgramKey:
-    """The key of a call.
-
-    **Raises:** `NoKey` where none is sure.
-    """
-    return ProgramKey(
-        function,
-        jax.tree.map(lambda leaf: ArrayType(leaf) if eqx.is_array(leaf) else leaf, arguments),
-    )
-
-
 @functools.cache
 def _of_process() -> str:
     """Digest of the code that a trace may run, and of the machine."""
@@ -346,7 +339,7 @@ def _program(function: Callable, arguments: Any, folder: Path) -> Program | None
     if jax.config.values["jax_disable_jit"] or jax.device_count() > 1 or not is_concrete(arguments):
         return None
     try:
-        key = key_of(function, arguments)
+        key = ProgramKey(function, arguments)
     except NoKey:
         return None
     program = _programs.pop(key.digest, None)
