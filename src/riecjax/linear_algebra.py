@@ -13,6 +13,7 @@ Matrices here have as many rows as a model has parameters, and there may be thou
 # `gram_condition_limit` says where.
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from jaxtyping import Array, Float
 from riecjax.leaves import Leaf, namespace
 
 
-def unit_scale(diagonal: Float[Leaf, "*batch p"]) -> Float[Leaf, "*batch p"]:
+def unit_scale(diagonal: Float[Array, "*batch p"]) -> Float[Array, "*batch p"]:
     """Factors that bring a matrix with this diagonal to a diagonal of ones, on either side.
 
     Parameters may differ by ten powers of ten. 1 where the diagonal is zero.
@@ -31,7 +32,7 @@ def unit_scale(diagonal: Float[Leaf, "*batch p"]) -> Float[Leaf, "*batch p"]:
     return xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 1.0)
 
 
-def unit_diagonal(matrix: Float[Leaf, "p p"]) -> tuple[Float[Leaf, "p p"], Float[Leaf, " p"]]:
+def unit_diagonal(matrix: Float[Array, "p p"]) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
     """The matrix scaled to a diagonal of ones, and the factors, see [`unit_scale`][]."""
     scale = unit_scale(matrix.diagonal())
     return matrix * scale[:, None] * scale[None, :], scale
@@ -179,7 +180,7 @@ def gram_condition_limit(dtype: jnp.dtype) -> float:
     return float((1e-5 / eps) ** 0.5) if eps < 1e-10 else float((1e-2 / eps) ** 0.5)
 
 
-def gram_suffices(gram: Float[np.ndarray, "p p"]) -> bool:
+def gram_suffices(gram: Float[Any, "p p"]) -> bool:
     """Whether a Gram matrix is conditioned well enough to be solved (not under jit)."""
     squares = np.linalg.eigvalsh(unit_diagonal(gram)[0])
     return bool(squares[0] * gram_condition_limit(gram.dtype) ** 2 > squares[-1])

@@ -174,12 +174,16 @@ class LengthBins(NamedTuple):
         **Raises:** `ModelError` for fewer than one, for too many, and unless edges are positive
         and finite.
         """
-        edges = None if isinstance(bins, int | np.integer) else np.asarray(bins, float).ravel()
-        number = int(bins) if edges is None else edges.size - 1
-        if edges is None and number < 1:
-            raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
-        if edges is not None and not (np.isfinite(edges).all() and (edges > 0).all()):
-            raise ModelError("edges of bins of window lengths are positive numbers of seconds.")
+        edges = None
+        if isinstance(bins, int | np.integer):
+            number = int(bins)
+            if number < 1:
+                raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
+        else:
+            edges = np.asarray(bins, float).ravel()
+            number = edges.size - 1
+            if not (np.isfinite(edges).all() and (edges > 0).all()):
+                raise ModelError("edges of bins of window lengths are positive numbers of seconds.")
         if number > MOST_BINS:
             raise ModelError(
                 f"sums of {number} bins of window lengths would take too much memory: give at most "

@@ -53,17 +53,18 @@ def criterion_for(
     **Raises:** `ModelError` for what is no criterion; `Contradiction` for a quadrature where the
     test function has none.
     """
-    criterion = fit.criterion if isinstance(fit, Fit) else fit
-    if isinstance(criterion, AbstractCriterion):
-        return criterion
-    if not isinstance(fit, Fit):
-        require("the criterion", fit, AbstractCriterion | None, WRITE_CRITERION)
-        return suited(model, model.band, records)
-    if not (criterion is None or isinstance(criterion, str)):
-        require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    if criterion == "dols":
+    asked = fit.criterion if isinstance(fit, Fit) else fit
+    kinds = AbstractCriterion | str | None if isinstance(fit, Fit) else AbstractCriterion | None
+    write = (
+        "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, "
+        "or rx.DOLS()"
+    )
+    require("the criterion", asked, kinds, write)
+    if isinstance(asked, AbstractCriterion):
+        return asked
+    if asked == "dols":
         return DOLS()
-    if not fit.says_of_windows:
+    if not isinstance(fit, Fit) or not fit.says_of_windows:
         return suited(model, model.band, records)
     band = fit.band or model.band or DEFAULT_BAND
     # Bumps have no quadrature: to ask for one is to ask for boxcars.
@@ -80,18 +81,11 @@ def criterion_for(
     return criterion.between(alpha, beta)
 
 
-WRITE_CRITERION = (
-    "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, or "
-    "rx.DOLS()"
-)
-
-
 def _test_function(fit: Fit) -> AbstractTestFunction:
     named = {name: kind() for name, kind in TEST_FUNCTIONS.items()}
-    if isinstance(fit.test_function, AbstractTestFunction):
-        weight = fit.test_function
-    else:
-        name = "boxcar" if fit.test_function in (None, "auto") else fit.test_function
+    weight = fit.test_function
+    if not isinstance(weight, AbstractTestFunction):
+        name = "boxcar" if weight in (None, "auto") else weight
         if name not in named:
             require("test_function", name, (), f"rx.Hat(), or one of {', '.join(named)}")
         weight = named[name]
@@ -112,13 +106,14 @@ def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Rec
         return _with_modes(model, band or DEFAULT_BAND, list(records))
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
     # Derivatives that boxcars would read of linear terms, and that no sensor measured.
-    lacking = []
-    for term in (t for e in model.equations for t in e.terms if t.is_linear):
-        name = term.measured[0] if term.measured else "a velocity"
-        for record in records if term.derivative == 2 else ():
-            made = isinstance(term.of, str) and record.noise.is_made_of(name, term.of)
-            if name not in record.arrays or made:
-                lacking.append(name)
+    terms = (t for e in model.equations for t in e.terms if t.is_linear and t.derivative == 2)
+    named = [(t.of, t.measured[0] if t.measured else "a velocity") for t in terms]
+    lacking = [
+        name
+        for of, name in named
+        for record in records
+        if name not in record.arrays or (isinstance(of, str) and record.noise.is_made_of(name, of))
+    ]
     if not lacking:
         return usual
     bump = RIEC.of_band(band or DEFAULT_BAND, Bump(lengths=LENGTHS))

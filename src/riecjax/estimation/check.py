@@ -264,13 +264,9 @@ def _break_points(model: Model, summary: Summary) -> Iterator[Finding]:
         least, most = np.min(reach[str(term.name)]), np.max(reach[str(term.name)])
         points = np.asarray(term.basis.break_points)
         # The end segments are continued: what counts is data past the last but one.
-        idle = [points[0]] if least > points[1] else []
-        idle += [points[-1]] if most < points[-2] else []
-        if least > 0.5 * (points[0] + points[1]) and not idle:
-            idle.append(points[0])
-        if most < 0.5 * (points[-1] + points[-2]) and points[-1] not in idle:
-            idle.append(points[-1])
-        if idle:
+        below = least > points[1] or (least > 0.5 * (points[0] + points[1]) and most >= points[-2])
+        ends = (points[0], below), (points[-1], most < 0.5 * (points[-1] + points[-2]))
+        if idle := [point for point, unreached in ends if unreached]:
             listed = " and ".join(f"{point:g}" for point in idle)
             yield Finding(
                 "break_points_outside",

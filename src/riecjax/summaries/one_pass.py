@@ -121,7 +121,14 @@ def part_sums(
         disturbed, windows = record, drawn
         if request.surveyed:
             disturbed = _disturbed(record)
-            windows = _some_windows(criterion, blocks, request) if drawn is None else drawn
+        if request.surveyed and lengths:
+            # In each block, at places and of lengths that are drawn once for all.
+            share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
+            start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
+            start = start + (share[0] * blocks.size).astype(int)
+            shortest, longest = request.band
+            lag = shortest + (share[1] * (longest - shortest + 1)).astype(int)
+            windows = WindowSet(start, start + criterion.test_function.length_multiple * lag)
 
         def of_equation(equation: Equation) -> PartSums:
             noisy, survey = criterion.noisy_columns(equation, record), None
@@ -240,16 +247,6 @@ def _disturbed(record: Record) -> Record:
         return dataclasses.replace(signal, values=signal.values + noise)
 
     return record.with_signals({name: disturbed(i, name) for i, name in enumerate(names)})
-
-
-def _some_windows(criterion: AbstractCriterion, blocks: StartBlocks, request: Request) -> WindowSet:
-    """Windows in each block, at places and of lengths that are drawn once for all."""
-    share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
-    start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
-    start = start + (share[0] * blocks.size).astype(int)
-    shortest, longest = request.band
-    lag = shortest + (share[1] * (longest - shortest + 1)).astype(int)
-    return WindowSet(start, start + criterion.test_function.length_multiple * lag)
 
 
 def _surveyed(
@@ -452,10 +449,10 @@ def recording_sums(
             request = Request(jnp.asarray(block), 2, *of_windows, survey * SURVEYED // 2)
         else:
             unit = longest
-            if n > FILLED[-1] and not mixing:
+            if filled is not None and n > FILLED[-1]:
                 width = max(PART, 4 * longest)
                 filled = width + reach + 2 * weight.margin
-            elif not mixing:
+            elif filled is not None:
                 width = filled
             size = (n if filled is None else filled) // (1 if width <= FILLED[0] else 4)
             surveyed = survey * max(SURVEYED * longest // size, 1)
