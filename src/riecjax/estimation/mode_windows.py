@@ -77,8 +77,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
                 f"it out, or give both."
             )
     known = {name: jnp.asarray(value) for name, value in given.items()}
-    found = FoundModes([], [], [], [], jnp.array(True))
-    shown = jnp.array(True)
+    found, shown = [], jnp.array(True)
     equations = summary.equations()
     looked_at = is_concrete(equations, known) and not is_under_trace()
     for i, expanded in enumerate(model.expanded):
@@ -119,11 +118,8 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
         if any(e.elements for e in expanded) or asked.intersection(stage.linear):
             used, mixes, values = _contracted(expanded, used, known, at, not looked_at)
             known |= values
-        found.equations.append(used)
-        found.mixes.append(mixes)
-        found.at.append(at)
-        found.bands.append(band)
-    return found._replace(shown=shown)
+        found.append((used, mixes, at, band))
+    return FoundModes(*map(list, zip(*found)), shown)
 
 
 @kept_jit
