@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from riecjax import Boxcar, Bump, Hat
-from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins
-from riecjax.criteria.windows import WindowSet
+from riecjax.criteria.windows import StartBlocks, WindowSet
 from riecjax.equations.noisy_columns import Columns
 
 N, STEP = 40, 0.1

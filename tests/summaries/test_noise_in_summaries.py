@@ -8,7 +8,7 @@ from tests.machines import MACHINES, Shape
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.criteria.chunks import StartBlocks
+from riecjax.criteria.windows import StartBlocks
 from riecjax.summaries.summary import load
 from riecjax.summaries.task import ready
 

@@ -13,21 +13,19 @@ from riecjax.summaries.normal_equations import (
     ShortBlocks,
     blocks_in_use,
 )
-from riecjax.uncertainty.block_statistics import (
+from riecjax.uncertainty.covariances import (
     BlockStatistics,
     block_influence,
-    politis_white,
-    staged_values,
-    unknowns_of,
-)
-from riecjax.uncertainty.covariances import (
     drawn_counts,
     effective_freedom,
     jackknife_covariance,
     naive_covariance,
+    politis_white,
     sandwich_covariance,
+    staged_values,
     studentized_replicates,
     uniform_draws,
+    unknowns_of,
 )
 from riecjax.uncertainty.intervals import BlockBootstrap
 

@@ -56,9 +56,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins
 from riecjax.criteria.quadrature import Primitives, running_sum, sum_between
+from riecjax.criteria.windows import StartBlocks
 from riecjax.leaves import Leaf
 from riecjax.records.signal import both
 

@@ -34,7 +34,6 @@ import scipy.special
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.criteria.all_windows import Moments, Points, moments_in_blocks
-from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins, each_bin, sum_over_lengths
 from riecjax.criteria.noise_moments import (
     NoiseWeights,
@@ -44,7 +43,7 @@ from riecjax.criteria.noise_moments import (
     points_of_windows,
 )
 from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
-from riecjax.criteria.windows import AllWindows, Count, WindowSet, half_periods
+from riecjax.criteria.windows import AllWindows, Count, StartBlocks, WindowSet, half_periods
 from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf

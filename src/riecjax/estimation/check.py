@@ -25,9 +25,9 @@ from riecjax.records.recording import Recording
 from riecjax.settings import Check as CheckSettings
 from riecjax.settings import taking
 from riecjax.shows import Shown
+from riecjax.summaries.normal_equations import Survey
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.sums import Survey
 from riecjax.summaries.task import ready, signals_read, task
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def linear_sums(model: Model, summary: Summary, table: ParameterTable) -> Summar
     """The sums, linearised about hidden elements where there are some."""
     if not model.has_hidden:
         return summary
-    from riecjax.estimation.mode_windows import linearised
+    from riecjax.estimation.hidden_modes import linearised
 
     return linearised(model, summary, table.known)
 

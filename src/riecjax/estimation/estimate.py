@@ -354,7 +354,7 @@ class Estimate(AbstractEstimate):
     - `table`: what each parameter is, and the values of those that were not estimated.
     - `criterion`: what was made small.
     - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
-      length in seconds (rule: `block_length` in `uncertainty.block_statistics`).
+      length in seconds (rule: `block_length` in `uncertainty.covariances`).
     - `stage_names`, `equation_names`: of each stage, and of each equation in it.
     - `rows_offered`: for each stage, how many rows there would be without gaps and masks; NaN
       where that is not known.

@@ -24,10 +24,11 @@ from riecjax.estimation.hidden_modes import (
     ModeMap,
     ModeStage,
     Values,
+    find_modes,
     mode_map,
     polished,
+    search_band,
 )
-from riecjax.estimation.mode_windows import find_modes, search_band
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, on_host
 from riecjax.shows import Drawn

@@ -12,9 +12,8 @@ from jaxtyping import Array, Float
 from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import combination, weighing
-from riecjax.estimation.noise_level import largest_share
 from riecjax.estimation.parameters import Parameter, ParameterTable
-from riecjax.estimation.stages import StageSolution, stages_over_records
+from riecjax.estimation.stages import StageSolution, largest_share, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal

@@ -16,11 +16,12 @@ from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
-from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
+    borne_out,
+    level_covariance,
     solve_stages,
     stages_over_records,
 )
@@ -153,7 +154,7 @@ def estimated(
     elif table.per_record:
         raise ModelError("per_record has no meaning yet for a model with hidden elements.")
     else:
-        from riecjax.estimation.mode_windows import find_modes
+        from riecjax.estimation.hidden_modes import find_modes
 
         modes, other = (find_modes(model, summary, table.known, rank) for rank in (0, 1))
         fit, beside = (_solve(found.equations, *given) for found in (modes, other))

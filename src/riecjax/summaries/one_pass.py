@@ -21,10 +21,9 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.all_windows import Moments
-from riecjax.criteria.chunks import StartBlocks, in_chunks
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
 from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
-from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
+from riecjax.criteria.windows import AllWindows, StartBlocks, WindowSet, in_chunks, power_of_two
 from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.expressions import evaluate
@@ -36,8 +35,13 @@ from riecjax.linear_algebra import gram_suffices
 from riecjax.records.record import Record, both, filled_up
 from riecjax.records.signal import Signal
 from riecjax.summaries.digest import digest_of
-from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
-from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
+from riecjax.summaries.normal_equations import (
+    EquationSums,
+    NormalEquations,
+    RecordingSums,
+    Survey,
+    sum_of_equations,
+)
 
 PART = 2**17
 """Starts to a part of a long recording."""

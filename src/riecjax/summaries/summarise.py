@@ -14,10 +14,10 @@ from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import explaining_errors
 from riecjax.summaries.digest import Outline
+from riecjax.summaries.normal_equations import RecordingSums
 from riecjax.summaries.one_pass import recording_sums, traced_sums
 from riecjax.summaries.sensor_choice import with_less_noise
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.sums import RecordingSums
 from riecjax.summaries.task import Task, ready, task
 
 

@@ -20,8 +20,13 @@ from riecjax.linear_algebra import factor_of_gram, joined_factor
 from riecjax.records.noise import Noise
 from riecjax.shows import Shown
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
-from riecjax.summaries.sums import EquationSums, RecordingSums
+from riecjax.summaries.normal_equations import (
+    EquationSums,
+    NormalEquations,
+    RecordingSums,
+    ShortBlocks,
+    stack_normal_equations,
+)
 
 ROOMS = (128, 1024)
 """Blocks of a recording that arrays have room for; there are no more than the last."""

@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
+from riecjax.criteria.criterion import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.noise import Noise
 from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.writing import write_npz
 from riecjax.summaries.digest import Outline
-from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
+from riecjax.summaries.normal_equations import EquationSums, RecordingSums, Survey
 from riecjax.whole_files import no_file, write_file
 
 if TYPE_CHECKING:
