@@ -34,14 +34,13 @@ from riecjax.equations.model import Model
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace, on_host
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
-from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import (
     EquationSums,
     NormalEquations,
     Survey,
     sum_of_equations,
 )
-from riecjax.summaries.summary import Summary
+from riecjax.summaries.summary import Outline, Summary
 from riecjax.uncertainty.covariances import block_influence
 
 Values = Mapping[str, Array]

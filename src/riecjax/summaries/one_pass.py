@@ -34,7 +34,6 @@ from riecjax.leaves import Leaf, namespace, on_host
 from riecjax.linear_algebra import gram_suffices
 from riecjax.records.record import Record, both, filled_up
 from riecjax.records.signal import Signal
-from riecjax.summaries.digest import digest_of
 from riecjax.summaries.normal_equations import (
     EquationSums,
     NormalEquations,
@@ -42,6 +41,7 @@ from riecjax.summaries.normal_equations import (
     Survey,
     sum_of_equations,
 )
+from riecjax.summaries.summary import digest_of
 
 PART = 2**17
 """Starts to a part of a long recording."""

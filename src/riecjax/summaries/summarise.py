@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
+from riecjax.criteria.suited import with_less_noise
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import AtRest, Model, as_model
@@ -13,11 +14,9 @@ from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import explaining_errors
-from riecjax.summaries.digest import Outline
 from riecjax.summaries.normal_equations import RecordingSums
 from riecjax.summaries.one_pass import recording_sums, traced_sums
-from riecjax.summaries.sensor_choice import with_less_noise
-from riecjax.summaries.summary import Summary
+from riecjax.summaries.summary import Outline, Summary
 from riecjax.summaries.task import Task, ready, task
 
 
