@@ -1,4 +1,4 @@
-"""Which criterion suits a model and what was recorded of its motion.
+"""Which criterion, and which of two sensors, suits a model and what was recorded of its motion.
 
 The boxcar of RIEC as published needs a recorded velocity for every inertia. Where the record has
 none, or one that was made of the position, noise and all, a smooth test function takes both
@@ -179,10 +179,10 @@ def with_velocities(model: Model, record: Record) -> tuple[Record, list[str]]:
 
 # Which of two sensors a damping term reads: the position's, or the velocity's own.
 #
-# Over a window from t to T the term r x' is r (x(T) - x(t)), or the integral of a recorded velocity.
-# Without noise both are the same. Noise adds twice the position's variance to the first, and to the
-# second the velocity's times the window's length times a time step: a hundredth of it, if both have
-# the same share of noise and the window holds some dozens of samples.
+# Over a window from t to T the term r x' is r (x(T) - x(t)), or the integral of a recorded
+# velocity. Without noise both are the same. Noise adds twice the position's variance to the first,
+# and to the second the velocity's times the window's length times a time step: a hundredth of it,
+# if both have the same share of noise and the window holds some dozens of samples.
 
 NOTICED = 0.02
 """Noise of a position, as a share of its standard deviation, below which it is read in any case:

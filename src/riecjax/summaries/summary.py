@@ -31,6 +31,8 @@ from riecjax.summaries.normal_equations import (
     stack_normal_equations,
 )
 
+# What tells recordings and models apart: digests of all that sums depend on.
+
 
 class Outline(eqx.Module):
     """The equations that recordings are summed for, as far as sums depend on them.
