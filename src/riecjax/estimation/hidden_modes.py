@@ -37,10 +37,11 @@ from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import (
     EquationSums,
     NormalEquations,
+    Outline,
     Survey,
     sum_of_equations,
 )
-from riecjax.summaries.summary import Outline, Summary
+from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.covariances import block_influence
 
 Values = Mapping[str, Array]

@@ -39,9 +39,9 @@ from riecjax.summaries.normal_equations import (
     NormalEquations,
     RecordingSums,
     Survey,
+    digest_of,
     sum_of_equations,
 )
-from riecjax.summaries.summary import digest_of
 
 PART = 2**17
 """Starts to a part of a long recording."""

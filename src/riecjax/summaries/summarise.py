@@ -14,9 +14,9 @@ from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import explaining_errors
-from riecjax.summaries.normal_equations import RecordingSums
+from riecjax.summaries.normal_equations import Outline, RecordingSums
 from riecjax.summaries.one_pass import recording_sums, traced_sums
-from riecjax.summaries.summary import Outline, Summary
+from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import Task, ready, task
 
 

@@ -27,8 +27,7 @@ from riecjax.leaves import is_concrete
 from riecjax.records.noise import Noise
 from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.writing import write_npz
-from riecjax.summaries.normal_equations import EquationSums, RecordingSums, Survey
-from riecjax.summaries.summary import Outline
+from riecjax.summaries.normal_equations import EquationSums, Outline, RecordingSums, Survey
 from riecjax.whole_files import no_file, write_file
 
 if TYPE_CHECKING:
