@@ -173,12 +173,14 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
             slopes = np.array([[-0.5, 0.5, 0.0], [-0.5, -0.5, 1.0]])
             errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, relative, slopes))
             pairs = zip(mode_frequency(values, last), errors)
+            frequency, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in pairs)
             evidence.append(
                 ModeEvidence(
                     last,
                     model.plan(set(known))[i][0],
                     model.hidden[last].on,
-                    *((float(v), abs(float(v)) * float(e)) for v, e in pairs),
+                    frequency,
+                    ratio,
                     min(size) > 0 and damping**2 < 4 * mass * stiffness,
                     *raw,
                     summary.lengths_of(found.bands[i] or summary.band),
