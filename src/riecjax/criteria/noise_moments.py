@@ -50,8 +50,9 @@ def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, piec
     at, present = jnp.arange(columns.sample_count), columns.present
     starts = blocks.first, blocks.size * blocks.number
     if present is None:
-        ends = (jnp.broadcast_to(end, at.shape) for end in (blocks.first, blocks.unpadded - 1))
-        runs = Runs(*ends, sum(starts) - 1)
+        first = jnp.broadcast_to(blocks.first, at.shape)
+        last = jnp.broadcast_to(blocks.unpadded - 1, at.shape)
+        runs = Runs(first, last, sum(starts) - 1)
     else:
         runs = Runs.of(present & (at < blocks.unpadded), *starts)
 

@@ -212,29 +212,28 @@ class AbstractEstimate(Saved, eqx.Module):
 
     def few_blocks(self) -> Iterator[Finding]:
         """Intervals by a small-sample sandwich, and those that lean (not under jit)."""
-        few = np.asarray(self.uncertainty.few_blocks)
-        yield from self._of_some(
-            few,
-            self.uncertainty.degrees_of_freedom,
-            Finding(
+        freedom = self.uncertainty.degrees_of_freedom
+        names, listed = self._where(self.uncertainty.few_blocks, freedom)
+        if names:
+            yield Finding(
                 "few_blocks",
-                "few independent stretches of the record tell of {} (degrees of freedom of the "
-                "variance): these intervals come from a small-sample sandwich with Student's t and "
-                "are the wider the fewer there are. Record for longer, or excite them all along.",
-            ),
-        )
+                f"few independent stretches of the record tell of {listed} (degrees of "
+                f"freedom of the variance): these intervals come from a small-sample sandwich with "
+                f"Student's t and are the wider the fewer there are. Record for longer, or excite "
+                f"them all along.",
+                parameters=names,
+            )
         # Intervals that reach much farther than errors alike all along call for.
-        times = np.where(few, 1.0, self.uncertainty.times_sandwich)
-        yield from self._of_some(
-            times > NOTABLE_LEAN,
-            times,
-            Finding(
+        times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
+        names, listed = self._where(times > NOTABLE_LEAN, times)
+        if names:
+            yield Finding(
                 "uneven_errors",
-                "a few stretches of the record err so much more than the rest that the intervals "
-                "of {} reach so many times as far as they otherwise would. Look at those "
-                "stretches, or record for longer.",
-            ),
-        )
+                f"a few stretches of the record err so much more than the rest that the intervals "
+                f"of {listed} reach so many times as far as they otherwise would. Look at "
+                f"those stretches, or record for longer.",
+                parameters=names,
+            )
 
     def rarely_excited(self) -> Iterator[Finding]:
         """Parameters that many of the bootstrap's replicates leave undetermined (not under jit)."""
@@ -243,17 +242,15 @@ class AbstractEstimate(Saved, eqx.Module):
             return
         lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
         lost = np.where(self.uncertainty.few_blocks, 0.0, lost)
-        yield from self._of_some(
-            lost > LOST_SHARE,
-            100 * lost,
-            Finding(
+        names, listed = self._where(lost > LOST_SHARE, 100 * lost, " %")
+        if names:
+            yield Finding(
                 "rarely_excited",
-                "so few stretches of the record tell of {} that so large a share of the "
-                "bootstrap's replicates held none of them: their intervals are rough. Record for "
-                "longer, or excite them more often.",
-            ),
-            " %",
-        )
+                f"so few stretches of the record tell of {listed} that so large a share "
+                f"of the bootstrap's replicates held none of them: their intervals are rough. "
+                f"Record for longer, or excite them more often.",
+                parameters=names,
+            )
 
     def disagreement(self) -> Iterator[Finding]:
         """Parameters on which recordings disagree by more than chance (not under jit)."""
@@ -269,15 +266,14 @@ class AbstractEstimate(Saved, eqx.Module):
                     parameters=(name,),
                 )
 
-    def _of_some(
-        self, which: ArrayLike, numbers: ArrayLike, finding: Finding, unit: str = ""
-    ) -> Iterator[Finding]:
-        """A finding about some parameters, if any, which it lists with a number beside each."""
+    def _where(
+        self, which: ArrayLike, numbers: ArrayLike, unit: str = ""
+    ) -> tuple[tuple[str, ...], str]:
+        """Names of some parameters, and a list of them with a number beside each."""
         chosen = np.flatnonzero(which)
         names, values = [self.parameters[i] for i in chosen], np.asarray(numbers)[chosen]
         listed = ", ".join(f"{n} ({x:.2g}{unit})" for n, x in zip(names, values))
-        if names:
-            yield finding._replace(message=finding.message.format(listed), parameters=tuple(names))
+        return tuple(names), listed
 
     def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
         index = self._index(name)
@@ -483,16 +479,15 @@ class Estimate(AbstractEstimate):
         rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
         told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
         few = np.asarray(self.effective_windows) < FEWEST_WINDOWS
-        yield from self._of_some(
-            few & told,
-            self.effective_windows,
-            Finding(
+        names, listed = self._where(few & told, self.effective_windows)
+        if names:
+            yield Finding(
                 "few_effective_windows",
                 f"errors of overlapping windows are correlated: all of them tell as much as so "
-                f"many independent ones of {{}}. With fewer than {FEWEST_WINDOWS} an interval is "
-                f"rough. Record for longer.",
-            ),
-        )
+                f"many independent ones of {listed}. With fewer than {FEWEST_WINDOWS} an interval "
+                f"is rough. Record for longer.",
+                parameters=names,
+            )
         if self.summary is not None and self.summary.asked is not None:
             alpha, beta = self.summary.asked
             low, high = self.summary.lengths_of(self.summary.band)

@@ -409,7 +409,8 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
             used, mixes, values = _contracted(expanded, used, known, at, not looked_at)
             known |= values
         found.append((used, mixes, at, band))
-    return FoundModes(*map(list, zip(*found)), shown)
+    equations, mixes, shapes, bands = map(list, zip(*found))
+    return FoundModes(equations, mixes, shapes, bands, shown)
 
 
 @kept_jit
