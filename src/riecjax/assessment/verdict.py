@@ -153,7 +153,7 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
         yield Step(f"Let {joined(names)} differ between recordings", tuple(options))
     if "noise_dominates" in by:
         yield Step("Compare simulations, which need no derivative", ("--refine", "output-error"))
-    if "coarse_sampling" in by and assessment.estimate.criterion.in_closed_form:
+    if "coarse_sampling" in by and assessment.estimate.criterion.all_windows is not None:
         yield Step("Integrate by a higher order", ("--quadrature", "6"))
     if {"few_blocks", "few_effective_windows", "short_record"} & by.keys():
         yield Step("Record for longer, or excite the machine all along")

@@ -18,7 +18,7 @@ from riecjax.equations.term import AbstractTerm, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence
-from riecjax.estimation.mode_windows import linearised
+from riecjax.estimation.hidden_modes import linearised
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (
     BLACK,

@@ -442,7 +442,7 @@ def signal_delays(model: Model, records: Sequence[Record], estimate: Estimate) -
     """
     criterion, step = estimate.criterion, float(records[0].time_step)
     own = any(estimate.table[name].recording is not None for name in estimate.parameters)
-    if model.has_hidden or own or not criterion.in_closed_form or estimate.summary is None:
+    if model.has_hidden or own or criterion.all_windows is None or estimate.summary is None:
         return []
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
     reach = min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)

@@ -34,7 +34,7 @@ from riecjax.summaries.normal_equations import (
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import ready, task
-from riecjax.uncertainty.block_statistics import block_influence
+from riecjax.uncertainty.covariances import block_influence
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
 # time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
