@@ -103,9 +103,7 @@ def _only_input(equation: Equation) -> str | None:
     return inputs[0] if len(inputs) == 1 else None
 
 
-def _left(
-    error: EquationError, signal: np.ndarray
-) -> tuple[Float[np.ndarray, "2"], bool] | None:
+def _left(error: EquationError, signal: np.ndarray) -> tuple[Float[np.ndarray, "2"], bool] | None:
     """What is left of a line along the record and of a constant, as changes of the input, and
     whether the line stands out; `None` of an equation whose target is more than the input."""
     present, values, target = (np.asarray(v) for v in (error.present, error.error, error.target))
