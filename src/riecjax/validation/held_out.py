@@ -300,7 +300,8 @@ def validate_held_out(
             f"the simulation has no signal '{unknown[0]}' to compare; it has: "
             f"{', '.join(available)}."
         )
-    measured.select(*system.input_names, *(signals or ()))  # or an error that says which it has
+    for name in (*system.input_names, *(signals or ())):
+        measured.signal(name)  # or an error that says which there are
     compared = tuple(signals or (name for name in available if name in measured.arrays))
     if not compared:
         raise DataError(
