@@ -33,6 +33,7 @@ from .equations.expressions import product as product
 from .equations.hidden_elements import HiddenMode as HiddenMode
 from .equations.hidden_elements import SeriesSpring as SeriesSpring
 from .equations.model import Model as Model
+from .equations.model import equation_system as equation_system
 from .equations.model import simultaneous as simultaneous
 from .equations.model import staged as staged
 from .equations.term import Term as Term
@@ -73,7 +74,6 @@ from .refinement.refine import refine as refine
 from .reporting.comparison import compare as compare
 from .reporting.result_files import load as load
 from .runtime import start_jax as start_jax
-from .simulation.equation_system import equation_system as equation_system
 from .simulation.method import Adaptive as Adaptive
 from .simulation.method import FixedStep as FixedStep
 from .simulation.simulate import simulate as simulate

@@ -19,6 +19,7 @@ from riecjax.assessment.asked import Asked, size_of
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
 from riecjax.assessment.trust import horizons, system_of, validated
 from riecjax.compilation import kept_jit
+from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
@@ -35,7 +36,6 @@ from riecjax.refinement.output_error import (
     noise_levels,
 )
 from riecjax.refinement.refine import Refined, refined_of
-from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
@@ -305,7 +305,7 @@ def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] 
         return None
     # Derivatives that equations are solved for.
     motions = system.structure.motions if isinstance(system, EquationSystem) else ()
-    leading = {motion.names[-1] for motion in motions}
+    leading = {motion[-1] for motion in motions}
     outputs = [name for name, _ in system.outputs if held(name) and name not in leading]
     if not outputs:
         return states

@@ -29,10 +29,10 @@ from riecjax.equations.noisy_columns import (
     NoisyColumns,
     noisy_columns,
     sampled_columns,
-    without_noise,
 )
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
+from riecjax.records.noise import Noise
 from riecjax.records.record import Record
 
 SHORT_BLOCKS_OF_ROWS = 512
@@ -189,7 +189,8 @@ class AbstractCriterion(eqx.Module):
         """An equation's columns, and what the record's noise does to them."""
         if self.corrects_noise:
             return noisy_columns(equation, record, self.smoothness)
-        return without_noise(sampled_columns(equation, record, self.smoothness))
+        columns = sampled_columns(equation, record, self.smoothness)
+        return NoisyColumns(columns, {}, {}, (), Noise())
 
     def noise_of(
         self,
@@ -202,7 +203,7 @@ class AbstractCriterion(eqx.Module):
 
         **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
         """
-        if not noisy.moves:
+        if not (noisy.white or noisy.coloured):
             return None
 
         def weights_of(law: LagBins | WindowSet) -> NoiseWeights | None:

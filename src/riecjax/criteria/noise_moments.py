@@ -399,7 +399,7 @@ def _probed(
             white = jnp.fft.rfft(signs.astype(values.dtype), size)
             first = reach + taps.shape[-1] // 2
             noise = jnp.fft.irfft(white * jnp.fft.rfft(taps, size), size)[first : first + n]
-            values = values + movement.scaled(noise).columns(like).values
+            values = values + movement.times(noise, like)
         return products(eqx.tree_at(lambda columns: columns.values, like, values))
 
     place = np.arange(n + 2 * reach) % SIGNS.shape[1]

@@ -19,7 +19,7 @@ from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.noise import Noise, SignalNoise
 from riecjax.records.signal import Signal, both
 from riecjax.records.time_base import time_base
-from riecjax.shows import Drawn, framed
+from riecjax.shows import Drawn, reported
 
 if TYPE_CHECKING:
     from riecjax.records.linear_op import LinearOp
@@ -115,8 +115,8 @@ class Record(Drawn, eqx.Module):
           Between evenly sampled stretches there may be pauses.
         - `units`: name to unit, for those that are known.
 
-        **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample,
-        unequal lengths, and time that does not increase or is not evenly spaced.
+        **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample, a
+        unit of no signal, unequal lengths, and time that does not increase or is not evenly spaced.
         """
         require("what a record is made of", signals, Mapping, WRITE_RECORD, DataError)
         arrays = {name: _samples(name, values) for name, values in signals.items()}
@@ -145,6 +145,11 @@ class Record(Drawn, eqx.Module):
         if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
         known = units or {}
+        if unknown := [name for name in known if name not in arrays]:
+            raise DataError(
+                f"a unit is given for '{unknown[0]}', and there is no such signal; there are: "
+                f"{', '.join(arrays)}."
+            )
         by_name = {name: Signal.of(v, known.get(name, "")) for name, v in arrays.items()}
         return cls(by_name, step, start, stamps)
 
@@ -217,7 +222,7 @@ class Record(Drawn, eqx.Module):
 
         **Raises:** `DataError` if pandas is not installed.
         """
-        return framed(self)
+        return reported("exports", "to_frame", self)
 
     def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
         """True where none of these signals lacks its sample; `None` where none ever does."""

@@ -21,14 +21,14 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.model import Model, as_model, require_no_slip
+from riecjax.equations.equation_system import EquationSystem
+from riecjax.equations.model import Model, as_model, equation_system, require_no_slip
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 from riecjax.records.record import Record
-from riecjax.simulation.equation_system import EquationSystem, equation_system
 from riecjax.simulation.system import AbstractSystem
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.task import record_keys

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.equations.model import relation_of
+from riecjax.equations.expressions import relation_of
 from riecjax.records import align
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.derived import derived
