@@ -25,11 +25,16 @@ from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
-from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, Constraints, is_pair
-from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
+from riecjax.refinement.output_error import (
+    OutputError,
+    OutputMisfit,
+    Tiles,
+    WholeRecord,
+    noise_levels,
+)
 from riecjax.refinement.refine import Refined, refined_of
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
@@ -265,9 +270,8 @@ def _noise(records: list[Record], channels: tuple[str, ...] | None) -> dict[str,
     """Noise that each channel is weighed by, in its unit; `None` where nothing tells it."""
     levels = {}
     for name in channels or ():
-        own = [np.asarray(judged(record, "auto", name).noise.std(name)) for record in records]
         least = LEAST_NOISE * np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
-        levels[name] = max(np.sqrt(np.mean(np.square(own))), least)
+        levels[name] = max(noise_levels(records, (name,))[0], least)
     return levels if levels and all(level > 0 for level in levels.values()) else None
 
 

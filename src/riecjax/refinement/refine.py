@@ -378,17 +378,17 @@ def refined_of(
     # it from the search before, a fixed-point iteration.
     misfit, theta = objective.misfit(specified), specified.theta
     first = misfit.first_initial()
-    begun, rms = _begin(misfit, theta, first)
-    reached, halving = begun, None
+    reached = halving = None
     while True:
-        optimum = search(misfit, constraints, theta, reached, *settings)
+        begun, rms = _begin(misfit, theta, first)
+        optimum = search(misfit, constraints, theta, reached or begun, *settings)
         for _ in range(FURTHER_ROUNDS if constraints.has_priors else 0):
             optimum = search(misfit, constraints, theta, optimum.reached, *settings)
         before, halving = halving, halve_steps(misfit, optimum, theta)
         reached, finer = optimum.reached, with_finer_steps(misfit, halving, before)
         if finer is None:
             break
-        misfit, (begun, rms) = finer, _begin(finer, theta, first)
+        misfit = finer
     refined = Refined(
         theta=reached.theta,
         uncertainty=optimum.uncertainty,
