@@ -10,12 +10,12 @@ import time
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
 from riecjax.fleets.engine import batches
 from riecjax.fleets.order import DONE, Order, Row
-from riecjax.whole_files import no_folder, write_file
+from riecjax.whole_files import write_file
 
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
 ESTIMATES = "estimates.parquet"
@@ -27,22 +27,13 @@ MOST_WAITING, LONGEST_WAIT = 256, 5.0
 ROWS, HELD = 256, 16
 """Rows of a batch, which are read together, at most; and batches that are held."""
 
+Batch = TypeVar("Batch", bound=Sequence[tuple[Any, ...]])
+
 
 def is_result(folder: Path, path: str) -> bool:
     """Whether a path is one of those that a run writes into a folder, and no recording."""
     below = os.path.relpath(path, folder).replace(os.sep, "/")
     return below in RESULTS or below.startswith(f"{PARTS}/")
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder that is to be written to.
-
-    **Raises:** `DataError` where that cannot be.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(no_folder(folder, error)) from None
 
 
 def write_batches(
@@ -69,10 +60,9 @@ def write_batches(
         with parquet.ParquetWriter(
             temporary, schema, compression="zstd", write_page_checksum=True, use_dictionary=False
         ) as writer:
-            for batch in written:
+            for batch in _digested(written, digest):
                 columns = [pa.array(each, field.type) for each, field in zip(zip(*batch), schema)]
                 writer.write_batch(pa.record_batch(columns, schema=schema))
-                _add(digest, batch)
             writer.add_key_value_metadata({**metadata, DIGEST: digest.hexdigest().encode()})
 
     write_file(file, fill)
@@ -83,10 +73,12 @@ def _digest_of(metadata: Mapping[bytes, bytes]) -> Any:
     return hashlib.sha256(repr(ours).encode())
 
 
-def _add(digest: Any, batch: Iterable[tuple[Any, ...]]) -> None:
-    for row in batch:
-        for value in row:
+def _digested(batches: Iterable[Batch], digest: Any) -> Iterator[Batch]:
+    """The batches, each once all that it holds is in the digest."""
+    for batch in batches:
+        for value in itertools.chain.from_iterable(batch):
             digest.update(value if isinstance(value, bytes) else repr(value).encode())
+        yield batch
 
 
 @contextlib.contextmanager
@@ -120,10 +112,8 @@ def _opened(file: str | os.PathLike[str]) -> Iterator[tuple[Any, dict[bytes, byt
 def _sound(source: Any, metadata: Mapping[bytes, bytes]) -> Iterator[list[Row]]:
     """Rows of an opened file, some at a time; whether they are sound is known at the end."""
     digest = _digest_of(metadata)
-    for number in range(source.num_row_groups):
-        batch = _batch(source, number)
-        _add(digest, batch)
-        yield batch
+    numbers = range(source.num_row_groups)
+    yield from _digested((_batch(source, number) for number in numbers), digest)
     # Earlier versions wrote none.
     if metadata.get(DIGEST, b"") not in (b"", digest.hexdigest().encode()):
         raise ValueError("its checksum differs")
