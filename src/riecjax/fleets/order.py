@@ -273,8 +273,7 @@ class Row(NamedTuple):
 
 def sum_up(order: bytes, pieces: Sequence[Piece]) -> list[Row]:
     """The rows of some pieces, one of each at least."""
-    asked = unpacked(order)
-    return [row for piece in pieces for row in rows_of(asked, piece)]
+    return [row for piece in pieces for row in rows_of(unpacked(order), piece)]
 
 
 def rows_of(order: Order, piece: Piece) -> list[Row]:
