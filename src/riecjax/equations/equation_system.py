@@ -382,7 +382,7 @@ class EquationSystem(AbstractSystem):
                     )
                     values.append(value)
                     columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
-                elif (name := expression_read(term, self.structure.motions)) in zeros:
+                elif (name := str(expression_read(term, self.structure.motions))) in zeros:
                     columns = {name: self._term(term, {name: zero + 1})}
                 else:
                     values.append(self._term(term, signals))

@@ -418,12 +418,13 @@ class Model(Shown, eqx.Module):
         build = self.system.build
         if build is None and not self.stages:
             raise ModelError(f"model '{self.name}' has neither equations nor a system.")
-        names = [parameter.name for parameter in self.simulation_parameters]
+        quantities = self.simulation_parameters
+        names = [quantity.name for quantity in quantities]
         if unknown := [name for name in settings if name not in names]:
             raise ModelError(
                 f"unknown parameter '{unknown[0]}'; {self.name} has: {', '.join(names)}."
             )
-        values = {p.name: settings.get(p.name, p.default) for p in self.simulation_parameters}
+        values: dict[str, Any] = {q.name: settings.get(q.name, q.default) for q in quantities}
         if unset := [name for name, value in values.items() if value is None]:
             raise ModelError(
                 f"{self.name} needs a value for {', '.join(unset)} (--set {unset[0]}=VALUE)."

@@ -67,10 +67,10 @@ def motions_and_unread(
             if term.signal == position and term.unit and term.derivative != 1
         )
         unit = units.get(position) or per(units.get(velocity, ""), "1/s")
-        recorded_ones = [name if name in recorded else "" for name in (position, velocity)]
-        motion = Motion(*recorded_ones, unit or next(filter(None, by_term), ""))
+        x, v = (name if name in recorded else "" for name in (position, velocity))
+        motion = Motion(x, v, unit or next(filter(None, by_term), ""))
         # What is read as a velocity here may be the derivative of a position there.
-        for name in filter(None, recorded_ones):
+        for name in filter(None, (x, v)):
             if name not in motions or (motion.position and not motions[name].position):
                 motions[name] = motion
     # A velocity has the position whose slope it goes along with, among signals not read.
