@@ -2,13 +2,14 @@
 
 import ast
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeGuard
 
 import pytest
 
 import riecjax
+from test_import_direction import imported_names
 
 ROOT = Path(riecjax.__file__).parent
 PROJECT = Path(__file__).parents[1]
@@ -65,22 +66,10 @@ NAMES = {name_of(path): path for path in MODULES}
 @functools.cache
 def imported(path: Path) -> set[str]:
     """Modules of the package that a file imports anywhere in it, not for types alone."""
-    found = set()
-    for node in run_time(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            below = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= below & NAMES.keys() or {node.module} & NAMES.keys()
-        elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names} & NAMES.keys()
-    return found - {name_of(path)}
-
-
-def run_time(tree: ast.AST) -> Iterator[ast.AST]:
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            continue
-        yield node
-        yield from run_time(node)
+    text = path.read_text(encoding="utf-8")
+    names = imported_names(text, path.relative_to(ROOT), for_types=False)
+    found = {name if name in NAMES else name.rpartition(".")[0] for name in names}
+    return found & NAMES.keys() - {name_of(path)}
 
 
 def circles(arrows: dict[str, set[str]]) -> list[str]:

@@ -36,13 +36,6 @@ def test_each_is_shown_with_its_equations_if_it_has_any(name, capsys):
     assert ("equations" in shown.out) == (name in IDENTIFIED)
 
 
-@pytest.mark.parametrize("name", IDENTIFIED)
-def test_listed_parameters_are_those_of_the_equations(name):
-    model = MODELS[name]
-    assert {q.name: q.unit for q in model.parameters} == model.units
-    assert tuple(q.name for q in model.parameters) == model.parameter_names
-
-
 @pytest.mark.parametrize("pointwise", [False, True], ids=["riec", "dols"])
 @pytest.mark.parametrize("name", IDENTIFIED)
 def test_listed_signals_are_all_that_the_equations_read(name, pointwise):
@@ -56,12 +49,6 @@ def test_listed_signals_are_all_that_the_equations_read(name, pointwise):
             # Tracing reads every signal and compiles nothing.
             rows = eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
             assert rows.columns.shape[0] == 1 + len(equation.parameters)
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_listed_inputs_are_those_of_the_system(name):
-    model = MODELS[name]
-    assert tuple(q.name for q in model.inputs) == model.build_system({}).input_names
 
 
 @pytest.mark.parametrize(
