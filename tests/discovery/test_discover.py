@@ -104,6 +104,7 @@ def _said(found) -> str:
     return choice_in_words(discovery_document(found))
 
 
+@pytest.mark.slow
 def test_a_known_value_of_the_model_sets_its_scale(record):
     start = rx.Equation(
         rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),
