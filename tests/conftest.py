@@ -41,7 +41,7 @@ hypothesis.settings.load_profile("searching" if PRODUCTION else "repeated")
 
 # Tracing makes objects by the million and few cycles: looking for these as often as Python does
 # by default takes a tenth of the time.
-gc.set_threshold(100_000)
+gc.set_threshold(500_000)
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 

@@ -137,7 +137,7 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
         np.max(np.abs(columns[:-1, known]), axis=1, keepdims=True), np.finfo(float).tiny
     )
     # Columns Q R leave the same of each other as those of R do, which are few and short.
-    triangle, there = np.linalg.qr(columns[:, free].T, mode="r"), columns[:, held]
+    triangle, there = np.asarray(np.linalg.qr(columns[:, free].T, mode="r")), columns[:, held]
     signal_of_row = np.repeat(np.arange(len(rows)), len(LAGS))
     for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
         kept = np.append(np.flatnonzero(~np.isin(signal_of_row, left_out)), signal_of_row.size)
