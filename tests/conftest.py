@@ -24,6 +24,8 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 if not PRODUCTION:
     split = "--xla_cpu_parallel_codegen_split_count=1"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {split}".strip()
+    # Which line each operation comes from, no test asks.
+    os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 start_jax(once=not PRODUCTION)
 
 import hypothesis  # noqa: E402
@@ -39,7 +41,7 @@ hypothesis.settings.load_profile("searching" if PRODUCTION else "repeated")
 
 # Tracing makes objects by the million and few cycles: looking for these as often as Python does
 # by default takes a tenth of the time.
-gc.set_threshold(100_000)
+gc.set_threshold(500_000)
 # A shape that is stretched by accident is a bug; every stretch in the code is spelled out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
@@ -87,7 +89,7 @@ def _count_compilation(event: str, duration_secs: float, **kwargs: str | int) ->
 
 jax.monitoring.register_event_duration_secs_listener(_count_compilation)
 
-MOST_MAPS = 20_000
+MOST_MAPS = 35_000
 """Memory maps of a process past which compiled functions are forgotten; Linux allows 65530."""
 COUNTED_AFTER = 300
 """Compilations between two counts of the maps, which take as long as a small test."""

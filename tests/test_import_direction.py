@@ -1,6 +1,7 @@
 """Data and imports flow one way through the core's stages; the core knows nobody of the rim."""
 
 import ast
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -57,18 +58,22 @@ def read(module: Path) -> str:
     return (ROOT / module).read_text(encoding="utf-8")
 
 
+@functools.lru_cache(maxsize=1)
+def nodes_of(source: str) -> list[ast.AST]:
+    return list(ast.walk(ast.parse(source)))
+
+
 def imported_names(source: str, module: Path, *, for_types: bool = True) -> Iterator[str]:
     """Full names of everything that a module imports from this package."""
     package = ("riecjax", *module.parent.parts)
-    tree = ast.parse(source)
-    guards = [node for node in ast.walk(tree) if isinstance(node, ast.If)]
+    guards = [node for node in nodes_of(source) if isinstance(node, ast.If)]
     guarded = {
         id(node)
         for guard in guards
         if ast.unparse(guard.test) == "TYPE_CHECKING"
         for node in ast.walk(guard)
     }
-    for node in ast.walk(tree):
+    for node in nodes_of(source):
         if id(node) in guarded and not for_types:
             continue
         if isinstance(node, ast.Import):
@@ -84,8 +89,8 @@ def imported_names(source: str, module: Path, *, for_types: bool = True) -> Iter
 
 def strings_naming_the_rim(source: str, module: Path) -> Iterator[str]:
     """Text from which a module of the rim could be imported; a docstring is none."""
-    nodes = list(ast.walk(ast.parse(source)))
-    prose = [node.value for node in nodes if isinstance(node, ast.Expr)]
+    nodes = nodes_of(source)
+    prose = {node.value for node in nodes if isinstance(node, ast.Expr)}
     for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in prose:
             # The readers' group of entry points has the name of their package.

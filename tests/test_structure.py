@@ -1,13 +1,15 @@
 """The source keeps to its budgets, a reader finds an idea in one module, and no way in a circle."""
 
 import ast
-from collections.abc import Iterator
+import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeGuard
 
 import pytest
 
 import riecjax
+from test_import_direction import imported_names
 
 ROOT = Path(riecjax.__file__).parent
 PROJECT = Path(__file__).parents[1]
@@ -61,24 +63,13 @@ def name_of(path: Path) -> str:
 NAMES = {name_of(path): path for path in MODULES}
 
 
+@functools.cache
 def imported(path: Path) -> set[str]:
     """Modules of the package that a file imports anywhere in it, not for types alone."""
-    found = set()
-    for node in run_time(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            below = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= below & NAMES.keys() or {node.module} & NAMES.keys()
-        elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names} & NAMES.keys()
-    return found - {name_of(path)}
-
-
-def run_time(tree: ast.AST) -> Iterator[ast.AST]:
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            continue
-        yield node
-        yield from run_time(node)
+    text = path.read_text(encoding="utf-8")
+    names = imported_names(text, path.relative_to(ROOT), for_types=False)
+    found = {name if name in NAMES else name.rpartition(".")[0] for name in names}
+    return found & NAMES.keys() - {name_of(path)}
 
 
 def circles(arrows: dict[str, set[str]]) -> list[str]:
@@ -127,22 +118,23 @@ def is_private_function(node: ast.AST) -> TypeGuard[ast.FunctionDef | ast.AsyncF
     )
 
 
-def prose_lines(text: str) -> int:
+def prose_lines(text: str, nodes: Sequence[ast.AST]) -> int:
     """Lines of docstrings and comments."""
-    documented = [node for node in ast.walk(ast.parse(text)) if isinstance(node, DOCUMENTED)]
+    documented = [node for node in nodes if isinstance(node, DOCUMENTED)]
     docstrings = [ast.get_docstring(node, clean=False) or "" for node in documented]
     comments = [line for line in text.splitlines() if line.lstrip().startswith("#")]
     return sum(len(docstring.splitlines()) for docstring in docstrings) + len(comments)
 
 
 @pytest.fixture(scope="module")
-def texts() -> list[str]:
-    return [path.read_text(encoding="utf-8") for path in MODULES]
+def parsed() -> dict[str, tuple[str, list[ast.AST]]]:
+    texts = {name: path.read_text(encoding="utf-8") for name, path in NAMES.items()}
+    return {name: (text, list(ast.walk(ast.parse(text)))) for name, text in texts.items()}
 
 
 @pytest.fixture(scope="module")
-def sizes(texts) -> dict[str, int]:
-    nodes = [node for text in texts for node in ast.walk(ast.parse(text))]
+def sizes(parsed) -> dict[str, int]:
+    nodes = [node for _, nodes in parsed.values() for node in nodes]
     return {
         "src lines": line_count(source_files("src", SOURCE_ENDINGS)),
         "src modules": len(MODULES),
@@ -162,23 +154,24 @@ def test_the_source_keeps_to_its_budget(sizes, what):
     assert sizes[what] <= BUDGETS[what]
 
 
-def test_docstrings_and_comments_have_their_share(texts):
-    code = sum(text.count("\n") for text in texts)
-    assert round(100 * sum(map(prose_lines, texts)) / code) >= LEAST_PROSE
+def test_docstrings_and_comments_have_their_share(parsed):
+    code = sum(text.count("\n") for text, _ in parsed.values())
+    prose = sum(prose_lines(*module) for module in parsed.values())
+    assert round(100 * prose / code) >= LEAST_PROSE
 
 
 def test_what_is_counted():
     text = '"""Said."""\n# Why.\nx = 3 * 1 + 0.25 if True else 0.5\n'
     nodes = list(ast.walk(ast.parse(text)))
-    assert prose_lines(text) == 2
+    assert prose_lines(text, nodes) == 2
     assert sum(map(is_statement, nodes)) == 1
     assert sum(map(is_literal, nodes)) == 2
 
 
-def test_a_private_function_has_few_parameters():
+def test_a_private_function_has_few_parameters(parsed):
     counts: dict[str, int] = {}
-    for name, path in NAMES.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for name, (_, nodes) in parsed.items():
+        for node in nodes:
             if is_private_function(node):
                 where = f"{name}.{node.name}"
                 count = len(node.args.args) + len(node.args.kwonlyargs)

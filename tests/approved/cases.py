@@ -221,10 +221,8 @@ SLOW = {
     *("drag-noise-given", "drag-noise-none", "drag-resampled", "three-runs-own", "pendulum"),
     *("emps-position", "emps-asymmetric", "own-model-mapped", "discover-laws", "one-way-many"),
     *("hidden-mode-elsewhere", "hidden-mode-absent", "stiction-servo", "lever-arm"),
-    "lever-arm-together",
-    "duffing",
-    "drag-filtered",
-    "quarter-car-random",
+    *("duffing", "drag-filtered", "quarter-car-random", "drag-prepared", "drag-output-error"),
+    *("lever-arm-together", "file-pause-csv", "hammer-pulses"),
 }
 """What `make nightly` compares besides: long, or an option beside one that the day compares."""
 BESIDE: dict[str, dict[str, str]] = {

@@ -82,21 +82,6 @@ def test_findings_of_a_file_are_those_of_signals_that_are_read():
         assert finding.signals == ("x",)
 
 
-def test_a_missing_signal_names_the_file_and_its_column():
-    signals = motion(100)
-    signals["x"] = np.full(100, np.nan)
-    recording = rx.read_recording(write("run.csv", signals))
-    with pytest.raises(rx.DataError, match=r"run\.csv: column 'x' was left out: it holds no num"):
-        rx.assess(AXIS, recording, HATS)
-
-
-def test_a_record_shorter_than_a_window_names_the_file():
-    recording = rx.read_recording(write("run.csv", motion(20)))
-    for verb in (rx.assess, rx.check, rx.identify):
-        with pytest.raises(rx.DataError, match=r"^run\.csv: .*window"):
-            verb(AXIS, recording, HATS)
-
-
 @pytest.mark.parametrize(
     ("arguments", "settings", "words"),
     [

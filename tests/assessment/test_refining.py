@@ -108,6 +108,7 @@ def test_what_cannot_be_simulated_is_declined_in_one_line():
     assert f"not refined: {refinement.declined}" in str(found)
 
 
+@pytest.mark.slow
 def test_a_bound_in_the_way_is_declined():
     _, refinement = refinement_of(DRAG, drag_record(0), bounds={"k": (10.0, 19.98)})
     assert not refinement.chosen

@@ -1,8 +1,6 @@
 """Recordings that allow no answer: one line that says why, and nothing written."""
 
 import json
-import os
-import pickle
 import subprocess
 import sys
 from collections.abc import Callable
@@ -98,46 +96,9 @@ def test_numbers_too_large_to_square_are_refused_with_their_cause(capsys):
     assert "collinear" not in refused(capsys, "bad.csv", model="emps")
 
 
-TEXTS = {
-    "empty": (b"", ("first row must name the columns",)),
-    "header only": (b"t,x1\n", ("no", "samples")),
-    "no header": (b"0,1\n1,2\n2,3\n", ("no time column", "column 1, column 2", "--columns")),
-    "binary": (bytes(range(256)) * 20, ("UTF-8",)),
-    # Line 5 of the file as an editor counts it, the header being line 1.
-    "text among the numbers": (b"t,x1\n0,1\n1,2\n2,3\n3,abc\n4,5\n", ("'abc'", "line 5")),
-    "ragged": (b"t,x1\n0,1\n1,2\n2\n3,4\n", ("columns", "line 4")),
-    "null bytes": (b"t,x1\n0,\x00\n1,2\n", ("byte 7 is 0", "binary")),
-    "two times of one name": (b"t,a,t\n0,1,1\n1,1,1\n", ("two columns are called 't'",)),
-}
-
-
-@pytest.mark.parametrize("case", TEXTS)
-def test_unreadable_text_files(capsys, case):
-    content, words = TEXTS[case]
-    Path("bad.csv").write_bytes(content)
-    message = refused(capsys, "bad.csv")
-    assert all(word in message for word in ("bad.csv: ", *words)), message
-    # Advice for callers of NumPy is none for a user of this program.
-    assert "usecols" not in message
-
-
 def npz(columns: Columns) -> bytes:
     np.savez("whole.npz", **columns)  # pyright: ignore[reportArgumentType]
     return Path("whole.npz").read_bytes()
-
-
-class Payload:
-    def __reduce__(self):
-        return (os.mkdir, ("executed",))
-
-
-def test_pickled_objects_are_refused_and_not_executed(capsys):
-    objects = np.array([Payload()] * 400, dtype=object)
-    Path("bad.npz").write_bytes(npz({**quarter_car_columns(), "x3": objects}))
-    assert "'x3' was left out: it holds Python objects" in refused(capsys, "bad.npz")
-    Path("disguised.npz").write_bytes(pickle.dumps(Payload()))
-    assert "disguised.npz: not a readable NPZ file" in refused(capsys, "disguised.npz")
-    assert not Path("executed").exists()
 
 
 FILES = {

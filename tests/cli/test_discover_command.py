@@ -12,6 +12,7 @@ from tests.machines import PROBLEMS
 DUFFING = PROBLEMS["duffing"]
 
 
+@pytest.mark.slow
 def test_missing_terms_are_told_and_the_model_file_runs(capsys):
     record = DUFFING.record(0.01, 0)
     signals = {name: np.asarray(values) for name, values in record.arrays.items()}

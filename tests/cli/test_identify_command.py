@@ -1,14 +1,16 @@
-"""`riecjax identify`: windows by bands, draws by seeds, commands to paste."""
+"""`riecjax identify`: windows by bands, draws by seeds."""
 
-import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import call
+from command_line import call, quarter_car_columns, write_csv
+from test_job_files import context
 
-from nightly import by_day
+from riecjax import settings
 from riecjax.cli.main import run
+from riecjax.criteria.suited import criterion_for
+from riecjax.summaries.task import ready
 
 PLAIN = ("--refine", "none")
 
@@ -23,7 +25,7 @@ def drive_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def from_file(capsys, drive_file):
-    def identify_drive(*options: object, model: str = "quarter-car") -> dict:
+    def identify_drive(*options: object, model: str) -> dict:
         result = call(capsys, "identify", drive_file, "--model", model, *PLAIN, "--json", *options)
         assert result.status == 0, result.err
         return result.document
@@ -61,15 +63,17 @@ BANDS = {
 }
 
 
-@pytest.mark.parametrize("case", by_day(BANDS, "default", "band and alpha", "of the model"))
-def test_windows_are_half_periods_of_a_band(from_file, tyre_file, case):
-    model, options, alpha, beta = BANDS[case]
-    quick = ("--no-sweep", "--intervals", "sandwich")
-    document = from_file(*options, *quick, model=f"{tyre_file}:{model}")
-    assert document["criterion"]["alpha"] == pytest.approx(alpha)
-    assert document["criterion"]["beta"] == pytest.approx(beta)
-    choice = document["window_choice"]
-    assert choice["seen_best_hz"] == pytest.approx([0.5 / beta, 0.5 / alpha])
+@pytest.mark.parametrize("case", BANDS)
+def test_windows_are_half_periods_of_a_band(tyre_file, case):
+    name, options, alpha, beta = BANDS[case]
+    columns = quarter_car_columns()
+    write_csv(Path("drive.csv"), {column: columns[column] for column in ("t", "x1", "F_t")})
+    given = context(["drive.csv", "--model", f"{tyre_file}:{name}", *map(str, options)])
+    model = given.model()
+    records = [recording.record for recording in ready(model, given.recordings(model))]
+    windows = criterion_for(given.take(settings.Assess), model, records).windows
+    assert windows is not None
+    assert (float(windows.alpha), float(windows.beta)) == pytest.approx((alpha, beta))
 
 
 @pytest.mark.slow
@@ -90,18 +94,3 @@ def test_a_seed_draws_windows_and_of_all_windows_moves_the_bootstrap_only(from_f
     ends = np.array([first["interval95"], other["interval95"]])
     # A percent or two of the width, as BlockBootstrap says, times five.
     assert 0 < np.ptp(ends, axis=0).max() < 0.1 * np.ptp(ends[0])
-
-
-@pytest.mark.slow
-def test_a_proposed_command_can_be_pasted(capsys, drive_file):
-    result = call(capsys, "identify", drive_file, "--model", "quarter-car", *PLAIN)
-    lines = result.out.splitlines()
-    # What is to be pasted is not broken.
-    assert max(len(line) for line in lines if not line.startswith("  riecjax")) <= 80
-    (command,) = [line for line in lines if line.startswith("  riecjax identify")][:1]
-    again = call(capsys, *shlex.split(command)[1:])
-    assert again.status == 0
-    # The wheel of the source weighs 30 kg.
-    table = " ".join(again.out.split())
-    wheel = float(table.split("parameter value")[1].split("M_us")[1].split()[0])
-    assert wheel == pytest.approx(30.0, rel=0.01)

@@ -69,27 +69,6 @@ def test_recordings_of_two_sampling_rates_lose_only_the_tests_of_the_residual(ca
     assert Path("r/report.html").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.raises_finding("unidentifiable")
-def test_check_refuses_a_step_with_an_offset_and_names_the_direction(capsys):
-    rng = np.random.default_rng(0)
-    t = np.arange(COUNT) / RATE
-    still = {"t": t, "q": 0.5 + 1e-6 * rng.normal(size=COUNT), "F": np.full(COUNT, 40.0)}
-    write_csv(Path("step.csv"), still)
-    held = ("--set", "M=2", "--set", "c=3")
-    checked = call(capsys, "check", "step.csv", *CHECK, *held)
-    assert checked.status == 1
-    assert "0.71 k - 0.71 offset" in checked.err
-    assert checked.document["answerable"] is False
-    assert "unidentifiable" in codes(checked.document)
-    # The noise would make a fit possible in numbers; it is refused in the same words. Whether
-    # position moves at all lies below what moments resolve, a millionth of its mean.
-    fit = call(capsys, "identify", "step.csv", *IDENTIFY, *held)
-    assert fit.status == 1
-    assert fit.document["error"] == checked.document["error"]
-    assert fit.document["error"]["code"] == "unidentifiable"
-
-
 def test_a_cut_by_absolute_stamps_says_where_the_clock_begins(capsys):
     data = motion(count=600)
     write_csv(Path("run.csv"), {**data, "t": 1.7e9 + data["t"]})

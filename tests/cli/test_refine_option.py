@@ -15,40 +15,11 @@ def recording(tmp_path_factory):
     return write_csv(path, {"t": DRAG.shape.times, **signals})
 
 
-def test_a_horizon_is_of_what_is_simulated(recording, capsys):
-    file = str(recording)
-    held_out = ("--refine", "none", "--horizon", "2", "--hold-out", "0.3", "--json")
-    found = call(capsys, "identify", file, *IDENTIFY, *held_out)
-    assert found.document["validation"][0]["horizon_s"] == 2.0
-    assert found.document["refinement"] is None
-
-
-@pytest.mark.slow
-@pytest.mark.raises_finding("prior_disagrees")
-def test_a_prior_counts_as_one_more_observation(recording, capsys):
-    """Of two normal distributions: weighed by their inverse variances."""
-
-    def refined(*options):
-        asked = ("identify", str(recording), *IDENTIFY, "--refine", "integral", "--json", *options)
-        return call(capsys, *asked).document
-
-    without = refined()["parameters"]["k"]
-    mean, std = without["value"] + without["std_error"], 0.5 * without["std_error"]
-    document = refined("--prior", f"k={mean}±{std}")
-    weights = without["std_error"] ** -2, std**-2
-    expected = (weights[0] * without["value"] + weights[1] * mean) / sum(weights)
-    moved = document["parameters"]["k"]["value"] - without["value"]
-    assert moved == pytest.approx(expected - without["value"], rel=0.5)
-    assert "prior_disagrees" not in codes(document)
-    wrong = refined("--prior", f"k={2 * without['value']}+-{std}")
-    assert "prior_disagrees" in codes(wrong)
-    assert document["job"]["prior"] == {"k": f"{mean}±{std}"}
-
-
 def codes(document):
     return [warning["code"] for warning in document["warnings"]]
 
 
+@pytest.mark.raises_finding("prior_disagrees")
 def test_a_prior_that_the_recording_contradicts_is_the_reason(recording, capsys):
     prior = ("--refine", "integral", "--prior", "m=3.0±0.05", "--json")
     verdict = call(capsys, "identify", str(recording), *IDENTIFY, *prior).document["verdict"]

@@ -11,7 +11,6 @@ from tests.approved.inputs import TEXTS
 from riecjax.models.catalogue import find_model
 
 TRUTH = {"m": 2.5, "c": 0.75, "k": 40.0}
-UNITS = {"m": "kg", "c": "N s/m", "k": "N/m^3"}
 IMPORTS = """
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
@@ -42,16 +41,6 @@ def identified(capsys, reference: str, *options: object) -> dict:
     result = call(capsys, "identify", "cart.csv", "--model", reference, *quick, *options)
     assert result.status == 0, result.err
     return result.document
-
-
-def test_an_equation_of_a_file(capsys):
-    model(TEXTS["cart.py"])
-    document = identified(capsys, "mine.py:cart")
-    assert document["model"] == "cart"
-    assert {n: e["unit"] for n, e in document["parameters"].items()} == UNITS
-    for name, value in TRUTH.items():
-        # p^3, whose fastest wave has 33 rad/s, by trapezoids: (33 / 500)^2 / 12 = 3.6e-4.
-        assert document["parameters"][name]["value"] == pytest.approx(value, rel=3.6e-4)
 
 
 @pytest.mark.parametrize(
@@ -114,21 +103,6 @@ def test_names_with_square_brackets_are_printed_as_they_are(capsys):
     assert result.status == 0
     assert "axis [/b] [x]" in result.out
     assert "[N s/m]" in result.out
-
-
-def test_verbose_says_in_order_what_was_done_to_the_recording(capsys):
-    model(IMPORTS + "thing = " + EQUATION)
-    options = (
-        "--every=2 --low-pass=v=20 --remove-offset=f --shift=a=0.01 --criterion=dols --verbose"
-    )
-    result = call(capsys, "identify", "cart.csv", "--model=mine.py:thing", *options.split(" "))
-    lines = [line.partition(": ") for line in result.out.splitlines()]
-    assert [words for begins, _, words in lines if begins == "prepared"] == [
-        "advanced: a by 0.01 s",
-        "f: mean removed",
-        "zero-phase 4th-order Butterworth low-pass: v at 20 Hz",
-        "every 2nd sample",
-    ]
 
 
 FAILING = {

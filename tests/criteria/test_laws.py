@@ -12,7 +12,6 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.laws import SteppedLaw
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
 from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
-from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
@@ -191,13 +190,3 @@ def test_intervals_are_those_of_many_random_windows():
         EQUATION, record, RIEC(RandomWindows(0.05, 0.3, 100_000), Hat()), key=jax.random.key(0)
     )
     np.testing.assert_allclose(every.standard_errors, drawn.standard_errors, rtol=0.25)
-
-
-def test_by_default_windows_are_half_periods_of_the_models_band():
-    record = record_of(900, 0)
-    plain = identify(EQUATION, record, intervals=Naive())
-    assert plain.criterion.describe() == RIEC(AllWindows(0.05, 0.5)).describe()
-    model = Model("mine", "", stages=EQUATION, band=(2.0, 5.0))
-    found = identify(model, record, intervals=Naive())
-    same = identify(EQUATION, record, RIEC(AllWindows(0.1, 0.25)), intervals=Naive())
-    np.testing.assert_array_equal(found.theta, same.theta)

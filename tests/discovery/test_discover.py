@@ -98,6 +98,7 @@ def test_what_is_held_out_has_no_part_in_the_choice(record):
     assert "chosen without the last 30 %" in choice_in_words(discovery_document(found))
 
 
+@pytest.mark.slow
 def test_a_known_value_of_the_model_sets_its_scale(record):
     start = rx.Equation(
         rx.Term("m", "x", derivative=2, measured=("dx",), unit="kg"),

@@ -9,6 +9,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from benchmarks.calibration import noise_table
+from benchmarks.speed import __main__ as speed
+from benchmarks.zoo import __main__ as zoo
 
 import riecjax
 from nightly import nightly
@@ -170,3 +173,24 @@ def test_python_of_a_page_says_the_same(page, command, patterns, tmp_path, monke
     for pattern in patterns:
         assert re.search(pattern, printed, flags=re.MULTILINE), pattern
     assert sum(map(float, re.findall(r"([\d.]+) %'", printed))) < 50  # errors of a prediction
+
+
+@pytest.mark.slow
+def test_code_of_the_ten_tasks_runs_and_prints_what_it_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    names = {}
+    for kind, text in blocks("docs/how_to/ten_tasks.md"):
+        if kind == "console":
+            assert run(shlex.split(text)[1:]) == 0
+        elif kind == "python":
+            capsys.readouterr()
+            exec(compile(text, "ten tasks", "exec"), names)
+            printed = capsys.readouterr().out
+            for promised in re.findall(r"^print\(.*\)  # (.*)$", text, flags=re.MULTILINE):
+                assert promised in printed
+
+
+@pytest.mark.parametrize("tables", [zoo, noise_table, speed], ids=["zoo", "noise", "speed"])
+def test_tables_are_what_was_recorded(tables):
+    assert tables.PAGE.read_text(encoding="utf-8") == tables.page()

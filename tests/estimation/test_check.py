@@ -43,7 +43,7 @@ def test_own_share_is_the_sine_of_the_angle_to_the_other_regressors(angle):
     np.testing.assert_allclose(found.own_share, np.sin(expected), rtol=1e-6)
 
 
-@pytest.mark.raises_finding("nearly_collinear")
+@pytest.mark.raises_finding("nearly_collinear", "unidentifiable")
 def test_regressors_are_told_apart_by_more_than_their_noise():
     t = np.arange(4000) / 200
     motion, noise = np.sin(5 * t), 1e-3 * np.random.default_rng(0).normal(size=(2, 4000))

@@ -224,10 +224,3 @@ def test_the_choice_of_window_lengths_is_part_of_the_variance(with_mode, model):
     added = apart[:, None] * apart[None, :]
     np.testing.assert_allclose(found.theta, first.theta, rtol=1e-12)
     np.testing.assert_allclose(found.covariance, first.covariance + added, rtol=1e-6)
-
-
-@pytest.mark.slow
-def test_a_spring_that_is_not_there_is_not_trusted(with_mode):
-    verdict = rx.assess(SPRUNG, with_mode, intervals=rx.Sandwich()).verdict
-    assert verdict.parameters["K_series"].level == "do not use"
-    assert verdict.parameters["M_mode"].level == "good"

@@ -137,17 +137,3 @@ def test_a_window_below_one_sample_asks_for_the_unit_of_time():
     slow = rx.Record.from_samples({"x": TIME, "F": TIME}, time_step=5.0)
     with pytest.raises(rx.DataError, match=r"milliseconds .*--scale t=0\.001.* a rate\?$"):
         rx.identify(EQUATION, slow, ALL)
-
-
-def test_what_is_right_passes():
-    keys = jax.random.split(jax.random.key(0), 2)
-    criterion = rx.RIEC(rx.RandomWindows(0.05, 0.5, 50))
-
-    def theta(key):
-        found = rx.identify(EQUATION, [RECORD], criterion, key=key, intervals=rx.Naive())
-        return found.theta
-
-    found = jax.vmap(theta)(keys)
-    assert found.shape == (2, 1)
-    record = rx.Record.from_samples({"x": TIME}, 2 + TIME)
-    np.testing.assert_allclose(record.time, 2 + TIME)

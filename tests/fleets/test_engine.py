@@ -10,6 +10,7 @@ import pytest
 from fleet_tasks import dies, dies_at_first, squares
 from tests.machines import drag_fleet as drives
 
+from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.fleets import engine as module
 from riecjax.fleets.engine import Cluster, Engine, Here, Lost, engine
@@ -60,18 +61,20 @@ def test_processes_that_end_cost_no_task_and_one_that_ends_all_is_given_up(tmp_p
     assert found == {0: 0, 2: 2}
 
 
-def test_a_fleet_is_the_same_to_the_bit_on_processes_as_without(tmp_path):
+@pytest.mark.parametrize("processes", [1, *nightly([2])])
+def test_a_fleet_is_the_same_to_the_bit_on_processes_as_without(tmp_path, processes):
     """With a model of the user's own file, which only this process has loaded."""
     (tmp_path / "drives").mkdir()
     for i, record in enumerate(drives(4, 1500, 3)):
         write_record(tmp_path / f"drives/{i}.parquet", record)
     (tmp_path / "own.py").write_text(USERS)
     model = find_model(f"{tmp_path}/own.py:MODEL")
-    for workers in (0, 2):
+    for workers in (0, processes):
         settings = {"intervals": "sandwich", "out": tmp_path / f"out{workers}"}
         fleet(model, tmp_path / "drives", workers=workers, **settings)
     for name in ("summaries.parquet", "estimates.parquet"):
-        assert (tmp_path / "out0" / name).read_bytes() == (tmp_path / "out2" / name).read_bytes()
+        alone, beside = (tmp_path / f"out{workers}" / name for workers in (0, processes))
+        assert alone.read_bytes() == beside.read_bytes()
 
 
 def started() -> tuple[subprocess.Popen[str], str]:

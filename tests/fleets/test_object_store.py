@@ -11,7 +11,6 @@ import s3fs
 from moto.server import ThreadedMotoServer
 from tests.machines import drag_fleet as drives
 
-from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.fleets import order
 from riecjax.fleets.fleet import fleet
@@ -58,7 +57,8 @@ def values(found: Fleet) -> dict[tuple[str, str | None], float | None]:
     return {(e.group, e.parameter): e.value for e in found.entries if e.status == "ok"}
 
 
-@pytest.mark.parametrize("workers", [0, *nightly([2])])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [0, 2])
 def test_recordings_of_an_object_store_are_summed(folder, client, tmp_path, monkeypatch, workers):
     for file in folder.rglob("*.parquet"):
         client.upload_file(str(file), "garage", file.relative_to(folder).as_posix())

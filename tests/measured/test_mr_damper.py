@@ -12,9 +12,8 @@ import scipy.io
 from conftest import measured_data
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import RandomWindows
-from riecjax.equations.bases import friction, roof
+from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant
 from riecjax.equations.term import Term, Terms
 from riecjax.estimation.identify import identify
 from riecjax.records.preparation import differentiate
@@ -67,16 +66,3 @@ def test_what_the_curve_leaves_is_hysteresis(record):
     loop = residual[slow & (acceleration > 0)].mean() - residual[slow & (acceleration < 0)].mean()
     force = float(jnp.sqrt(jnp.mean(record["F"] ** 2)))
     assert abs(loop) > 0.1 * force
-
-
-@pytest.mark.slow
-def test_friction_and_stiffness_explain_more_than_a_line(record):
-    def residual(*terms):
-        equation = Equation(*terms, -Term("offset", constant, unit="N"), Term(1.0, "F"))
-        return float(identify(equation, record, CRITERION, key=KEY).stages[0].relative_rms)
-
-    viscous = residual(-Term("c", "v"))
-    dry = residual(-Terms("f", friction(smooth=2.0), "v"))
-    stiff = residual(-Terms("f", friction(smooth=2.0), "v"), -Term("k", "x"))
-    assert stiff < dry < viscous
-    assert stiff < 0.25

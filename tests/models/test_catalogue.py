@@ -119,11 +119,7 @@ def test_what_a_model_cannot_do_is_refused():
         Model("only-equation", "").build_system({})
 
 
-# Two of them are variants of others.
-@pytest.mark.parametrize(
-    "name",
-    by_day(ROUND_TRIPS, "emps", "duffing", "pendulum"),
-)
+@pytest.mark.parametrize("name", by_day(ROUND_TRIPS, "duffing", "pendulum"))
 def test_dols_with_exact_derivatives_returns_what_was_simulated(name):
     model = MODELS[name]
     record = recording(model)

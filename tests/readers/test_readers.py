@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -298,6 +299,9 @@ def test_objects_in_npz_are_refused_and_not_executed(tmp_path):
     np.savez(tmp_path / "a.npz", t=TIME[:5], x=pickled)
     with pytest.raises(DataError, match=r"'x' was left out: it holds Python objects"):
         read_record(tmp_path / "a.npz")
+    (tmp_path / "b.npz").write_bytes(pickle.dumps(Payload(trap)))
+    with pytest.raises(DataError, match="not a readable NPZ file"):
+        read_record(tmp_path / "b.npz")
     # What lies beside objects is read all the same.
     np.savez(tmp_path / "a.npz", t=TIME, x=TIME, about=pickled)
     assert set(read_record(tmp_path / "a.npz").arrays) == {"x"}

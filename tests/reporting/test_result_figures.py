@@ -13,6 +13,7 @@ from riecjax.assessment.assessment import Assessment
 from riecjax.equations.model import as_model, staged
 from riecjax.estimation.check import Check
 from riecjax.reporting.charts.chart import Dots, Line
+from riecjax.reporting.document import ends_of
 from riecjax.reporting.identification import identification_document
 from riecjax.reporting.result_figures import (
     curves_figure,
@@ -190,3 +191,22 @@ def test_lines_hold_the_series_and_break_at_a_gap(figures):
     np.testing.assert_array_equal(np.isnan(found), gone)
     assert gone.sum() == 2
     np.testing.assert_allclose(found[~gone], impulse[~gone])
+
+
+@pytest.mark.parametrize(
+    ("interval", "said"),
+    [
+        ((19.98634, 20.02816), ["19.9863", "20.0282"]),
+        # Half the width, 1.2e-6, has two digits down to the seventh decimal.
+        ((11.9999988, 12.0000012), ["11.9999988", "12.0000012"]),
+        ((-1e5 - 0.003, -1e5 + 0.003), ["-100000.003", "-99999.997"]),
+        ((12.0, 12.0), ["12", "12"]),
+        ((None, 3.0), ["none", "3"]),
+        ((float("-inf"), 2.0), ["-inf", "2"]),
+        # Beyond twelve digits numbers are rounding.
+        ((1.0, 1.0 + 1e-15), ["1", "1"]),
+        ((-0.5, 0.25), ["-0.5", "0.25"]),
+    ],
+)
+def test_ends_differ_in_print(interval, said):
+    assert ends_of(interval) == said

@@ -84,9 +84,7 @@ def all_print_briefly(*objects):
 
 
 def test_everything_prints_briefly_and_in_html(estimate, assessed):
-    sweep = rx.validation.window_sweep(equation(), record(), CRITERION)
-    held = assessed.validations[0].held
-    checked = rx.check(equation(), record(), CRITERION)
+    sweep, checked, held = assessed.sweep, assessed.checked, assessed.validations[0].held
     held_back = {"m": 2.0, "k": 50.0}
     known = rx.identify(equation(), record(), CRITERION, known=held_back, intervals=rx.Naive())
     recording = assessed.recordings[0]

@@ -144,8 +144,9 @@ def test_rows_that_a_force_lost_are_found_where_they_were(lost, at):
     assert at * STEP - 4.0 < float(seconds) < at * STEP
 
 
+@pytest.mark.slow
 @pytest.mark.raises_finding("late_signal")
-@pytest.mark.parametrize("late", ["F", *nightly(["y"])])
+@pytest.mark.parametrize("late", ["F", "y"])
 def test_the_late_one_is_that_which_explains_what_all_equations_leave(late):
     spring = Equation(Term("K", "y", unit="N/m"), -Term(1.0, "F"), name="spring", unit="N")
     model = staged(spring, AXIS.equations[0])

@@ -80,9 +80,8 @@ def test_standard_errors_are_those_of_scores_summed_over_blocks_of_time():
     each = []
     for lag in lags:
         start = jnp.arange(record.sample_count - 2 * lag)
-        each.append(
-            (start, rx.Hat(6).integrals(columns, WindowSet(start, start + 2 * lag)).columns)
-        )
+        integrals, _ = rx.Hat(6).integrals(columns, WindowSet(start, start + 2 * lag))
+        each.append((start, integrals))
     rows = np.concatenate([np.asarray(values) for _, values in each], axis=1)
     a, y = rows[1:].T, rows[0]
     theta = np.linalg.lstsq(a, y)[0]

@@ -141,14 +141,18 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     if not held.any() or free.size < 100:
         return False
     size = float(np.std(target[free]))
+    columns = np.concatenate([*rows, np.ones((1, target.size)), target[None] / size])
+    columns[:-1] /= np.maximum(
+        np.max(np.abs(columns[:-1, known]), axis=1, keepdims=True), np.finfo(float).tiny
+    )
+    # Columns Q R leave the same of each other as those of R do, which are few and short.
+    triangle, there = np.asarray(np.linalg.qr(columns[:, free].T, mode="r")), columns[:, held]
+    signal_of_row = np.repeat(np.arange(len(rows)), len(LAGS))
     for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
-        kept = [row for i, row in enumerate(rows) if i not in left_out]
-        columns = np.concatenate([*kept, np.ones((1, target.size))])[:, known]
-        columns /= np.maximum(np.max(np.abs(columns), axis=1, keepdims=True), np.finfo(float).tiny)
-        outside, there = np.searchsorted(np.flatnonzero(known), free), held[known]
-        weights = np.linalg.lstsq(columns[:, outside].T, target[free] / size, rcond=1e-10)[0]
-        error = float(np.std(target[free] / size - weights @ columns[:, outside]))
-        beyond = side.sign * (weights @ columns[:, there] - side.extreme / size)
+        kept = np.append(np.flatnonzero(~np.isin(signal_of_row, left_out)), signal_of_row.size)
+        weights = np.linalg.lstsq(triangle[:, kept], triangle[:, -1], rcond=1e-10)[0]
+        error = float(np.std(columns[-1, free] - weights @ columns[np.ix_(kept, free)]))
+        beyond = side.sign * (weights @ there[kept] - side.extreme / size)
         surely = np.mean(beyond) + 2 * np.std(beyond) / np.sqrt(side.starts.size)
         if error**2 < 1 - FOLLOWED and surely < BEYOND:
             return True
