@@ -10,7 +10,7 @@ from command_line import call
 from riecjax.cli.main import ORDER
 from riecjax.criteria.criterion import DOLS, RIEC
 from riecjax.criteria.windows import RandomWindows
-from riecjax.models.catalogue import LISTED
+from riecjax.models.catalogue import LISTED, find_model
 from riecjax.records.record import Record
 
 IDENTIFIED = [name for name, model in LISTED.items() if model.stages]
@@ -39,7 +39,7 @@ def test_each_is_shown_with_its_equations_if_it_has_any(name, capsys):
 @pytest.mark.parametrize("pointwise", [False, True], ids=["riec", "dols"])
 @pytest.mark.parametrize("name", IDENTIFIED)
 def test_listed_signals_are_all_that_the_equations_read(name, pointwise):
-    model = LISTED[name]
+    model = find_model(name)
     criterion = DOLS() if pointwise else RIEC(RandomWindows(0.1, 0.5, 10))
     rng = np.random.default_rng(0)
     needed = [q for q in model.signals if pointwise or "DOLS" not in q.meaning]

@@ -210,7 +210,7 @@ class Search:
 
     def energy(self, stages: Stages, values: Mapping[str, float]) -> float:
         """What stages leave beyond noise with these values, in the squares of their units."""
-        # As `fix` of all of them does, without another set of normal equations for each of thousands.
+        # As `fix` of them all does, without another set of normal equations for each of thousands.
         rows = {
             i: np.array([1.0, *(-values[name] for name in stages[i].parameters)])
             for i in self.reading
