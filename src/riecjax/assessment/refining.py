@@ -7,7 +7,7 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
@@ -94,7 +94,7 @@ def answered(asked: Asked, estimate: Estimate, refused: bool) -> Answered:
             by = IntegralError(estimate.criterion)
         refined, _, left = _search(asked, estimate, by, MOST_STEPS, settings.progress)
         refinement = Refinement(refined, whiteness=left)
-        failed = [*failed, *against_priors(estimate, settings.priors)]
+        failed += against_priors(estimate, settings.priors)
     if refinement.refined is None:
         return refinement, before, failed
     values = refinement.refined.values
@@ -135,12 +135,8 @@ def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | No
 
 def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[BeforeAfter]:
     # By recording, not by name: files in different folders may share one.
-    earlier = {id(run.recording): run.held for run in before}
-    return [
-        BeforeAfter(run.recording, earlier[id(run.recording)], run.held)
-        for run in after
-        if id(run.recording) in earlier
-    ]
+    pairs = ((first, then) for first in before for then in after)
+    return [BeforeAfter(*a, b.held) for a, b in pairs if a.recording is b.recording]
 
 
 def _search(
@@ -325,9 +321,10 @@ INSIDE = 0.1
 """Share of the way between bounds, or of the way to the only one, by which a start stands off."""
 
 
-def against_priors(estimate: Estimate, priors: Mapping[str, tuple[float, float]]) -> list[Finding]:
+def against_priors(
+    estimate: Estimate, priors: Mapping[str, tuple[float, float]]
+) -> Iterator[Finding]:
     """Priors from which what the data tell without them lies further than chance explains."""
-    findings = []
     for name in priors.keys() & {*estimate.parameters}:
         (mean, std), value = priors[name], float(estimate[name])
         error = float(estimate.standard_error(name))
@@ -337,13 +334,11 @@ def against_priors(estimate: Estimate, priors: Mapping[str, tuple[float, float]]
                 f"{value:.4g} +- {error:.2g}, contradict each other: what was answered lies "
                 f"between two values of which one is wrong."
             )
-            findings.append(Finding("prior_disagrees", message, parameters=(name,), doubt=1.0))
-    return findings
+            yield Finding("prior_disagrees", message, parameters=(name,), doubt=1.0)
 
 
-def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> list[Finding]:
+def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> Iterator[Finding]:
     """Values of a linear estimate, which knows of no bounds, that lie outside of them."""
-    findings = []
     for name, value, nearest, (low, high) in _strays(answer, bounds):
         side = f"below {low:g}" if value < low else f"above {high:g}"
         message = (
@@ -352,8 +347,7 @@ def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> li
             f"value (--set), or check the bound."
         )
         doubt = abs(value - nearest) / size_of(value)
-        findings.append(Finding("outside_bound", message, parameters=(name,), doubt=doubt))
-    return findings
+        yield Finding("outside_bound", message, parameters=(name,), doubt=doubt)
 
 
 def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEstimate:
@@ -368,19 +362,18 @@ def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEst
 
 def _strays(
     estimate: AbstractEstimate, bounds: Mapping[str, Bounds]
-) -> list[tuple[str, float, float, tuple[float, float]]]:
+) -> Iterator[tuple[str, float, float, tuple[float, float]]]:
     """Parameters out of bounds, with value, nearest bound and both."""
     # What makes no sense is refused by the search.
     given = {n: b for n, b in bounds.items() if is_pair(b, or_none=True)}
-    given, strays = estimate.table.values(given), []
+    given = estimate.table.values(given)
     for name in (name for name in estimate.parameters if name in given):
         low, high = given[name]
         low = -np.inf if low is None else float(low)
         high = np.inf if high is None else float(high)
         value = float(estimate[name])
         if low < high and not low < value < high:
-            strays.append((name, value, low if value <= low else high, (low, high)))
-    return strays
+            yield name, value, low if value <= low else high, (low, high)
 
 
 LIKELIER = float(np.log(100))

@@ -111,12 +111,11 @@ class Given:
     def take(self, kind: type[Kind]) -> Kind:
         """The settings of one kind, with the user's own test function for its name."""
         values = {name: self.values[name] for name in kind.options() if name in self.values}
-        weight = values.get("test_function")
+        asked, weight = kind(**values), values.get("test_function")
         if weight is None or weight in TEST_FUNCTIONS:
-            return kind(**values)
+            return asked
         from riecjax.models.catalogue import test_function_of_file
 
-        asked = kind(**values)
         return dataclasses.replace(asked, test_function=test_function_of_file(weight))
 
     def model(self) -> "Model":
@@ -195,7 +194,7 @@ class Given:
             return []
         from riecjax.reporting.provenance import changed_files
 
-        changed = changed_files(self.inputs(), self.recorded, self.job)
+        changed = list(changed_files(self.inputs(), self.recorded, self.job))
         for finding in changed:
             click.echo(f"warning [{finding.code}]: {finding.message}", err=True)
         return changed

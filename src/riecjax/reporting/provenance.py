@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +28,13 @@ def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, 
 
 def changed_files(
     files: Iterable[str], recorded: Iterable[Mapping[str, str]], result: Path
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Files that differ from those that a result was made from.
 
     **Arguments:** `recorded`, digests of these, with names as seen from the result's folder.
     """
     folder = os.path.dirname(result)
     known = {os.path.normpath(os.path.join(folder, d["file"])): d["sha256"] for d in recorded}
-    found = []
     for file in digests(file for file in files if file in known):
         before, now = known[os.path.normpath(file["file"])], file["sha256"]
         if now != before:
@@ -43,5 +42,4 @@ def changed_files(
                 f"{file['file']} is not the file that {result.name} was made from (its SHA-256 "
                 f"begins with {now[:8]}, not {before[:8]}): these numbers are of the new file."
             )
-            found.append(Finding("file_changed", said))
-    return found
+            yield Finding("file_changed", said)

@@ -1,18 +1,18 @@
 """Figures of an identification: fit, window sweep, validation."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment
-from riecjax.criteria.criterion import DOLS, Rows
+from riecjax.criteria.criterion import DOLS
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, evaluate
 from riecjax.errors import DataError
@@ -67,22 +67,23 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
     """`fit`; `curves` and `mode_map` if the model has some; `window_sweep`; `correlation` of the
     parameters; `residual_1`, ... of each equation; `window_choice`; `validation_1`, ... for each.
     """
-    figures = {"fit": _fit_figure(result)}
-    if curves := identified_curves(result):
-        figures["curves"] = curves_figure(curves)
-    if result.modes:
-        figures["mode_map"] = mode_map_figure(result.modes)
-    if result.sweep is not None:
-        figures["window_sweep"] = sweep_figure(result.sweep, result.estimate)
-    figures["correlation"] = correlation_figure(result.estimate)
-    for i, residual in enumerate(result.equation_residuals):
-        figures[f"residual_{i + 1}"] = residual_figure(residual)
-    if result.choice is not None:
-        figures["window_choice"] = window_choice_figure(result.choice)
-    for i, run in enumerate(result.validations):
-        if run.held.signals:
-            figures[f"validation_{i + 1}"] = held_out_figure(run.held, f"{run.recording.name}: ")
-    return figures
+    curves, sweep, choice = identified_curves(result), result.sweep, result.choice
+    residuals, runs = enumerate(result.equation_residuals, 1), enumerate(result.validations, 1)
+    figures = {
+        "fit": _fit_figure(result),
+        "curves": curves_figure(curves) if curves else None,
+        "mode_map": mode_map_figure(result.modes) if result.modes else None,
+        "window_sweep": None if sweep is None else sweep_figure(sweep, result.estimate),
+        "correlation": correlation_figure(result.estimate),
+        **{f"residual_{i}": residual_figure(residual) for i, residual in residuals},
+        "window_choice": None if choice is None else window_choice_figure(choice),
+        **{
+            f"validation_{i}": held_out_figure(run.held, f"{run.recording.name}: ")
+            for i, run in runs
+            if run.held.signals
+        },
+    }
+    return {name: chart for name, chart in figures.items() if chart is not None}
 
 
 def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
@@ -295,7 +296,7 @@ def _curve(
     others = {n: estimate[n] for n in equation.parameters if n not in term.parameters}
     samples = None
     with contextlib.suppress(DataError):  # a derivative that is not recorded
-        rows = _rows_left(equation, record, others)
+        rows = eqx.filter_jit(DOLS().rows)(equation, record).fix(others)
         valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
         left = np.asarray(rows.target)[valid] / float(term.factor)
         samples = variable[valid][:MOST_POINTS], left[:MOST_POINTS]
@@ -320,11 +321,6 @@ def _curve(
         error=np.sqrt(np.maximum(variance, 0)),
         samples=samples,
     )
-
-
-@eqx.filter_jit
-def _rows_left(equation: Equation, record: Record, values: Mapping[str, Array]) -> Rows:
-    return DOLS().rows(equation, record).fix(values)
 
 
 EXCERPT = 400
@@ -429,13 +425,9 @@ def _target_and_error(
     least = max(np.min(spectrum.error[1:]), LEAST_SHOWN * largest)
     across = Axis("frequency / Hz", log=True, low=frequency[0], high=frequency[-1])
     low = 0.5 * float(least) if least > 0 else None
-    return (target, error), (across, Axis(density_label(unit), log=True, low=low))
-
-
-def density_label(unit: str) -> str:
-    """Label of an axis of power densities, of a quantity in this unit."""
     square = f"{unit}²" if unit.isalnum() else f"({unit})²" if unit else "1"
-    return f"power density / ({square}/Hz)"
+    density = Axis(f"power density / ({square}/Hz)", log=True, low=low)
+    return (target, error), (across, density)
 
 
 def _positive(density: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from riecjax.assessment.assessment import Assessment
 from riecjax.reporting.checking import excitation_table, named
 from riecjax.reporting.document import Document, ends_of, number
-from riecjax.reporting.estimate import parameter_table, settings_in_words, several
+from riecjax.reporting.estimate import fits_of, parameter_table, settings_in_words
 from riecjax.reporting.identification import (
     choice_in_words,
     identification_document,
@@ -137,10 +137,6 @@ def _refinement(entries: Document) -> Section:
 
 
 def _fit(residual: Document) -> Section:
-    fits = []
-    for stage in residual["stages"]:
-        fits.append((stage["equation"], stage))
-        fits += [(name, residual["equations"][name]) for name in several(stage)]
     cells = {
         "estimates": lambda fit: ", ".join(fit.get("parameters", ())),
         "relative residual / %": lambda fit: _percent(fit["relative_rms"]),
@@ -149,7 +145,8 @@ def _fit(residual: Document) -> Section:
         ),
         "rows": lambda fit: str(fit["rows"]),
     }
-    return Section("Fit", tables=[Table.of("equation", fits, cells)], charts=("fit",))
+    table = Table.of("equation", fits_of(residual), cells)
+    return Section("Fit", tables=[table], charts=("fit",))
 
 
 def _validation(runs: Sequence[Document]) -> Section:
