@@ -37,7 +37,6 @@ from riecjax.reporting.charts.chart import (
     Line,
     Panel,
     Span,
-    Stems,
     in_rows,
     labelled,
     single,
@@ -214,7 +213,8 @@ def _fit_figure(result: Assessment) -> Chart:
         chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
         measured, explained, start = measured[chosen], explained[chosen], start[chosen]
         reach = BEYOND * max(np.abs(measured).max(), np.abs(explained).max(), TINY)
-        marks = [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, **cloud)]
+        ends = [-reach, reach]
+        marks = [Line(ends, ends, color=GREY), Dots(explained, measured, color=BLUE, **cloud)]
         x = Axis(f"explained by the model{unit}", low=-reach, high=reach)
         above.append(Panel(marks, x, Axis(f"measured{unit}", low=-reach, high=reach), title=name))
         left = Dots(start, measured - explained, color=RUST, **cloud)
@@ -281,7 +281,6 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
         "Curves with their 95 % interval, over what the equation leaves for them sample by sample"
         f"{', and beneath them what they leave of that' if sampled else ''}. A curve that samples "
         "go round in loops depends on more than its variable.",
-        heights=(3, 2) if sampled else (),
         share_x=True,
     )
 
@@ -367,8 +366,9 @@ def residual_figure(residual: EquationResidual) -> Chart:
         Axis(labelled("impulse of the error", unit)),
     )
     noise = Span(-found.bound, found.bound, "y", "white noise, 95 %")
+    stems = np.stack([0 * found.values, found.values, np.nan * found.values], axis=1)
     autocorrelation = Panel(
-        [noise, Level(0), Stems(found.lag, found.values, color=BLUE)],
+        [noise, Level(0), Line(np.repeat(found.lag, 3), stems.ravel(), width=THIN)],
         Axis("lag / s"),
         Axis("autocorrelation of the error", low=-BEYOND, high=BEYOND),
     )
@@ -446,15 +446,16 @@ def window_choice_figure(choice: WindowChoice) -> Chart:
         titled = {"title": equation.name, "legend": i == 0}
         # Spectra, and over them what the current windows let into an integral.
         lines, axes = _target_and_error(equation.spectrum, equation.unit)
-        gain = equation.mean_gain[1:] / np.max(equation.mean_gain)
-        shown = {"label": "expected gain (right)", "dashes": "dashed", "right": True}
-        right = Axis("gain against its largest", low=0, high=BEYOND, color=BLUE)
-        spectra = Panel([*lines, Line(lines[0].x, gain, **shown)], *axes, right, **titled)
+        largest = np.max(equation.spectrum.target[1:]) / np.max(equation.mean_gain)
+        gain = _positive(largest * equation.mean_gain)
+        shown = Line(lines[0].x, gain, "expected gain (scaled)", BLUE, "dashed")
+        spectra = Panel([*lines, shown], *axes, **titled)
         # The error's share at every window length, with the lengths in use and the better ones.
         share = np.where(equation.error_share > 0, 100 * equation.error_share, np.nan)
         marks = [
             Span(low, high, label=better, color=BLUE, opacity=FAINT),
-            Span(choice.alpha, choice.beta, label=in_use, hatched=True),
+            Level(choice.alpha, "x", in_use, BLACK, "dashed"),
+            Level(choice.beta, "x", color=BLACK, dashes="dashed"),
             Line(choice.length, share, color=RUST, width=BOLD),
         ]
         shares = Panel(marks, length, Axis("error / % of the signal", log=True), **titled)

@@ -45,8 +45,7 @@ class Axis:
     """An axis: its label with the unit, and where it ends (`None`: where the data do).
 
     **Fields:** `log` for a logarithmic axis; `categories`, names of the places 0, 1, ...;
-    `reverse`, values grow downwards (to the left); `color` of its numbers, where that of a line
-    says which axis it belongs to.
+    `reverse`, values grow downwards (to the left).
     """
 
     label: str = ""
@@ -55,7 +54,6 @@ class Axis:
     high: float | None = None
     categories: tuple[str, ...] = ()
     reverse: bool = False
-    color: str = ""
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class Line:
     """Values over x; NaN leaves a gap.
 
     **Fields:** `low` and `high`, a band about it; `error`, bars of plus and minus so much;
-    `markers` at the values; `right`, drawn against the panel's right axis.
+    `markers` at the values.
     """
 
     x: ArrayLike
@@ -76,7 +74,6 @@ class Line:
     low: ArrayLike | None = None
     high: ArrayLike | None = None
     error: ArrayLike | None = None
-    right: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,18 +89,8 @@ class Dots:
 
 
 @dataclass(frozen=True)
-class Stems:
-    """Values as lines from zero, such as an autocorrelation's."""
-
-    x: ArrayLike
-    y: ArrayLike
-    label: str = ""
-    color: str = BLUE
-
-
-@dataclass(frozen=True)
 class Span:
-    """A stretch of an axis; `hatched` where another one lies beneath."""
+    """A stretch of an axis."""
 
     low: float
     high: float
@@ -111,15 +98,14 @@ class Span:
     label: str = ""
     color: str = PALE
     opacity: float = 1.0
-    hatched: bool = False
 
 
 @dataclass(frozen=True)
 class Level:
-    """One value of an axis, across the panel; on a sloped one y = x."""
+    """One value of an axis, across the panel."""
 
     value: float = 0.0
-    axis: Literal["x", "y", "diagonal"] = "y"
+    axis: Literal["x", "y"] = "y"
     label: str = ""
     color: str = GREY
     dashes: Dashes = "solid"
@@ -149,7 +135,7 @@ class HeatMap:
         return _ends(np.append(values, -values) if self.diverging else values, self.low, self.high)
 
 
-Mark = Line | Dots | Stems | Span | Level | HeatMap
+Mark = Line | Dots | Span | Level | HeatMap
 
 
 @dataclass(frozen=True)
@@ -162,7 +148,6 @@ class Panel:
     marks: Sequence[Mark]
     x: Axis = field(default_factory=Axis)
     y: Axis = field(default_factory=Axis)
-    right: Axis | None = None
     title: str = ""
     legend: bool = True
     columns: int = 1
@@ -174,16 +159,11 @@ class Panel:
             return set()
         return {mark.label for mark in self.marks if not isinstance(mark, HeatMap)} - {""}
 
-    def reach(self, which: Literal["x", "y", "right"]) -> tuple[float, float]:
+    def reach(self, which: Literal["x", "y"]) -> tuple[float, float]:
         """Ends of an axis: those given, or the data's."""
-        axis = {"x": self.x, "y": self.y, "right": self.right or Axis()}[which]
-        drawn = [np.array([])]
-        for mark in self.marks:
-            if isinstance(mark, Line | Dots | Stems):
-                right = isinstance(mark, Line) and mark.right
-                if which == "x" or right == (which == "right"):
-                    drawn.append(np.ravel(mark.x if which == "x" else mark.y))
-        return _ends(np.concatenate(drawn), axis.low, axis.high)
+        axis = self.x if which == "x" else self.y
+        drawn = [getattr(mark, which) for mark in self.marks if isinstance(mark, Line | Dots)]
+        return _ends(np.concatenate([[], *map(np.ravel, drawn)]), axis.low, axis.high)
 
 
 @dataclass(frozen=True)
@@ -193,8 +173,6 @@ class Chart:
     **Fields:**
 
     - `caption`: what it shows and how to read it, a sentence or two.
-    - `given_size` in inches of the printed figure, by default as its panels need; `heights` of
-      the rows, relative.
     - `share_x`: panels above one another zoom together, and only those whose x axis has a label
       have numbers on it. `share_y`: the same for those of a row.
     - `legend`: of the first panel, once for all, above them.
@@ -202,17 +180,13 @@ class Chart:
 
     rows: Sequence[Sequence[Panel | None]]
     caption: str = ""
-    given_size: tuple[float, float] | None = None
-    heights: tuple[float, ...] = ()
     share_x: bool = False
     share_y: bool = False
     legend: bool = False
 
     @property
     def size(self) -> tuple[float, float]:
-        """Inches of the printed figure."""
-        if self.given_size is not None:
-            return self.given_size
+        """Inches of the printed figure, as its panels need."""
         across, down = PANEL[0], [LOW if self.share_x else PANEL[1]] * len(self.rows)
         for row, _, panel in self.places:
             across = max(across, CATEGORY * len(panel.x.categories))

@@ -17,7 +17,6 @@ from riecjax.reporting.charts.chart import (
     Mark,
     Panel,
     Span,
-    Stems,
 )
 
 PIXELS = 88
@@ -27,7 +26,7 @@ NARROWEST_PANEL = 210
 WIDEST_LEGEND = 380
 LEFT, RIGHT, BOTTOM, BARE_BOTTOM = 62, 14, 46, 12
 """Pixels about a panel: numbers and label of its axes, or ticks alone."""
-RIGHT_AXIS, COLOUR_BAR = 56, 78
+COLOUR_BAR = 78
 GAP, TITLE, LEGEND = 6, 20, 26
 """Pixels above a panel."""
 LETTER, KEY = 6.2, 40
@@ -38,15 +37,15 @@ LOWEST_ROW = 110.0
 class Spaces(NamedTuple):
     """Pixels across at the narrowest, and down.
 
-    **Fields:** `panel`, width of one; `right` of each column, for axes and colour bars there;
-    `above` and `below` each row, for titles, legends and numbers; `down`, heights of the rows.
+    **Fields:** `panel`, width of one; `right` of each column, for colour bars there;
+    `above` and `below` each row, for titles, legends and numbers; `down`, height of a row.
     """
 
     panel: float
     right: list[int]
     above: list[int]
     below: list[int]
-    down: list[float]
+    down: float
 
     @classmethod
     def of(cls, chart: Chart) -> "Spaces":
@@ -56,9 +55,8 @@ class Spaces(NamedTuple):
         right, above, below = [0] * chart.columns, [GAP] * rows, [BARE_BOTTOM] * rows
         for row, place, panel in chart.places:
             last = place + panel.columns - 1
-            is_map = any(isinstance(mark, HeatMap) for mark in panel.marks)
-            beside = COLOUR_BAR if is_map else RIGHT_AXIS * (panel.right is not None)
-            right[last] = max(right[last], beside)
+            if any(isinstance(mark, HeatMap) for mark in panel.marks):
+                right[last] = COLOUR_BAR
             legend = LEGEND * (bool(panel.labels) and not chart.legend)
             above[row] = max(above[row], GAP + TITLE * bool(panel.title) + legend)
             if panel.x.label or not chart.share_x:
@@ -69,9 +67,8 @@ class Spaces(NamedTuple):
                 width = max(width, min(needed / panel.columns, WIDEST_LEGEND))
         if chart.legend:
             above[0] += LEGEND
-        heights = np.array(chart.heights or (1.0,) * rows)
-        room = max(PIXELS * chart.size[1] - sum(above) - sum(below), LOWEST_ROW * rows)
-        return cls(width, right, above, below, (room * heights / heights.sum()).tolist())
+        room = PIXELS * chart.size[1] - sum(above) - sum(below)
+        return cls(width, right, above, below, max(room / rows, LOWEST_ROW))
 
     @property
     def width(self) -> float:
@@ -81,7 +78,7 @@ class Spaces(NamedTuple):
     @property
     def height(self) -> float:
         """Of everything."""
-        return sum(self.down) + sum(self.above) + sum(self.below)
+        return len(self.above) * self.down + sum(self.above) + sum(self.below)
 
     @property
     def inside_height(self) -> float:
@@ -98,15 +95,15 @@ class Spaces(NamedTuple):
 
     def along(self, row: int) -> list[float]:
         """Bottom and top of a row, as shares of the height inside the margins."""
-        top = sum(self.down[:row]) + sum(self.above[1 : row + 1]) + sum(self.below[:row])
-        bottom = 1 - (top + self.down[row]) / self.inside_height
+        top = row * self.down + sum(self.above[1 : row + 1]) + sum(self.below[:row])
+        bottom = 1 - (top + self.down) / self.inside_height
         return [max(bottom, 0.0), 1 - top / self.inside_height]
 
 
 DIGITS = 6
 """Significant digits of a value on a page: more than a screen shows, and a smaller file."""
 DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot"}
-GREY_KEY, CLEAR = "#666666", "rgba(0,0,0,0)"
+CLEAR = "rgba(0,0,0,0)"
 RED_BLUE = (
     "#053061", "#2166ac", "#4393c3", "#92c5de", "#d1e5f0", "#f7f7f7", "#fddbc7", "#f4a582",
     "#d6604d", "#b2182b", "#67001f",
@@ -138,25 +135,11 @@ def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
         case Dots():
             marker = {"color": mark.color, "size": 1.5 * mark.size, "opacity": mark.opacity}
             return [_scatter(mark, "markers", marker=marker)]
-        case Stems():
-            # Bars from each value back to zero.
-            y, look = np.asarray(mark.y), {"color": mark.color, "thickness": 1.2, "width": 0}
-            up, down = plain_values(np.maximum(-y, 0)), plain_values(np.maximum(y, 0))
-            bars = {"symmetric": False, "array": up, "arrayminus": down, **look}
-            marker = {"color": mark.color, "size": 3}
-            return [_scatter(mark, "markers", marker=marker, error_y=bars)]
         case Span():
-            key = {"color": mark.color, "opacity": mark.opacity}
-            if mark.hatched:
-                key = {"color": CLEAR, "line": {"width": 1.5, "color": GREY_KEY}}
-            marker = {"symbol": "square", "size": 11, **key}
-            return [_key(mark, mode="markers", marker=marker)] if mark.label else []
+            key = {"color": mark.color, "opacity": mark.opacity, "symbol": "square", "size": 11}
+            return [_key(mark, mode="markers", marker=key)] if mark.label else []
         case Level():
-            style = {"mode": "lines", "line": _level_style(mark)}
-            if mark.axis == "diagonal":
-                ends = plain_values(panel.reach("x"))
-                return [_key(mark, **style, x=ends, y=ends)]
-            return [_key(mark, **style)] if mark.label else []
+            return [_key(mark, mode="lines", line=_level_style(mark))] if mark.label else []
         case HeatMap():
             # A cell tells the names of its place, where the axes have some.
             low, high = mark.scale
@@ -191,11 +174,7 @@ def shapes(mark: Mark, axes: dict[str, str]) -> list[dict[str, Any]]:
         low, high = mark.low, mark.high
         look = {"type": "rect", "layer": "below", "fillcolor": mark.color, "line": {"width": 0}}
         look["opacity"] = mark.opacity
-        if mark.hatched:
-            # Plotly has no hatching of shapes: an outline instead.
-            line = {"width": 1.5, "color": GREY_KEY, "dash": "dash"}
-            look = {"type": "rect", "layer": "above", "fillcolor": CLEAR, "line": line}
-    elif isinstance(mark, Level) and mark.axis != "diagonal":
+    elif isinstance(mark, Level):
         low = high = mark.value
         # Below, it would vanish under a line of the grid.
         look = {"type": "line", "layer": "above", "line": _level_style(mark)}
@@ -207,7 +186,7 @@ def shapes(mark: Mark, axes: dict[str, str]) -> list[dict[str, Any]]:
     return [look | {f"{along}0": start, f"{along}1": stop, f"{across}0": 0, f"{across}1": 1}]
 
 
-def _scatter(mark: Line | Dots | Stems, mode: str, **settings: Any) -> dict[str, Any]:
+def _scatter(mark: Line | Dots, mode: str, **settings: Any) -> dict[str, Any]:
     x, y = plain_values(mark.x), plain_values(mark.y)
     return {"type": "scatter", "mode": mode, "x": x, "y": y, "name": mark.label, **settings}
 
@@ -263,8 +242,6 @@ MARGIN = 0.04
 """Share of an axis between the data and an end that is not given."""
 FEW_NUMBERS = 4
 """Numbers that a logarithmic axis aims at: 1, 2, 5 up to three decades, else powers of ten."""
-RIGHT_AXES = 101
-"""Number of the first panel's right axis: past those of all panels' left ones."""
 
 
 def interactive(chart: Chart) -> dict[str, Any]:
@@ -301,16 +278,8 @@ def interactive(chart: Chart) -> dict[str, Any]:
                 drawn |= {} if first == axes[which] else {"matches": first}
                 drawn |= {} if wanted.label else {"showticklabels": False}
         layout |= {f"xaxis{number}": x, f"yaxis{number}": y}
-        right_axis = axes | {"yaxis": f"y{RIGHT_AXES + i}"}
-        if panel.right is not None:
-            over = {"overlaying": axes["yaxis"], "side": "right", "anchor": axes["xaxis"]}
-            over |= {"showgrid": False, "tickmode": "auto"}
-            layout[f"yaxis{RIGHT_AXES + i}"] = _axis(panel.right, panel.reach("right")) | over
-        drawn = []
-        for mark in panel.marks:
-            on_right = isinstance(mark, Line) and mark.right
-            drawn += [trace | (right_axis if on_right else axes) for trace in traces(mark, panel)]
-            layout["shapes"] += shapes(mark, axes)
+        drawn = [trace | axes for mark in panel.marks for trace in traces(mark, panel)]
+        layout["shapes"] += [shape for mark in panel.marks for shape in shapes(mark, axes)]
         for trace in drawn:
             if "colorbar" in trace:
                 bar = {"x": across[1], "y": sum(down) / 2, "len": down[1] - down[0]}
@@ -367,8 +336,6 @@ def _axis(wanted: Axis, reach: tuple[float, float]) -> dict[str, Any]:
     }
     if wanted.log and reach[0] >= PLAIN[0] and reach[1] <= PLAIN[1]:
         axis |= {"nticks": FEW_NUMBERS, "tickformat": "~g"}
-    if wanted.color:
-        axis |= {"color": wanted.color}
     if wanted.categories:
         names = [plain_text(name) for name in wanted.categories]
         axis |= {"tickvals": list(range(len(names))), "ticktext": names, "showgrid": False}
