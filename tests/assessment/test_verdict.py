@@ -8,8 +8,8 @@ from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from riecjax.assessment.refining import outside_bounds
+from riecjax.reporting.identification import verdict_entries
 from riecjax.reporting.result_page import write_report
-from riecjax.reporting.verdict import verdict_entries
 
 RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
 OF_BODY = {name: TRUTH[name] for name in ("m", "c", "k")}

@@ -6,7 +6,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting.charts import (
     RUST,
     Axis,
     Chart,
@@ -52,7 +52,7 @@ EVERYTHING = Chart(
                 Axis("density / (N²/Hz)", log=True, low=5),
             ),
             Panel(
-                [HeatMap([0, 1], [0, 1], [[1, -0.5], [-0.5, np.nan]], "r", -1, 1, True, 2)],
+                [HeatMap([0, 1], [0, 1], [[1, -0.5], [-0.5, np.nan]], "r", -1, 1, 2)],
                 Axis(categories=("stiffness", "mass")),
                 Axis(categories=("stiffness", "mass"), reverse=True),
             ),

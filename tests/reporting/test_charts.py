@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from matplotlib.image import imread
 from reporting_charts import EVERYTHING, GAP, X, Y, assert_whole_in_print
 
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting.charts import (
     BLUE,
     RUST,
     Axis,
@@ -98,7 +98,7 @@ def test_spans_and_levels(axis, other, place):
 
 def test_a_map_holds_its_values_writes_them_and_names_its_cells():
     numbers = np.array([[1.0, -2.0], [np.nan, 0.25]])
-    heat = HeatMap([0, 1], [0, 1], numbers, "gain", diverging=True, numbers=1)
+    heat = HeatMap([0, 1], [0, 1], numbers, "gain", -2, 2, numbers=1)
     axis = Axis(categories=("front", "a < b"))
     axes = in_print(heat, x=axis, y=axis)
     (mesh,) = axes.collections

@@ -8,7 +8,7 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -26,18 +26,17 @@ from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
+from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, Constraints, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refined_of
+from riecjax.settings import Refine
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
-
-if TYPE_CHECKING:
-    from riecjax.settings import Refine
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
@@ -87,8 +86,6 @@ def answered(asked: Asked, estimate: Estimate, refused: bool) -> Answered:
         flaw = "" if refused else _left_out(estimate)
         refinement = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate)
     else:
-        from riecjax.refinement.integral_error import IntegralError
-
         # Over the estimate's windows if no others are asked for; its values are the answer.
         if isinstance(by, IntegralError) and by.criterion is None:
             by = IntegralError(estimate.criterion)
@@ -118,13 +115,11 @@ def answered(asked: Asked, estimate: Estimate, refused: bool) -> Answered:
     return refinement, after, [*failed_after, *(f for f in failed if f.code == "prior_disagrees")]
 
 
-def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | None:
+def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None:
     """What a refinement makes small; `None` for no refinement."""
     if settings.refine in (None, "none"):
         return None
     if settings.refine == "integral":
-        from riecjax.refinement.integral_error import IntegralError
-
         return IntegralError()
     if settings.refine == "output-error":
         horizon = settings.horizon
@@ -253,18 +248,15 @@ def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) 
     shooting = Tiles(seconds=min(lengths)) if lengths else WholeRecord()
     specified = OutputError().specify(asked.model, asked.records, estimate)
     system = specified.model[0].build(specified.table.values_of(specified.values, 0))
-    channels = _channels(system, asked.records)
-    return OutputError(shooting, channels=channels, sigma=_noise(asked.records, channels))
-
-
-def _noise(records: list[Record], channels: tuple[str, ...] | None) -> dict[str, Any] | None:
-    """Noise that each channel is weighed by, in its unit; `None` where nothing tells it."""
-    levels = {}
+    records = asked.records
+    channels, levels = _channels(system, records), {}
     for name in channels or ():
-        own = [np.asarray(judged(record, "auto", name).noise.std(name)) for record in records]
+        noise = [np.asarray(judged(record, "auto", name).noise.std(name)) for record in records]
         least = LEAST_NOISE * np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
-        levels[name] = max(np.sqrt(np.mean(np.square(own))), least)
-    return levels if levels and all(level > 0 for level in levels.values()) else None
+        levels[name] = max(np.sqrt(np.mean(np.square(noise))), least)
+    # What each channel is weighed by, in its unit, where something tells it.
+    sigma: Any = levels if levels and all(level > 0 for level in levels.values()) else None
+    return OutputError(shooting, channels=channels, sigma=sigma)
 
 
 def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] | None:

@@ -289,11 +289,13 @@ def _sentence(judged: Mapping[str, ParameterVerdict]) -> str:
     if len(good) == len(judged) > NAMED:
         least = f"{good[-1].name}, to {percent(good[-1].share)}"
         return f"Trust all {len(good)} parameters; the least certain is {least}."
-    clauses = [f"trust {_listed(good)}"] if good else []
-    clauses += [f"take {_listed(caution)} with caution"] if caution else []
-    clauses += [f"do not use {_listed(out, shares=False)}"] if out else []
+    clauses = (
+        f"trust {_listed(good)}" if good else "",
+        f"take {_listed(caution)} with caution" if caution else "",
+        f"do not use {_listed(out, shares=False)}" if out else "",
+    )
     because = f": {(out or caution)[-1].reason}" if caution or out else ""
-    words = "; ".join(clauses)
+    words = "; ".join(filter(None, clauses))
     return f"{words[0].upper()}{words[1:]}{because}."
 
 

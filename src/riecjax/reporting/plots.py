@@ -17,7 +17,7 @@ from riecjax.estimation.evidence import ModeEvidence
 from riecjax.leaves import on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting.charts import (
     BOLD,
     LARGE,
     SERIES,
@@ -120,7 +120,7 @@ def _(thing: Assessment) -> Chart:
     for row in rows:
         if len(row) == 1 and row[0] is not None:
             # It takes all places, as signals over time should.
-            row[0] = replace(row[0], legend=True, columns=width)
+            row[0] = replace(row[0], columns=width)
         else:
             row += [None] * (width - len(row))
     return Chart(rows, f"{thing.model.name}.")

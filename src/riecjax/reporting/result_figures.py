@@ -20,7 +20,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence
 from riecjax.estimation.mode_windows import linearised
 from riecjax.records.record import Record
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting.charts import (
     BLACK,
     BLUE,
     BOLD,
@@ -113,9 +113,8 @@ def correlation_figure(estimate: Estimate) -> Chart:
     """Correlation matrix of the estimates."""
     names, label = estimate.parameters, "correlation of the estimates"
     places, values = range(len(names)), np.asarray(estimate.correlation)
-    look = {"low": -1, "high": 1, "diverging": True, "numbers": 2}
     return single(
-        [HeatMap(places, places, values, label, **look)],
+        [HeatMap(places, places, values, label, -1, 1, numbers=2)],
         Axis(categories=names),
         Axis(categories=names, reverse=True),
         "Correlation of the estimates: parameters near 1 or -1 are known better in combination "
@@ -248,15 +247,14 @@ class IdentifiedCurve(NamedTuple):
 
 def identified_curves(result: Assessment) -> list[IdentifiedCurve]:
     """The curves of a model that has terms in a basis, from the first record."""
-    found: dict[str, IdentifiedCurve] = {}
-    record = result.recordings[0].record
-    for stage in result.estimate.stages:
-        for equation in result.model.stages[stage.stage]:
-            for term in equation.terms:
-                shared = all(name in result.estimate for name in term.parameters)
-                if term.basis is not None and shared and term.name not in found:
-                    found[str(term.name)] = _curve(result.estimate, equation, term, record)
-    return list(found.values())
+    curves: dict[str, IdentifiedCurve] = {}
+    estimate, record = result.estimate, result.recordings[0].record
+    stages = (result.model.stages[stage.stage] for stage in estimate.stages)
+    for equation, term in ((e, term) for stage in stages for e in stage for term in e.terms):
+        shared = all(name in estimate for name in term.parameters)
+        if term.basis is not None and shared and term.name not in curves:
+            curves[str(term.name)] = _curve(estimate, equation, term, record)
+    return list(curves.values())
 
 
 def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
@@ -442,14 +440,13 @@ def window_choice_figure(choice: WindowChoice) -> Chart:
     in_use = f"in use, {choice.alpha:.3g} to {choice.beta:.3g} s"
     better = f"recommended, {low:.2g} to {high:.2g} s"
     length = Axis("window length / s", log=True, low=choice.length[0], high=choice.length[-1])
-    for i, equation in enumerate(choice.equations):
-        titled = {"title": equation.name, "legend": i == 0}
+    for equation in choice.equations:
         # Spectra, and over them what the current windows let into an integral.
         lines, axes = _target_and_error(equation.spectrum, equation.unit)
         largest = np.max(equation.spectrum.target[1:]) / np.max(equation.mean_gain)
         gain = _positive(largest * equation.mean_gain)
         shown = Line(lines[0].x, gain, "expected gain (scaled)", BLUE, "dashed")
-        spectra = Panel([*lines, shown], *axes, **titled)
+        spectra = Panel([*lines, shown], *axes, title=equation.name)
         # The error's share at every window length, with the lengths in use and the better ones.
         share = np.where(equation.error_share > 0, 100 * equation.error_share, np.nan)
         marks = [
@@ -458,7 +455,8 @@ def window_choice_figure(choice: WindowChoice) -> Chart:
             Level(choice.beta, "x", color=BLACK, dashes="dashed"),
             Line(choice.length, share, color=RUST, width=BOLD),
         ]
-        shares = Panel(marks, length, Axis("error / % of the signal", log=True), **titled)
+        error = Axis("error / % of the signal", log=True)
+        shares = Panel(marks, length, error, title=equation.name)
         rows.append((spectra, shares))
     caption = (
         "Left: spectra of each equation's target and error, and what the windows in use let in of "

@@ -25,8 +25,8 @@ from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
 from riecjax.refinement.refine import Refined, RefinementStatus
 from riecjax.reporting.document import Document, is_intact, unread_schema
+from riecjax.reporting.identification import reasons_in_words
 from riecjax.reporting.tables import View
-from riecjax.reporting.verdict import reasons_in_words
 from riecjax.reporting.views import criterion_in_words, value_table
 from riecjax.shows import Tabled
 from riecjax.summaries import summary as summaries

@@ -162,17 +162,17 @@ def in_markdown(table: Table) -> str:
 
 def in_latex(table: Table) -> str:
     """As a `tabular`: the first column names of parameters, `unit` units, the others numbers."""
-    rows = []
-    for row in table.rows:
-        cells = [latex_name(row[0])]
-        for header, cell in zip(table.header[1:], row[1:]):
-            said = latex_unit(cell) if header == "unit" else _latex_text(cell)
-            if header != "unit" and re.match(r"[-(]?\d", cell):
-                plain = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
-                said = re.sub(r"10\^(-?\d+)", r"10^{\1}", plain)
-                said = f"${said}$"
-            cells.append(said)
-        rows.append(f"{' & '.join(cells)} \\\\")
+
+    def latex(header: str, cell: str) -> str:
+        if header == "unit":
+            return latex_unit(cell)
+        if not re.match(r"[-(]?\d", cell):
+            return _latex_text(cell)
+        plain = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
+        return "$" + re.sub(r"10\^(-?\d+)", r"10^{\1}", plain) + "$"
+
+    cells = ((latex_name(row[0]), *map(latex, table.header[1:], row[1:])) for row in table.rows)
+    rows = [f"{' & '.join(row)} \\\\" for row in cells]
     align = "".join("l" if h in (table.header[0], "unit") else "r" for h in table.header)
     head = f"{' & '.join(map(_latex_text, table.header))} \\\\"
     body = [f"\\begin{{tabular}}{{{align}}}", "\\hline", head, "\\hline", *rows, "\\hline"]

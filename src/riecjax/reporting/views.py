@@ -19,12 +19,7 @@ from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import excitation_entries, excitation_table, share_in_words
-from riecjax.reporting.discovery import (
-    choice_lines,
-    discovery_document,
-    path_table,
-    rejected_table,
-)
+from riecjax.reporting.discovery import choice_lines, discovery_document, path_table, rejected_table
 from riecjax.reporting.document import ends_of, number
 from riecjax.reporting.equations import (
     equation_in_words,
@@ -70,9 +65,11 @@ def view_of(thing: Any) -> View:
 @view_of.register
 def _(thing: Equation) -> View:
     known = ", ".join(f"{name} = {span(value, '.6g')}" for name, value in thing.known.items())
-    lines = [f"parameters: {parameters_in_words(thing.parameters, thing.units)}"]
-    lines += [f"known: {known}"] if known and is_concrete(thing.known) else []
-    lines += [f"where {expression_in_words(thing.where)}"] if thing.where else []
+    lines = [
+        f"parameters: {parameters_in_words(thing.parameters, thing.units)}",
+        *([f"known: {known}"] if known and is_concrete(thing.known) else []),
+        *([f"where {expression_in_words(thing.where)}"] if thing.where else []),
+    ]
     unit = f" [{thing.unit}]" if thing.unit else ""
     return View(f"{thing.name}: {equation_in_words(thing)}{unit}", lines=lines)
 
@@ -258,10 +255,13 @@ def value_table(document: Mapping[str, Any], columns: Sequence[str] = USUAL) -> 
 @view_of.register
 def _(thing: WindowSweep) -> View:
     theta, errors, units = np.asarray(thing.theta), thing.standard_errors, dict(thing.table.units)
-    rows = []
-    for low, high, values, of in zip(thing.alpha, thing.beta, theta, np.asarray(errors)):
-        length = f"{float(low):.3g} .. {float(high):.3g}"
-        rows.append([length, *(f"{number(x, 5)} ± {number(e, 2)}" for x, e in zip(values, of))])
+    rows = [
+        [
+            f"{float(low):.3g} .. {float(high):.3g}",
+            *(f"{number(value, 5)} ± {number(error, 2)}" for value, error in zip(*estimates)),
+        ]
+        for low, high, *estimates in zip(thing.alpha, thing.beta, theta, np.asarray(errors))
+    ]
     header = ("windows / s", *(parameters_in_words([n], units) for n in thing.parameters))
     if len(thing.parameters) > len(rows):
         header, *rows = zip(header, *rows)
@@ -299,13 +299,16 @@ def _(thing: Assessment) -> View:
     shown, verdict, refinement = view_of(thing.answer), thing.verdict, thing.refinement
     document = document_of(on_host(thing.answer)) | _judged(verdict)
     how = shown.title if thing.answer is thing.estimate else "refined"
-    lines = [*_to_do(verdict), f"{thing.model.name} by {how}"]
-    lines += [line for line in shown.lines if isinstance(line, str)]
-    if refinement is not None and refinement.declined:
-        lines.append(f"not refined: {refinement.declined}")
-    lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in thing.validations]
-    table = value_table(document, (*USUAL, "doubt", "verdict"))
-    return View(verdict.sentence, [table], [*lines, *thing.findings()])
+    declined = "" if refinement is None else refinement.declined
+    lines = [
+        *_to_do(verdict),
+        f"{thing.model.name} by {how}",
+        *(line for line in shown.lines if isinstance(line, str)),
+        *([f"not refined: {declined}"] if declined else []),
+        *(f"validated on {run.recording.name}: {run.held.verdict}" for run in thing.validations),
+        *thing.findings(),
+    ]
+    return View(verdict.sentence, [value_table(document, (*USUAL, "doubt", "verdict"))], lines)
 
 
 @view_of.register

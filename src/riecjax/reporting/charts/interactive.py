@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting.charts import (
     PLAIN,
     Axis,
     Chart,
@@ -124,25 +124,32 @@ def plain_text(text: str) -> str:
     return html.escape(text, quote=False)
 
 
-def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
-    """Traces of a mark, without their axes; those with a `name` stand in a legend by it.
+Parts = list[dict[str, Any]]
+
+
+def _drawn(mark: Mark, panel: Panel, axes: dict[str, str]) -> tuple[Parts, Parts]:
+    """Traces of a mark, without their axes, and shapes; a `name` stands in the legend.
 
     A stretch or a value of an axis is a shape, and has a trace for its legend only.
     """
     match mark:
         case Line():
-            return _line(mark)
+            return _line(mark), []
         case Dots():
             marker = {"color": mark.color, "size": 1.5 * mark.size, "opacity": mark.opacity}
-            return [_scatter(mark, "markers", marker=marker)]
+            return [_scatter(mark, "markers", marker=marker)], []
         case Span():
+            shape = {"type": "rect", "layer": "below", "fillcolor": mark.color}
+            shape |= {"line": {"width": 0}, "opacity": mark.opacity}
             key = {"color": mark.color, "opacity": mark.opacity, "symbol": "square", "size": 11}
-            return [_key(mark, mode="markers", marker=key)] if mark.label else []
+            return _across(mark, (mark.low, mark.high), shape, axes, mode="markers", marker=key)
         case Level():
-            return [_key(mark, mode="lines", line=_level_style(mark))] if mark.label else []
+            style = {"color": mark.color, "dash": DASHES[mark.dashes], "width": 1}
+            # Below, it would vanish under a line of the grid.
+            shape = {"type": "line", "layer": "above", "line": style}
+            return _across(mark, (mark.value, mark.value), shape, axes, mode="lines", line=style)
         case HeatMap():
             # A cell tells the names of its place, where the axes have some.
-            low, high = mark.scale
             x, y = plain_values(mark.x), plain_values(mark.y)
             stops = [[i / 10, color] for i, color in enumerate(RED_BLUE)]
             title = {"text": plain_text(mark.label), "side": "right"}
@@ -151,9 +158,9 @@ def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
                 "x": x,
                 "y": y,
                 "z": [plain_values(row) for row in np.asarray(mark.values)],
-                "colorscale": stops if mark.diverging else "Viridis",
-                "zmin": low,
-                "zmax": high,
+                "colorscale": stops,
+                "zmin": mark.low,
+                "zmax": mark.high,
                 "hoverongaps": False,
                 "hovertemplate": "%{x}, %{y}: %{z}<extra></extra>",
                 "colorbar": {"title": title, "xpad": 8, "thickness": 12, "outlinewidth": 0},
@@ -165,36 +172,32 @@ def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
                 rows = [plain_text(name) for name in panel.y.categories] or y
                 trace["customdata"] = [[[row, column] for column in columns] for row in rows]
                 trace["hovertemplate"] = "%{customdata[0]}, %{customdata[1]}: %{z}<extra></extra>"
-            return [trace]
+            return [trace], []
 
 
-def shapes(mark: Mark, axes: dict[str, str]) -> list[dict[str, Any]]:
-    """Stretches and values of one axis, from end to end of the other."""
-    if isinstance(mark, Span):
-        low, high = mark.low, mark.high
-        look = {"type": "rect", "layer": "below", "fillcolor": mark.color, "line": {"width": 0}}
-        look["opacity"] = mark.opacity
-    elif isinstance(mark, Level):
-        low = high = mark.value
-        # Below, it would vanish under a line of the grid.
-        look = {"type": "line", "layer": "above", "line": _level_style(mark)}
-    else:
-        return []
+def _across(
+    mark: Span | Level,
+    ends: tuple[float, float],
+    look: dict[str, Any],
+    axes: dict[str, str],
+    **key: Any,
+) -> tuple[Parts, Parts]:
+    """A stretch or a value of one axis, from end to end of the other, and an entry of the legend
+    that points at nothing."""
     along, across = mark.axis, "y" if mark.axis == "x" else "x"
-    look |= {f"{along}ref": axes[f"{along}axis"], f"{across}ref": f"{axes[f'{across}axis']} domain"}
-    start, stop = plain_values([low, high])
-    return [look | {f"{along}0": start, f"{along}1": stop, f"{across}0": 0, f"{across}1": 1}]
+    start, stop = plain_values(ends)
+    shape = look | {
+        f"{along}ref": axes[f"{along}axis"],
+        f"{across}ref": f"{axes[f'{across}axis']} domain",
+        **{f"{along}0": start, f"{along}1": stop, f"{across}0": 0, f"{across}1": 1},
+    }
+    trace = {"type": "scatter", "x": [None], "y": [None], "hoverinfo": "skip", "name": mark.label}
+    return [trace | key] if mark.label else [], [shape]
 
 
 def _scatter(mark: Line | Dots, mode: str, **settings: Any) -> dict[str, Any]:
     x, y = plain_values(mark.x), plain_values(mark.y)
     return {"type": "scatter", "mode": mode, "x": x, "y": y, "name": mark.label, **settings}
-
-
-def _key(mark: Span | Level, **settings: Any) -> dict[str, Any]:
-    """An entry of the legend for what has none of its own; nothing to point at."""
-    trace = {"type": "scatter", "x": [None], "y": [None], "hoverinfo": "skip", "name": mark.label}
-    return trace | settings
 
 
 def _line(line: Line) -> list[dict[str, Any]]:
@@ -230,10 +233,6 @@ def _line(line: Line) -> list[dict[str, Any]]:
         "legendgroup": plain_text(line.label) or None,
     }
     return [band, trace]
-
-
-def _level_style(level: Level) -> dict[str, Any]:
-    return {"color": level.color, "dash": DASHES[level.dashes], "width": 1}
 
 
 ABOVE = {"xanchor": "left", "yanchor": "bottom"}
@@ -278,16 +277,16 @@ def interactive(chart: Chart) -> dict[str, Any]:
                 drawn |= {} if first == axes[which] else {"matches": first}
                 drawn |= {} if wanted.label else {"showticklabels": False}
         layout |= {f"xaxis{number}": x, f"yaxis{number}": y}
-        drawn = [trace | axes for mark in panel.marks for trace in traces(mark, panel)]
-        layout["shapes"] += [shape for mark in panel.marks for shape in shapes(mark, axes)]
-        for trace in drawn:
-            if "colorbar" in trace:
-                bar = {"x": across[1], "y": sum(down) / 2, "len": down[1] - down[0]}
-                trace["colorbar"] = trace["colorbar"] | bar
+        parts = [_drawn(mark, panel, axes) for mark in panel.marks]
+        drawn = [trace | axes for traces, _ in parts for trace in traces]
+        layout["shapes"] += [shape for _, shapes in parts for shape in shapes]
         legend = "legend" if chart.legend else f"legend{number}"
         # A name stands in a legend once.
-        shown, named = panel.legend and (i == 0 or not chart.legend), set()
+        shown, named = i == 0 or not chart.legend, set()
         for trace in drawn:
+            if "colorbar" in trace:
+                middle, size = sum(down) / 2, down[1] - down[0]
+                trace["colorbar"] |= {"x": across[1], "y": middle, "len": size}
             if "name" in trace:
                 name = plain_text(trace["name"])
                 trace |= {"name": name, "legendgroup": name or None, "legend": legend}

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from riecjax.errors import DataError
-from riecjax.reporting.charts.chart import (
+from riecjax.reporting.charts import (
     PLAIN,
     Axis,
     Chart,
@@ -132,7 +132,7 @@ def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:
         if labels and not figure.legends:
             columns = _columns(labels, chart.size[0])
             figure.legend(handles, labels, loc="outside upper center", ncols=columns)
-    elif panel.legend and labels:
+    elif labels:
         columns = _columns(labels, chart.size[0] * panel.columns / chart.columns - 0.8)
         rows = -(-len(labels) // columns)
         place: Any = {"loc": "lower left", "bbox_to_anchor": (0, 1)}
@@ -174,10 +174,9 @@ def _draw(axes: Any, mark: Mark) -> None:
             across(mark.value, linewidth=0.9, zorder=1.5, **look)
         case HeatMap():
             values, x, y = np.asarray(mark.values), np.asarray(mark.x), np.asarray(mark.y)
-            low, high = mark.scale
             axes.grid(False)
-            look = {"cmap": "RdBu_r" if mark.diverging else "viridis", "shading": "nearest"}
-            image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), vmin=low, vmax=high, **look)
+            look = {"cmap": "RdBu_r", "shading": "nearest", "vmin": mark.low, "vmax": mark.high}
+            image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), **look)
             bar = axes.get_figure().colorbar(image, ax=axes, label=mark.label)
             bar.outline.set_visible(False)
             bar.ax.grid(False)
