@@ -6,7 +6,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from riecjax.reporting.charts import (
+from riecjax.reporting.charts.chart import (
     RUST,
     Axis,
     Chart,

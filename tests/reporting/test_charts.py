@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from matplotlib.image import imread
 from reporting_charts import EVERYTHING, GAP, X, Y, assert_whole_in_print
 
-from riecjax.reporting.charts import (
+from riecjax.reporting.charts.chart import (
     BLUE,
     RUST,
     Axis,

@@ -12,7 +12,7 @@ import riecjax as rx
 from riecjax.assessment.assessment import Assessment
 from riecjax.equations.model import as_model, staged
 from riecjax.estimation.check import Check
-from riecjax.reporting.charts import Dots, Line
+from riecjax.reporting.charts.chart import Dots, Line
 from riecjax.reporting.identification import identification_document
 from riecjax.reporting.result_figures import (
     curves_figure,

@@ -8,7 +8,7 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import jax
@@ -31,12 +31,14 @@ from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, Constraints, is_pair
 from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
 from riecjax.refinement.refine import Refined, refined_of
-from riecjax.settings import Refine
 from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
 from riecjax.validation.whiteness import Whiteness, whiteness
+
+if TYPE_CHECKING:
+    from riecjax.settings import Refine
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
@@ -115,7 +117,7 @@ def answered(asked: Asked, estimate: Estimate, refused: bool) -> Answered:
     return refinement, after, [*failed_after, *(f for f in failed if f.code == "prior_disagrees")]
 
 
-def objective_of(settings: Refine) -> AbstractObjective | Literal["auto"] | None:
+def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | None:
     """What a refinement makes small; `None` for no refinement."""
     if settings.refine in (None, "none"):
         return None

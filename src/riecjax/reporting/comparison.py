@@ -8,7 +8,7 @@ import numpy as np
 
 from riecjax.errors import ModelError
 from riecjax.extensions import require_packages
-from riecjax.reporting.charts import Chart
+from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of, to_dict, to_frame
 from riecjax.reporting.plots import relative_figure

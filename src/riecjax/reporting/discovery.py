@@ -12,7 +12,7 @@ from riecjax.discovery.discovery import Discovery
 from riecjax.discovery.search import Step
 from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
 from riecjax.findings import option_for
-from riecjax.reporting.charts import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
+from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
 from riecjax.reporting.checking import share_in_words
 from riecjax.reporting.document import SCHEMA, Document, finite, number, probability, told, versions
 from riecjax.reporting.equations import equation_in_words

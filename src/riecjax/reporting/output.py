@@ -13,7 +13,7 @@ from rich.console import Console
 
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
-from riecjax.reporting.charts import Chart
+from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
 from riecjax.standard_output import answer

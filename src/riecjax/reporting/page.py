@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from riecjax.reporting.charts import Chart
+from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.charts.interactive import Spaces, interactive
 from riecjax.reporting.document import Document
 from riecjax.reporting.tables import Table

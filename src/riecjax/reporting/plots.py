@@ -17,7 +17,7 @@ from riecjax.estimation.evidence import ModeEvidence
 from riecjax.leaves import on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.reporting.charts import (
+from riecjax.reporting.charts.chart import (
     BOLD,
     LARGE,
     SERIES,

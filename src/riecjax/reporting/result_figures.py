@@ -20,7 +20,7 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence
 from riecjax.estimation.mode_windows import linearised
 from riecjax.records.record import Record
-from riecjax.reporting.charts import (
+from riecjax.reporting.charts.chart import (
     BLACK,
     BLUE,
     BOLD,

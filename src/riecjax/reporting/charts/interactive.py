@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from riecjax.reporting.charts import (
+from riecjax.reporting.charts.chart import (
     PLAIN,
     Axis,
     Chart,
@@ -189,7 +189,10 @@ def _across(
     shape = look | {
         f"{along}ref": axes[f"{along}axis"],
         f"{across}ref": f"{axes[f'{across}axis']} domain",
-        **{f"{along}0": start, f"{along}1": stop, f"{across}0": 0, f"{across}1": 1},
+        f"{along}0": start,
+        f"{along}1": stop,
+        f"{across}0": 0,
+        f"{across}1": 1,
     }
     trace = {"type": "scatter", "x": [None], "y": [None], "hoverinfo": "skip", "name": mark.label}
     return [trace | key] if mark.label else [], [shape]

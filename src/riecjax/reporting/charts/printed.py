@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from riecjax.errors import DataError
-from riecjax.reporting.charts import (
+from riecjax.reporting.charts.chart import (
     PLAIN,
     Axis,
     Chart,
