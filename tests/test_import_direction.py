@@ -9,7 +9,7 @@ import pytest
 
 import riecjax
 
-CORE = ("records", "equations", "criteria", "summaries", "uncertainty", "estimation", "simulation",
+CORE = ("records", "simulation", "equations", "criteria", "summaries", "uncertainty", "estimation",
         "refinement", "validation", "models", "discovery", "assessment", "reporting",
         "cli")  # fmt: skip
 """Stages in the order of the data; a module imports from its own or an earlier one."""

@@ -14,7 +14,7 @@ import pytest
 
 from riecjax import compilation as module
 from riecjax import runtime
-from riecjax.compilation import NoKey, kept_jit, key_of
+from riecjax.compilation import NoKey, ProgramKey, kept_jit
 
 TRACED: list[str] = []
 
@@ -174,7 +174,7 @@ def own(x: Any) -> Any:
 
 def test_a_function_of_ones_own_counts_with_all_that_it_refers_to(monkeypatch):
     def digest() -> str:
-        return key_of(jnp.linalg.norm, functools.partial(jax.jit(own), 1.0)).digest
+        return ProgramKey(jnp.linalg.norm, functools.partial(jax.jit(own), 1.0)).digest
 
     keys = [digest(), digest()]
     assert keys[0] == keys[1]
@@ -218,4 +218,4 @@ def local_class() -> object:
 )
 def test_what_cannot_be_told_has_no_key(argument):
     with pytest.raises(NoKey):
-        key_of(jnp.linalg.norm, functools.partial(jnp.sum, where=argument))
+        ProgramKey(jnp.linalg.norm, functools.partial(jnp.sum, where=argument))

@@ -43,7 +43,7 @@ from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.summaries.one_pass import stage_normal_equations
 from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich, Uncertainty
 
 MODELS = {"W": quarter_car_by_wheel, "B": quarter_car_by_body}

@@ -31,8 +31,8 @@ from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
 from riecjax.studies.monte_carlo import over_keys
-from riecjax.uncertainty.block_statistics import BlockStatistics
 from riecjax.uncertainty.covariances import (
+    BlockStatistics,
     effective_freedom,
     jackknife_covariance,
     sandwich_covariance,

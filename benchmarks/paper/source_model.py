@@ -26,7 +26,6 @@ from benchmarks.recorded import FOLDER, write_json
 from riecjax.equations import RoofFunctions
 from riecjax.models.quarter_car.identification import (
     BREAK_POINTS,
-    FORCES,
     body_equation,
     mass_equation,
     suspension_velocity,
@@ -37,6 +36,7 @@ from riecjax.models.quarter_car.identification import (
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.published import TABLE_2, TABLE_5
 from riecjax.paper.reproduction import (
+    FORCES,
     VALIDATED_STATES,
     identification_record,
     road_keys,

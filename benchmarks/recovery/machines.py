@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 import riecjax as rx
-from riecjax.models.catalogue import MODELS, find_model
+from riecjax.models.catalogue import find_model
 
 RATE, SAMPLES = 200, 6000
 LEAD, TAIL = 200, 200
@@ -69,7 +69,7 @@ class Machine(NamedTuple):
 
 
 def _defaults(model: str) -> dict[str, float]:
-    return {p.name: p.default for p in MODELS[model].parameters if p.default is not None}
+    return {p.name: p.default for p in find_model(model).parameters if p.default is not None}
 
 
 MACHINES = {

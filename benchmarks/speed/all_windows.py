@@ -24,7 +24,7 @@ from riecjax.models.quarter_car.reconstruction import quarter_car_source, recons
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.summaries.one_pass import stage_normal_equations
 
 WINDOWS, SPRUNG_MASS = 8000, 300.0
 SIGNALS = ("x2", "x3", "x4")

@@ -33,6 +33,7 @@ from .equations.expressions import product as product
 from .equations.hidden_elements import HiddenMode as HiddenMode
 from .equations.hidden_elements import SeriesSpring as SeriesSpring
 from .equations.model import Model as Model
+from .equations.model import equation_system as equation_system
 from .equations.model import simultaneous as simultaneous
 from .equations.model import staged as staged
 from .equations.term import Term as Term
@@ -51,7 +52,6 @@ from .fleets.fleet import fleet as fleet
 from .models.catalogue import find_model as find_model
 from .records.frames import from_dataframe as from_dataframe
 from .records.frames import from_dataset as from_dataset
-from .records.noise import Noise as Noise
 from .records.preparation import differentiate as differentiate
 from .records.preparation import low_pass as low_pass
 from .records.preparation import remove_drift as remove_drift
@@ -63,6 +63,7 @@ from .records.recording import Recording as Recording
 from .records.recording import read_record as read_record
 from .records.recording import read_recording as read_recording
 from .records.recording import read_recordings as read_recordings
+from .records.signal import Noise as Noise
 from .records.signal import Signal as Signal
 from .records.writing import write_record as write_record
 from .refinement.integral_error import IntegralError as IntegralError
@@ -73,7 +74,6 @@ from .refinement.refine import refine as refine
 from .reporting.comparison import compare as compare
 from .reporting.result_files import load as load
 from .runtime import start_jax as start_jax
-from .simulation.equation_system import equation_system as equation_system
 from .simulation.method import Adaptive as Adaptive
 from .simulation.method import FixedStep as FixedStep
 from .simulation.simulate import simulate as simulate

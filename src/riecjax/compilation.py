@@ -75,6 +75,8 @@ class ProgramKey:
     """The key of a call, and the functions on its way, which what it returns may hold.
 
     **Fields:** `digest` in hexadecimal; `functions` in the order in which they were found.
+
+    **Raises:** `NoKey` where none is sure.
     """
 
     def __init__(self, function: Callable, arguments: Any) -> None:
@@ -91,7 +93,9 @@ class ProgramKey:
         self._alive: list[Any] = []
         self.functions: list[FunctionType] = []
         self._add(function)
-        self._add(arguments)
+        self._add(
+            jax.tree.map(lambda leaf: ArrayType(leaf) if eqx.is_array(leaf) else leaf, arguments)
+        )
         self.digest = self._hash.hexdigest()
 
     def _write(self, *parts: object) -> None:
@@ -217,17 +221,6 @@ def _names(code: CodeType) -> set[str]:
     return set(code.co_names).union(*map(_names, inner))
 
 
-def key_of(function: Callable, arguments: Any) -> ProgramKey:
-    """The key of a call.
-
-    **Raises:** `NoKey` where none is sure.
-    """
-    return ProgramKey(
-        function,
-        jax.tree.map(lambda leaf: ArrayType(leaf) if eqx.is_array(leaf) else leaf, arguments),
-    )
-
-
 @functools.cache
 def _of_process() -> str:
     """Digest of the code that a trace may run, and of the machine."""
@@ -247,14 +240,14 @@ _SUFFIX = ".program"
 _KEY = re.compile("[0-9a-f]{64}")
 
 
-class Stored(NamedTuple):
-    """A compiled function of flat arrays, and what its caller keeps with it."""
+class Program(NamedTuple):
+    """A compiled function of flat arrays, and what to put its results into: pickled, in a file."""
 
     compiled: jax.stages.Compiled
-    template: bytes
+    template: Any
 
 
-_ahead: dict[str, Future[Stored | None]] = {}
+_ahead: dict[str, Future[Program | None]] = {}
 _called: dict[str, None] = {}
 
 
@@ -281,7 +274,7 @@ def load_ahead(*kind: str) -> None:
         loader.shutdown(wait=False)
 
 
-def _loaded(folder: Path, key: str) -> Stored | None:
+def _loaded(folder: Path, key: str) -> Program | None:
     written = Store(folder, _SUFFIX, CACHE_BYTES).get(key)
     if written is None:
         return None
@@ -297,7 +290,7 @@ def _loaded(folder: Path, key: str) -> Stored | None:
         )
     except Exception:  # what cannot be loaded is made anew
         return None
-    return Stored(compiled, template)
+    return Program(compiled, template)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -307,17 +300,10 @@ class _Place:
     result: int
 
 
-class _Program(NamedTuple):
-    """A compiled function of flat arrays, and what to put its results into."""
-
-    compiled: jax.stages.Compiled
-    template: Any
-
-
 MOST_HELD = 500
 """Programs that a process holds. Each takes some 15 memory maps, of which Linux allows 65530, and
 recordings of ever other lengths have ever other programs."""
-_programs: dict[str, _Program] = {}
+_programs: dict[str, Program] = {}
 
 
 def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
@@ -348,12 +334,12 @@ def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
     return call
 
 
-def _program(function: Callable, arguments: Any, folder: Path) -> _Program | None:
+def _program(function: Callable, arguments: Any, folder: Path) -> Program | None:
     """The program of a call, of this process, an earlier one, or new; `None` if none is kept."""
     if jax.config.values["jax_disable_jit"] or jax.device_count() > 1 or not is_concrete(arguments):
         return None
     try:
-        key = key_of(function, arguments)
+        key = ProgramKey(function, arguments)
     except NoKey:
         return None
     program = _programs.pop(key.digest, None)
@@ -365,7 +351,7 @@ def _program(function: Callable, arguments: Any, folder: Path) -> _Program | Non
     return program
 
 
-def _read(folder: Path, key: ProgramKey) -> _Program | None:
+def _read(folder: Path, key: ProgramKey) -> Program | None:
     """The program of a key; `None` if there is none, or none that can be loaded."""
     _called[key.digest] = None
     ahead = _ahead.pop(key.digest, None)
@@ -376,10 +362,10 @@ def _read(folder: Path, key: ProgramKey) -> _Program | None:
         template = _Unpickler(io.BytesIO(stored.template), key).load()
     except Exception:  # as of a version that wrote other files
         return None
-    return _Program(stored.compiled, template)
+    return Program(stored.compiled, template)
 
 
-def _made(function: Callable, arguments: Any, folder: Path, key: ProgramKey) -> _Program:
+def _made(function: Callable, arguments: Any, folder: Path, key: ProgramKey) -> Program:
     arrays, others = eqx.partition(arguments, eqx.is_array)
     leaves, structure = jax.tree.flatten(arrays)
     templates = []
@@ -400,7 +386,7 @@ def _made(function: Callable, arguments: Any, folder: Path, key: ProgramKey) -> 
     before = jax.config.values[setting]
     jax.config.update(setting, float("inf"))
     try:
-        program = _Program(traced.lower().compile(), templates[0])
+        program = Program(traced.lower().compile(), templates[0])
     finally:
         jax.config.update(setting, before)
     template = io.BytesIO()

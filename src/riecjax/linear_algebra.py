@@ -13,27 +13,28 @@ Matrices here have as many rows as a model has parameters, and there may be thou
 # `gram_condition_limit` says where.
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, namespace
 
 
-def unit_scale(diagonal: Float[Array, " p"]) -> Float[Array, " p"]:
+def unit_scale(diagonal: Float[Array, "*batch p"]) -> Float[Array, "*batch p"]:
     """Factors that bring a matrix with this diagonal to a diagonal of ones, on either side.
 
     Parameters may differ by ten powers of ten. 1 where the diagonal is zero.
     """
-    size = jnp.abs(diagonal)
-    return jnp.where(size > 0, 1 / jnp.sqrt(jnp.where(size > 0, size, 1.0)), 1.0)
+    xp, size = namespace(diagonal), abs(diagonal)
+    return xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 1.0)
 
 
 def unit_diagonal(matrix: Float[Array, "p p"]) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
     """The matrix scaled to a diagonal of ones, and the factors, see [`unit_scale`][]."""
-    scale = unit_scale(jnp.diagonal(matrix))
+    scale = unit_scale(matrix.diagonal())
     return matrix * scale[:, None] * scale[None, :], scale
 
 
@@ -86,27 +87,22 @@ def solve_few(matrix: Float[Array, "p p"], right: Float[Array, " p"]) -> Float[A
     where the matrix is ill-conditioned; the coupling of a few masses is not.
     """
     count = right.shape[0]
-    if count == 1:
-        return right / matrix[0]
-    if count == 2:
-        (a, b), (c, d) = matrix[0], matrix[1]
-        e, f = right[0], right[1]
-        return jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
-    if count == 3:
-        a, b, c = ([matrix[i, j] for i in range(3)] for j in range(3))
-        r = [right[i] for i in range(3)]
-        shares = [_determinant(r, b, c), _determinant(a, r, c), _determinant(a, b, r)]
-        return jnp.stack(shares) / _determinant(a, b, c)
-    return jnp.linalg.solve(matrix, right)
+    if count > 3:
+        return jnp.linalg.solve(matrix, right)
+    columns = [[matrix[i, j] for i in range(count)] for j in range(count)]
+    known = [right[i] for i in range(count)]
+    replaced = ([*columns[:j], known, *columns[j + 1 :]] for j in range(count))
+    return jnp.stack([_determinant(c) for c in replaced]) / _determinant(columns)
 
 
-def _determinant(a: list[Array], b: list[Array], c: list[Array]) -> Array:
-    """Of the matrix with these columns."""
-    return (
-        a[0] * (b[1] * c[2] - b[2] * c[1])
-        + a[1] * (b[2] * c[0] - b[0] * c[2])
-        + a[2] * (b[0] * c[1] - b[1] * c[0])
-    )
+def _determinant(columns: list[list[Array]]) -> Array:
+    """Of the small matrix with these columns, by the minors of its first one."""
+    first, *others = columns
+    if not others:
+        return first[0]
+    minors = ([[*c[:i], *c[i + 1 :]] for c in others] for i in range(len(first)))
+    terms = [entry * _determinant(minor) for entry, minor in zip(first, minors)]
+    return sum(terms[2::2], start=terms[0]) - sum(terms[3::2], start=terms[1])
 
 
 def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
@@ -164,13 +160,14 @@ def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:
 def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*batch n n"]:
     """Upper triangle R with R^T R = moments, to rounding; zero for a column that is."""
     n, diagonal = moments.shape[-1], jnp.diagonal(moments, axis1=-2, axis2=-1)
-    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
+    size = jnp.maximum(diagonal, 0.0)
+    scale = unit_scale(size)
     # Columns that explain one another would leave a pivot of rounding, of either sign.
     rounding = 8 * n * jnp.finfo(moments.dtype).eps
     identity = jnp.eye(n, dtype=moments.dtype).reshape((1,) * (moments.ndim - 2) + (n, n))
     scaled = moments * scale[..., :, None] * scale[..., None, :] + rounding * identity
     factor = jnp.swapaxes(jnp.linalg.cholesky(scaled), -1, -2)
-    return jnp.where(diagonal > 0, jnp.sqrt(jnp.maximum(diagonal, 0.0)), 0.0)[..., None, :] * factor
+    return jnp.sqrt(size)[..., None, :] * factor
 
 
 def gram_condition_limit(dtype: jnp.dtype) -> float:
@@ -183,9 +180,7 @@ def gram_condition_limit(dtype: jnp.dtype) -> float:
     return float((1e-5 / eps) ** 0.5) if eps < 1e-10 else float((1e-2 / eps) ** 0.5)
 
 
-def gram_suffices(gram: Float[np.ndarray, "p p"]) -> bool:
+def gram_suffices(gram: Float[Any, "p p"]) -> bool:
     """Whether a Gram matrix is conditioned well enough to be solved (not under jit)."""
-    size = np.diagonal(gram)
-    scale = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
-    squares = np.linalg.eigvalsh(gram * np.outer(scale, scale))
+    squares = np.linalg.eigvalsh(unit_diagonal(gram)[0])
     return bool(squares[0] * gram_condition_limit(gram.dtype) ** 2 > squares[-1])

@@ -12,7 +12,7 @@ from typing import Any
 from riecjax.extensions import require_packages
 
 
-def _ask(module: str, verb: str, *of: Any, **settings: Any) -> Any:
+def reported(module: str, verb: str, *of: Any, **settings: Any) -> Any:
     """What a function of `riecjax.reporting` says of an object."""
     return getattr(importlib.import_module(f"riecjax.reporting.{module}"), verb)(*of, **settings)
 
@@ -21,13 +21,13 @@ class Shown:
     """Prints as numbers with units, and in a notebook as tables."""
 
     def __repr__(self) -> str:
-        return _ask("views", "in_words", self, brief=True)
+        return reported("views", "in_words", self, brief=True)
 
     def __str__(self) -> str:
-        return _ask("views", "in_words", self)
+        return reported("views", "in_words", self)
 
     def _repr_html_(self) -> str:
-        return _ask("views", "as_html", self)
+        return reported("views", "as_html", self)
 
 
 class Drawn(Shown):
@@ -44,7 +44,7 @@ class Drawn(Shown):
         **Raises:** `DataError` if matplotlib is not installed, or for another number of axes.
         """
         require_packages("figure")
-        return _ask("plots", "draw", self, ax)
+        return reported("plots", "draw", self, ax)
 
 
 class Tabled(Drawn):
@@ -82,7 +82,7 @@ class Tabled(Drawn):
         Plain numbers, of a batch nested lists; `None` for what is not finite, and for the error and
         interval of what is known.
         """
-        return _ask("exports", "to_dict", self)
+        return reported("exports", "to_dict", self)
 
     def to_frame(self) -> Any:
         """A pandas data frame with a row for each parameter, of a batch for each member's.
@@ -91,15 +91,15 @@ class Tabled(Drawn):
 
         **Raises:** `DataError` if pandas is not installed.
         """
-        return _ask("exports", "to_frame", self)
+        return reported("exports", "to_frame", self)
 
     def to_markdown(self) -> str:
         """A table in Markdown: value, standard error, unit, rounded by the standard error."""
-        return _ask("exports", "to_markdown", self)
+        return reported("exports", "to_markdown", self)
 
     def to_latex(self) -> str:
         """The same as a `tabular` of LaTeX, which needs no package."""
-        return _ask("exports", "to_latex", self)
+        return reported("exports", "to_latex", self)
 
 
 class Saved(Tabled):
@@ -112,7 +112,7 @@ class Saved(Tabled):
 
         **Raises:** `DataError` if xarray is not installed.
         """
-        return _ask("exports", "to_xarray", self)
+        return reported("exports", "to_xarray", self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to a file of exactly this name, whole or not at all; see [`load`][].
@@ -122,14 +122,4 @@ class Saved(Tabled):
         **Raises:** `DataError` if the file cannot be written; `ModelError` for a batch, for what
         is being traced, or a criterion with a law that is a function.
         """
-        _ask("result_files", "save", self, path)
-
-
-def framed(record: Any) -> Any:
-    """A record as a data frame."""
-    return _ask("exports", "to_frame", record)
-
-
-def opened(assessment: Any) -> Any:
-    """The path of the report of an assessment, which the browser opens."""
-    return _ask("plots", "open_report", assessment)
+        reported("result_files", "save", self, path)

@@ -76,9 +76,8 @@ def sweep(folder: Path) -> None:
 
 def require_plain(file: Path) -> None:
     """Raise `OSError` where a file could not take this place: a folder or a device stands there."""
-    with contextlib.suppress(FileNotFoundError):
-        if not stat.S_ISREG(file.stat().st_mode):
-            raise OSError(0, "it is no plain file")
+    if file.exists() and not file.is_file():
+        raise OSError(0, "it is no plain file")
 
 
 def no_file(path: str | os.PathLike[str]) -> str:

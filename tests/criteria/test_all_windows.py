@@ -3,7 +3,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from riecjax.criteria.all_windows import StartRange, boxcar_moments, hat_moments
+from riecjax.criteria.all_windows import Runs, window_moments
 from riecjax.criteria.laws import LagBins
 
 
@@ -52,8 +52,7 @@ def test_all_windows_are_the_sum_over_every_single_one(
     bins = LagBins(jnp.asarray(last - held + 1), jnp.asarray(last), jnp.asarray(weight))
     every = np.repeat(weight, held)
     expected, count = brute_force(phi, present, first, stop, shortest, every, hat)
-    starts = StartRange(jnp.asarray(first), jnp.asarray(stop))
-    moments = hat_moments if hat else boxcar_moments
-    found, number = moments(jnp.asarray(phi), jnp.asarray(present), starts, bins)
+    runs = Runs.of(jnp.asarray(present), jnp.asarray(first), jnp.asarray(stop - first))
+    found, number = window_moments(jnp.asarray(phi), runs, bins, 2 if hat else 1)
     np.testing.assert_allclose(number, count, rtol=1e-12)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * max(np.abs(expected).max(), 1))

@@ -7,8 +7,7 @@ import pytest
 from tests.machines import MACHINES, Shape
 
 import riecjax as rx
-from riecjax.criteria import chunks
-from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.summaries.one_pass import stage_normal_equations
 
 EQUATION = rx.Equation(rx.Term("m", "dx", derivative=1), rx.Term("k", "x"), -rx.Term(1.0, "u"))
 STEP = 0.01
@@ -31,8 +30,8 @@ def test_chunks_add_up_to_the_whole(weight, gaps, monkeypatch):
     windows = rx.AllWindows(0.1, 0.9).fitted([record])
     criterion = rx.RIEC(windows, weight)
     (whole,) = stage_normal_equations(rx.staged(EQUATION), record, criterion, None)
-    monkeypatch.setattr(chunks, "WHOLE", 700)
-    monkeypatch.setattr(chunks, "CHUNK", 700)
+    monkeypatch.setattr("riecjax.criteria.windows.WHOLE", 700)
+    monkeypatch.setattr("riecjax.criteria.windows.CHUNK", 700)
     jax.clear_caches()
     assert windows.in_chunks(record)
     (pieces,) = stage_normal_equations(rx.staged(EQUATION), record, criterion, None)

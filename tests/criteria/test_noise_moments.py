@@ -9,7 +9,7 @@ from nightly import nightly
 from riecjax.criteria import noise_moments
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.model import as_model
-from riecjax.summaries.stage_sums import stage_normal_equations
+from riecjax.summaries.one_pass import stage_normal_equations
 
 STEP, N, PAIRS = 0.01, 300, 150
 STD = {"x": 0.15, "y": 0.1, "v": 0.2, "u": 0.1}

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from riecjax import Boxcar, Bump, Hat
-from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins
-from riecjax.criteria.windows import WindowSet
+from riecjax.criteria.windows import StartBlocks, WindowSet
 from riecjax.equations.noisy_columns import Columns
 
 N, STEP = 40, 0.1
@@ -43,7 +42,7 @@ def brute_force(test_function, law, present, blocks):
             # Lengths of their own, which a set of drawn windows would round.
             return of_bump(test_function, values, found)
         columns = Columns(values, None, jnp.asarray(STEP), ())
-        return test_function.integrals(columns, drawn, blocks.unpadded).columns[0]
+        return test_function.integrals(columns, drawn, blocks.unpadded)[0][0]
 
     every = jax.vmap(lambda k: jax.vmap(lambda u: of_pulse(k, u))(jnp.arange(N)))
     rows = np.asarray(every(jnp.arange(orders)))  # orders, samples, windows

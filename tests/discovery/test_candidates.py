@@ -19,10 +19,8 @@ def record(*names: str) -> rx.Record:
     )
 
 
-def candidates(model: rx.Equation | rx.Model, *names: str, **units: str):
-    model = rx.equations.as_model(model)
-    called = [name for stage in model.equation_names for name in stage]
-    return default_candidates(model.equations, called, [record(*names)], units)
+def candidates(model: rx.Equation | rx.Model, *names: str):
+    return default_candidates(rx.equations.as_model(model), [record(*names)])
 
 
 def units_of(found) -> dict[str, str]:
@@ -56,8 +54,7 @@ def test_a_mass_may_lack_friction_springs_and_an_offset_in_the_units_of_its_iner
 
 def test_of_several_motions_candidates_carry_the_signals_name_and_of_several_equations_theirs():
     model = rx.find_model("quarter-car")
-    units = {q.name: q.unit for q in model.signals}
-    found = candidates(model, "x1", "x2", "x3", "x4", "F_t", **units)
+    found = candidates(model, "x1", "x2", "x3", "x4", "F_t")
     names = [one.name for one in found]
     assert len(set(names)) == len(names)
     assert {"viscous_x3", "stiffness_x2", "offset_tyre"} <= {*names}

@@ -5,14 +5,16 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from riecjax.discovery.search import RATE, Folds, Offer, Search, again
+import riecjax as rx
+from riecjax.discovery.candidate import Candidate, Shaped
+from riecjax.discovery.search import RATE, Folds, Search, again
 from riecjax.summaries.normal_equations import NormalEquations
 
 LETTERS = "abcdefgh"
 
 
-def offers(*names: str) -> list[Offer]:
-    return [Offer(name, (name,), name) for name in names]
+def offers(*names: str) -> list[Candidate]:
+    return [Candidate(name, (rx.Term(name, name),)) for name in names]
 
 
 def columns(seed: int, count: int = 8, rows: int = 1000) -> np.ndarray:
@@ -25,7 +27,7 @@ def search(target: np.ndarray, given: np.ndarray, kept: str = "a", **settings) -
     return Search(folds, tuple(kept), offers(*rest), **settings)
 
 
-def names(found: list[Offer]) -> set[str]:
+def names(found: list[Candidate]) -> set[str]:
     return {offer.name for offer in found}
 
 
@@ -73,7 +75,8 @@ def test_of_a_law_with_several_widths_one_is_taken():
     for place in (2, 3, 4):
         given[:, place] = given[:, 1] + 0.3 * (place - 1) * given[:, place]
     folds = folds_of(np.column_stack([given[:, 0] + given[:, 1], given]), 20)
-    widths = [Offer(f"{n}@", (n,), "law", i) for i, n in enumerate("cde")]
+    law = Shaped("law", lambda name, _: rx.Term(name, "x"), np.arange(3.0), "x")
+    widths = [Candidate(f"{n}@", (rx.Term(n, n),), law=law) for n in "cde"]
     found = Search(folds, ("a",), widths).found()
     assert [one.name for one in found] == ["c@"]
 
@@ -97,11 +100,11 @@ def test_data_drawn_again_choose_what_is_sure_each_time_and_what_is_not_less_oft
     noise = np.random.default_rng(15).standard_normal(len(given))
     weak = search(given @ [1, 0, 0.14, 0, -2, 0, 0, 0] + noise, given)
     chosen = [one for one in weak.offers if one.name in "ce"]
-    found = again(weak, chosen, seed=0)
-    assert found.shares["e"] == 1.0
-    assert 0.2 < found.shares["c"] < 1.0
+    shares, errors = again(weak, chosen, seed=0)
+    assert shares["e"] == 1.0
+    assert 0.2 < shares["c"] < 1.0
     # One coefficient of a thousand rows of unit size.
-    assert found.errors["e"] == pytest.approx(1 / np.sqrt(1000), rel=0.35)
+    assert errors["e"] == pytest.approx(1 / np.sqrt(1000), rel=0.35)
 
 
 def folds_of(rows: np.ndarray, count: int, noise: np.ndarray | None = None) -> Folds:

@@ -16,7 +16,7 @@ import riecjax as rx
 from nightly import nightly
 from riecjax.estimation import mode_evidence
 from riecjax.estimation.check import raise_if_not_carried
-from riecjax.estimation.mode_windows import find_modes
+from riecjax.estimation.hidden_modes import find_modes
 
 FREQUENCY = np.sqrt(TRUTH["K_mode"] / TRUTH["M_mode"]) / (2 * np.pi)
 SPRUNG = MODEL.with_series_springs(rx.SeriesSpring("c"))

@@ -9,7 +9,7 @@ from tests.machines import MACHINES, Shape
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.estimation.noise_level import borne_out
+from riecjax.estimation.stages import borne_out
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.summaries.normal_equations import NormalEquations
 

@@ -10,7 +10,7 @@ from riecjax.criteria.criterion import DOLS
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
-from riecjax.models.catalogue import MODELS, built_in_model
+from riecjax.models.catalogue import LISTED, built_in_model
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 from riecjax.simulation.inputs import band_limited_noise
@@ -18,6 +18,7 @@ from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.uncertainty.intervals import Naive
 
+MODELS = {name: built_in_model(name) for name in LISTED}
 IDENTIFIED = [name for name, model in MODELS.items() if model.stages]
 SIMULATED = [*MODELS]
 ROUND_TRIPS = [

@@ -10,9 +10,9 @@ import riecjax as rx
 from nightly import nightly
 from riecjax.errors import DataError, ModelError
 from riecjax.records import judged, stack_records
-from riecjax.records.noise import Noise, noise_level
 from riecjax.records.noise_judgement import blackman_harris
 from riecjax.records.record import Record
+from riecjax.records.signal import Noise, noise_level
 
 STEP = 0.01
 TIME = np.arange(2001) * STEP

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.records.noise import Noise
 from riecjax.records.record import Record, stack_records
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Noise, Signal
 
 
 def ramp(count=5):
@@ -15,7 +14,7 @@ def ramp(count=5):
 
 def test_samples_time_and_units_are_kept():
     time = 2.0 + 0.25 * ramp()
-    record = Record.from_samples({"x": ramp() ** 2}, time=time, units={"x": "m", "other": "N"})
+    record = Record.from_samples({"x": ramp() ** 2}, time=time, units={"x": "m"})
     np.testing.assert_array_equal(record["x"], ramp() ** 2)
     np.testing.assert_allclose(record.time, time, rtol=1e-15)
     assert float(record.time_step) == 0.25
@@ -51,6 +50,7 @@ def signals_with(value, at):
         (dict(signals={"x": ramp(4)}, time=ramp(5)), ["same length", "x 4"]),
         (dict(signals={"x": ramp(4), "y": ramp(5)}, time_step=1.0), ["x 4", "y 5"]),
         (dict(signals={"x": [1.0]}, time_step=1.0), ["at least two samples"]),
+        (dict(signals={"x": ramp()}, time_step=1.0, units={"y": "m"}), ["unit", "'y'", "are: x"]),
         (dict(signals={}, time=ramp()), ["at least one signal"]),
         (dict(signals={"x": ramp()}), ["either the time of each sample or the time step"]),
         (dict(signals={"x": ramp()}, time=ramp(), time_step=1.0), ["not both"]),

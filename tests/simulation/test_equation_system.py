@@ -6,11 +6,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.model import simultaneous, staged
+from riecjax.equations.model import equation_system, simultaneous, staged
 from riecjax.equations.term import Term
 from riecjax.errors import ModelError
 from riecjax.records.record import Record
-from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 

@@ -10,11 +10,11 @@ from tests.machines import LAG_MODEL as MODEL
 from tests.machines import LAG_TRUTH as TRUTH
 
 import riecjax as rx
+from riecjax.equations.equation_system import EquationSystem
 from riecjax.equations.expressions import difference
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.refinement.objective import ByCoefficients, as_parametric_system
-from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.linearisation import linearise
 
 VALUES = {"m": 2.0, "c": 0.7, "k": 90.0, "M_mode": 0.5, "K_mode": 60.0, "B_mode": 0.8}

@@ -8,7 +8,7 @@ from tests.machines import MACHINES, Shape
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.criteria.chunks import StartBlocks
+from riecjax.criteria.windows import StartBlocks
 from riecjax.summaries.summary import load
 from riecjax.summaries.task import ready
 
@@ -64,13 +64,13 @@ def test_a_record_in_chunks_adds_up_to_the_same_in_one_piece(count, test_functio
     def products(columns):
         return test_function.moments(columns, lags, blocks, 128)[0]
 
-    whole = jax.jit(lambda: criterion.noise_of(noisy, lags, blocks, products))()
+    total, of_source = jax.jit(lambda: criterion.noise_of(noisy, lags, blocks, products))()
     found = rx.summarise(EQUATION, one, criterion).recordings[0].stages[0][0]
-    size = np.sqrt(np.outer(np.diag(whole.total[0]), np.diag(whole.total[0])))
+    size = np.sqrt(np.outer(np.diag(total[0]), np.diag(total[0])))
     assert (size > 0).all()
     for ours, theirs in (
-        (noise_in(found).sum((0, 1)), whole.total.sum(0)),
-        (noise_in(found, "noise_of_source").sum((0, 1)), whole.of_source.sum(0)),
+        (noise_in(found).sum((0, 1)), total.sum(0)),
+        (noise_in(found, "noise_of_source").sum((0, 1)), of_source.sum(0)),
     ):
         np.testing.assert_allclose(ours / size, theirs / size, rtol=0, atol=error)
 

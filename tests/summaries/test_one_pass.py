@@ -8,7 +8,7 @@ import pytest
 import riecjax as rx
 from nightly import by_day, nightly
 from riecjax.summaries import one_pass
-from riecjax.summaries.stage_sums import traced_sums
+from riecjax.summaries.one_pass import traced_sums
 from riecjax.summaries.task import ready, task
 
 STEP = 0.005
@@ -101,7 +101,7 @@ def test_sixteen_lengths_beside_one_another_compile_one_function_and_one_solver(
     )
     records = [record_of(count) for count in range(5000, 5016)]
     names = functions_compiled(lambda: [rx.identify(equation, record, ALL) for record in records])
-    assert sum("of_all_windows" in name for name in names) == 1
+    assert sum("part_sums" in name for name in names) == 1
     assert sum("_solve" in name for name in names) == 1
 
 

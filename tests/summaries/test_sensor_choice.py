@@ -6,8 +6,8 @@ import pytest
 from tests.machines import DRAG_TRUTH, drag_record
 
 import riecjax as rx
+from riecjax.criteria.suited import with_less_noise
 from riecjax.equations.model import as_model
-from riecjax.summaries.sensor_choice import with_less_noise
 
 STEP = 0.01
 TIME = STEP * np.arange(3000)

@@ -7,28 +7,25 @@ import pytest
 import scipy.stats
 
 from riecjax.criteria.criterion import Rows
-from riecjax.estimation.stages import solve
 from riecjax.summaries.normal_equations import (
     MOST_BLOCKS,
     NormalEquations,
     ShortBlocks,
     blocks_in_use,
 )
-from riecjax.uncertainty.block_statistics import (
+from riecjax.uncertainty.covariances import (
     BlockStatistics,
     block_influence,
-    politis_white,
-    staged_values,
-    unknowns_of,
-)
-from riecjax.uncertainty.covariances import (
     drawn_counts,
     effective_freedom,
     jackknife_covariance,
     naive_covariance,
+    politis_white,
     sandwich_covariance,
+    staged_values,
     studentized_replicates,
     uniform_draws,
+    unknowns_of,
 )
 from riecjax.uncertainty.intervals import BlockBootstrap
 
@@ -63,7 +60,7 @@ def statistics_of(fine, blocks=BLOCKS, short=SETTING) -> BlockStatistics:
     flat = [stage.flattened() for stage in fine]
     unknowns = unknowns_of(flat, {})
     totals = [stage.total() for stage in flat]
-    values = staged_values(totals, unknowns, {}, lambda e: solve(e).theta)
+    values = staged_values(totals, unknowns, {})
     used = jnp.array([blocks])
     merged = [stage.merged(short, used) for stage in fine]
     return BlockStatistics(

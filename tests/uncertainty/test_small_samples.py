@@ -9,8 +9,13 @@ import riecjax as rx
 from nightly import nightly
 from riecjax.criteria.criterion import Rows
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
-from riecjax.uncertainty.block_statistics import BlockStatistics, unknowns_of
-from riecjax.uncertainty.covariances import OVERLAP, few_blocks_sandwich, record_inflation
+from riecjax.uncertainty.covariances import (
+    OVERLAP,
+    BlockStatistics,
+    few_blocks_sandwich,
+    record_inflation,
+    unknowns_of,
+)
 
 STEP = 0.05
 SAMPLES = 512

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from riecjax.equations.model import equation_system
 from riecjax.errors import DataError, ModelError
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.oscillators import (
@@ -12,7 +13,6 @@ from riecjax.models.oscillators import (
 )
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
-from riecjax.simulation.equation_system import equation_system
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem

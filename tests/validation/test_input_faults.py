@@ -66,7 +66,7 @@ def test_gaps_of_a_force_that_drifts_stay_gaps():
     u = np.array(record["u"])
     for start in range(300, COUNT, 600):
         u[start : start + 150] = np.nan
-    (finding,) = found(record.with_samples({"u": u}))
+    (finding,) = found(record.with_signals({"u": rx.Signal.of(u)}))
     line = derived(finding.remedy[1].partition("=")[2], {"u": u, "t": np.asarray(record.time)}) - u
     drift = np.asarray(record["u"] - even["u"])
     assert np.nanmax(np.abs(line + drift)) < 0.03 * np.ptp(drift)

@@ -168,5 +168,5 @@ def test_a_record_too_short_is_passed_over():
 
 @pytest.mark.parametrize("blocks", [0, 1, 15])
 def test_too_few_whole_blocks_for_parts_tell_no_course(blocks):
-    search = SimpleNamespace(groups=[np.arange(blocks)])
+    search = SimpleNamespace(blocks=np.arange(blocks))
     assert course_of(search, 0, 250.0) is None  # pyright: ignore[reportArgumentType]

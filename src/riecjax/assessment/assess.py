@@ -109,7 +109,7 @@ def _answer(asked: Asked) -> "Assessment":
     # Read once: all that follows is made from these sums.
     sweep = settings.sweep and not model.has_hidden
     bins = None
-    if sweep and criterion.in_closed_form:
+    if sweep and criterion.all_windows is not None:
         with contextlib.suppress(DataError):  # too short a record, which the check says
             bins = sweep_edges(records, criterion)
     with explaining_errors(asked.fitted):

@@ -14,7 +14,7 @@ from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
-from riecjax.shows import Drawn, opened
+from riecjax.shows import Drawn, reported
 from riecjax.validation.choice import WindowChoice
 from riecjax.validation.residuals import EquationResidual, ResidualTests
 from riecjax.validation.sweep import WindowSweep
@@ -189,4 +189,4 @@ class Assessment(Drawn):
 
         **Raises:** `DataError` if a package for reports is not installed.
         """
-        return opened(self)
+        return reported("plots", "open_report", self)

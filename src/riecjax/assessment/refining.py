@@ -19,19 +19,24 @@ from riecjax.assessment.asked import Asked, size_of
 from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
 from riecjax.assessment.trust import horizons, system_of, validated
 from riecjax.compilation import kept_jit
+from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
-from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, Constraints, is_pair
-from riecjax.refinement.output_error import OutputError, OutputMisfit, Tiles, WholeRecord
+from riecjax.refinement.output_error import (
+    OutputError,
+    OutputMisfit,
+    Tiles,
+    WholeRecord,
+    noise_levels,
+)
 from riecjax.refinement.refine import Refined, refined_of
-from riecjax.simulation.equation_system import EquationSystem
 from riecjax.simulation.intersample import Course
 from riecjax.simulation.linearisation import spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
@@ -253,9 +258,8 @@ def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) 
     records = asked.records
     channels, levels = _channels(system, records), {}
     for name in channels or ():
-        noise = [np.asarray(judged(record, "auto", name).noise.std(name)) for record in records]
         least = LEAST_NOISE * np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
-        levels[name] = max(np.sqrt(np.mean(np.square(noise))), least)
+        levels[name] = max(noise_levels(records, (name,))[0], least)
     # What each channel is weighed by, in its unit, where something tells it.
     sigma: Any = levels if levels and all(level > 0 for level in levels.values()) else None
     return OutputError(shooting, channels=channels, sigma=sigma)
@@ -291,7 +295,7 @@ def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] 
         return None
     # Derivatives that equations are solved for.
     motions = system.structure.motions if isinstance(system, EquationSystem) else ()
-    leading = {motion.names[-1] for motion in motions}
+    leading = {motion[-1] for motion in motions}
     outputs = [name for name, _ in system.outputs if held(name) and name not in leading]
     if not outputs:
         return states

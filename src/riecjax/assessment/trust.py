@@ -168,7 +168,7 @@ def _mended(record: Record, pairs: Sequence[Relation], code: str) -> Record:
         if not {*relation.names} <= {*record.arrays} or (pair := compare(record, relation)) is None:
             continue
         if code in IN_TIME:
-            late = (pair.fit.delay + pair.fit.lag) * pair.step
+            late = pair.fit.delay * pair.step
             which = relation.side(pair.suspect)[0 if late > 0 else 1]
             record = shift(record, dict.fromkeys(which, abs(late))) if pair.is_late else record
         elif code in IN_SIZE:

@@ -147,7 +147,7 @@ def _steps(assessment: "Assessment", evidence: Sequence[Finding]) -> Iterator[St
         names = [f.parameters[0] for f in evidence if f.code == "records_disagree"]
         options = [word for name in names for word in ("--per-record", name)]
         yield Step(f"Let {joined(names)} differ between recordings", tuple(options))
-    if "coarse_sampling" in by and assessment.estimate.criterion.in_closed_form:
+    if "coarse_sampling" in by and assessment.estimate.criterion.all_windows is not None:
         yield Step("Integrate by a higher order", ("--quadrature", "6"))
     weak = [by[c] for c in ("nearly_collinear", "unidentifiable", "ill_conditioned") if c in by]
     hidden = {row.name for row in assessment.answer.table.rows if row.element is not None}

@@ -36,7 +36,8 @@ def command(given: Given) -> None:
                 "parameters": [_entry(q) for q in model.parameters],
                 "signals": [_entry(q) for q in model.signals],
                 "simulation_parameters": [
-                    _entry(q) | {"default": q.default} for q in model.simulation_parameters
+                    _entry(q) | {"default": q.default}
+                    for q in model.system.parameters or model.parameters
                 ],
                 "inputs": [_entry(q) for q in model.inputs],
             }

@@ -50,40 +50,69 @@ straight line through it, for the hat). Then N is a block's size instead, 256 in
 same example, (R / r)^2 = 2, and the error 1e-7. Running sums begin anew with each block too.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.criteria.chunks import StartBlocks
 from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins
 from riecjax.criteria.quadrature import Primitives, running_sum, sum_between
+from riecjax.criteria.windows import StartBlocks
 from riecjax.leaves import Leaf
 from riecjax.records.signal import both
 
 
-class StartRange(NamedTuple):
-    """Range of samples at which windows may start."""
-
-    first: Int[Array, ""]
-    stop: Int[Array, ""]
-
-
 class Runs(NamedTuple):
-    """For each sample, the first and last sample of the run of valid samples it lies in."""
+    """Runs of valid samples, and the starts of windows in them.
+
+    **Fields:** `first`, for each sample where the first window starts that may hold it; `last`
+    sample of the run it lies in; `stop`, where the last window of all starts.
+    """
 
     first: Int[Array, " n"]
     last: Int[Array, " n"]
+    stop: Int[Array, ""] | int
 
     @classmethod
-    def of(cls, valid: Bool[Array, " n"]) -> "Runs":
-        """Of a mask."""
+    def of(
+        cls, valid: Bool[Array, " n"], first: Int[Array, ""] | int, count: Int[Array, ""] | int
+    ) -> "Runs":
+        """Of a mask, and so many starts from the `first` on."""
         at = jnp.arange(valid.shape[0])
         gap_before = jax.lax.cummax(jnp.where(valid, -1, at))
         gap_after = jax.lax.cummin(jnp.where(valid, at.size, at), reverse=True)
-        return cls(gap_before + 1, gap_after - 1)
+        return cls(jnp.maximum(gap_before + 1, first), gap_after - 1, first + count - 1)
+
+
+class Points(NamedTuple):
+    """Weight of windows that start, have their middle (times k as well) or end at each sample."""
+
+    start: Float[Array, " n"]
+    middle: Float[Array, " n"]
+    middle_by_half: Float[Array, " n"]
+    end: Float[Array, " n"]
+
+    @classmethod
+    def of_bin(cls, bin_: LagBins, runs: Runs, pieces: int) -> "Points":
+        """How many windows of a bin's lengths, `pieces` lags each, have their ends at each sample;
+        without weights."""
+        at, shortest, longest = jnp.arange(runs.last.shape[0]), bin_.first, bin_.last
+        first, last, stop = runs
+
+        def counted(low: Leaf, high: Array) -> tuple[Array, Array]:
+            number = jnp.maximum(high - low + 1, 0)
+            return number, number * (low + high) / 2
+
+        begins = (at >= first) & (at <= stop) & (at <= last)
+        start, _ = counted(shortest, jnp.minimum(longest, (last - at) // pieces))
+        least = jnp.maximum(shortest, -(-(at - stop) // pieces))
+        end, _ = counted(least, jnp.minimum(longest, (at - first) // pieces))
+        middle = by_half = jnp.zeros_like(end)
+        if pieces == 2:
+            room = jnp.minimum(at - first, last - at)
+            middle, by_half = counted(jnp.maximum(shortest, at - stop), jnp.minimum(longest, room))
+        return cls(jnp.where(begins, start, 0), middle, by_half, jnp.where(at <= last, end, 0))
 
 
 class _Sums(NamedTuple):
@@ -126,7 +155,6 @@ def moments_in_blocks(
     valid: Any = both(present, jnp.arange(n) < blocks.unpadded)
     # Of a block of traced size no more is known than that it is shorter than the longest window.
     width = min((size if isinstance(size, int) else reach) + reach, n)
-    window_moments = boxcar_moments if primitives.difference == 1 else hat_moments
 
     def of_block(index: Int[Array, ""]) -> tuple[Array, Array]:
         # The last slices would reach beyond the record: they begin earlier instead.
@@ -143,8 +171,8 @@ def moments_in_blocks(
             slope = (phi @ place) / jnp.maximum(jnp.sum(place**2), 1.0)
             phi = phi - slope[:, None] * place[None, :]
         there = jax.lax.dynamic_slice_in_dim(valid, begin, width)
-        starts = StartRange(first - begin, first - begin + size)
-        return each_bin(lambda own: window_moments(phi, there, starts, own), lags)
+        runs = Runs.of(there, first - begin, size)
+        return each_bin(lambda law: window_moments(phi, runs, law, order), lags)
 
     moments, number = jax.lax.map(of_block, jnp.arange(blocks.number))
     if lags.first.ndim == 1:
@@ -204,10 +232,7 @@ def _side_by_side(
     """
     values, mean, block, count = primitives.values, primitives.mean, blocks.size, blocks.number
     assert isinstance(block, int)
-    columns, whole = values.shape[0], (count + 1) * block
-    padded = jnp.pad(values, ((0, 0), (0, whole)))
-    parts = jax.lax.dynamic_slice_in_dim(padded, blocks.first, whole, axis=1)
-    parts = parts.reshape(columns, count + 1, block)
+    parts = blocks.cut(values, count + 1)
     valid = jnp.clip(blocks.unpadded - blocks.first - block * jnp.arange(count + 1), 0, block)
     inside = (jnp.arange(block)[None, :] < valid[:, None])[None]
     place = jnp.arange(block) - (block - 1) / 2
@@ -231,80 +256,37 @@ def _products(
     return jnp.einsum("ibs,jbs->bij", one, other, precision=jax.lax.Precision.HIGHEST)
 
 
-def boxcar_moments(
-    phi: Float[Array, "columns n"], valid: Bool[Array, " n"], starts: StartRange, bins: LagBins
+def window_moments(
+    phi: Float[Array, "columns n"], runs: Runs, bins: LagBins, difference: int
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
-    """Sum of the outer products of all boxcar rows, and their number."""
-    at, runs, begins = _places(valid, starts)
+    """Sum of the outer products of all rows, and their number: of boxcars (a first difference of
+    phi) or hats (a second one)."""
+    at = jnp.arange(phi.shape[1])
 
-    def bin_sums(shortest: Int[Leaf, ""], longest: Int[Leaf, ""]) -> _Sums:
-        last = jnp.minimum(at + longest, runs.last)
-        count = jnp.where(begins, jnp.maximum(last - at - shortest + 1, 0), 0)
-        inner = jnp.where((count > 0)[None, :], sum_between(phi, at + shortest, last), 0.0)
-        ending = _count_starts(begins, jnp.maximum(at - longest, runs.first), at - shortest)
-        return _sums(-inner, count + jnp.where(valid, ending, 0), count)
+    def of_bin(bin_: LagBins) -> _Sums:
+        shortest, longest = bin_.first, bin_.last
+        points = Points.of_bin(bin_, runs, difference)
 
-    return _moments(phi, bins, bin_sums)
+        def beyond(count: Array, low: Leaf, high: Array, stride: int = 1) -> Array:
+            sums = sum_between(phi, at + stride * low, at + stride * high, stride)
+            return jnp.where((count > 0)[None, :], sums, 0.0)
 
+        # From the start t: k up to the longest, with the end inside the run.
+        most = jnp.minimum(longest, (runs.last - at) // difference)
+        inner = -beyond(points.start, shortest, most)
+        if difference == 2:
+            # From the middle u: the start u - k and the end u + k in the run, the start in the
+            # range.
+            low = jnp.maximum(shortest, at - runs.stop)
+            high = jnp.minimum(longest, jnp.minimum(runs.last - at, at - runs.first))
+            ends = beyond(points.start, shortest, most, stride=2)
+            inner = ends + 2 * (inner - beyond(points.middle, low, high))
+        squares = points.start + 4 * points.middle + points.end
+        # Windows are counted in real numbers: a long record's are more than 32-bit integers hold.
+        number = jnp.sum(points.start, dtype=phi.dtype)
+        sums = _Sums(inner, squares.astype(phi.dtype), number)
+        return jax.tree.map(lambda leaf: bin_.weight * leaf, sums)
 
-def hat_moments(
-    phi: Float[Array, "columns n"], valid: Bool[Array, " n"], starts: StartRange, bins: LagBins
-) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
-    """Sum of the outer products of all hat rows, and their number."""
-    at, runs, begins = _places(valid, starts)
-
-    def bin_sums(shortest: Int[Leaf, ""], longest: Int[Leaf, ""]) -> _Sums:
-        # From the start t: k up to the longest, with the end at t + 2 k inside the run.
-        most = jnp.minimum(longest, (runs.last - at) // 2)
-        count = jnp.where(begins, jnp.maximum(most - shortest + 1, 0), 0)
-        some = (count > 0)[None, :]
-        middles = jnp.where(some, sum_between(phi, at + shortest, at + most), 0.0)
-        ends = jnp.where(some, sum_between(phi, at + 2 * shortest, at + 2 * most, stride=2), 0.0)
-        # From the middle u: the start u - k and the end u + k in the run, the start in the range.
-        low = jnp.maximum(shortest, at - starts.stop + 1)
-        high = jnp.minimum(longest, runs.last - at)
-        high = jnp.minimum(high, at - jnp.maximum(runs.first, starts.first))
-        centred = valid & (high >= low)
-        middle_count = jnp.where(centred, high - low + 1, 0)
-        beyond = jnp.where(centred[None, :], sum_between(phi, at + low, at + high), 0.0)
-        # From the end v: starts v - 2 k of the run and the range.
-        first = jnp.maximum(at - 2 * longest, runs.first)
-        ending = _count_starts(begins, first, at - 2 * shortest, stride=2)
-        squares = count + 4 * middle_count + jnp.where(valid, ending, 0)
-        return _sums(ends - 2 * middles - 2 * beyond, squares, count)
-
-    return _moments(phi, bins, bin_sums)
-
-
-def _sums(inner: Array, squares: Int[Array, " n"], count: Int[Array, " n"]) -> _Sums:
-    # Windows are counted in real numbers: a long record's are more than 32-bit integers hold.
-    return _Sums(inner, squares.astype(inner.dtype), jnp.sum(count, dtype=inner.dtype))
-
-
-def _moments(
-    phi: Float[Array, "columns n"], bins: LagBins, bin_sums: Callable[[Leaf, Leaf], _Sums]
-) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
-    def weighted(bin_: LagBins) -> _Sums:
-        return jax.tree.map(lambda leaf: bin_.weight * leaf, bin_sums(bin_.first, bin_.last))
-
-    total = sum_over_bins(bins, weighted)
+    total = sum_over_bins(bins, of_bin)
     cross = phi @ total.inner.T
     return (phi * total.squares[None, :]) @ phi.T + cross + cross.T, total.number
-
-
-def _places(
-    valid: Bool[Array, " n"], starts: StartRange
-) -> tuple[Int[Array, " n"], Runs, Bool[Array, " n"]]:
-    """Every sample, the run it lies in, and whether windows may start there."""
-    at = jnp.arange(valid.shape[0])
-    begins = valid & (at >= starts.first) & (at < starts.stop)
-    return at, Runs.of(valid), begins
-
-
-def _count_starts(
-    begins: Bool[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"], stride: int = 1
-) -> Int[Array, " n"]:
-    """How many starts lie at `last`, `last - stride`, ... down to `first` at least."""
-    lowest = first + (last - first) % stride
-    number = sum_between(begins.astype(jnp.int32)[None, :], lowest, last, stride)[0]
-    return jnp.where(last >= lowest, number, 0)

@@ -9,8 +9,9 @@ which is linear in theta: a row of a regression, target first. Least squares ove
 windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -18,22 +19,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.criteria.chunks import StartBlocks
-from riecjax.criteria.laws import LagBins
-from riecjax.criteria.noise_moments import NoiseMoments, NoiseWeights, noise_moments
+from riecjax.criteria.laws import AbstractLaw, LagBins
+from riecjax.criteria.noise_moments import NoiseWeights, noise_moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
-from riecjax.criteria.windows import AbstractWindows, AllWindows, Count, RandomWindows, WindowSet
+from riecjax.criteria.windows import (
+    AbstractWindows,
+    AllWindows,
+    Count,
+    RandomWindows,
+    StartBlocks,
+    WindowSet,
+)
 from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import (
     Columns,
     NoisyColumns,
     noisy_columns,
     sampled_columns,
-    without_noise,
 )
-from riecjax.errors import ModelError, require
+from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
+from riecjax.records.signal import Noise
 
 SHORT_BLOCKS_OF_ROWS = 512
 """Short blocks of start times to a record where single rows are put into them."""
@@ -94,12 +101,12 @@ class AbstractCriterion(eqx.Module):
     @property
     def needs_key(self) -> bool:
         """Whether rows are drawn at random."""
-        return self.windows is not None and self.windows.needs_key
+        return isinstance(self.windows, RandomWindows)
 
     @property
-    def in_closed_form(self) -> bool:
-        """Whether all rows are summed at once, and there are no single rows."""
-        return self.windows is not None and not self.windows.needs_key
+    def all_windows(self) -> AllWindows | None:
+        """The windows, where all are summed at once; `None` where there are single rows."""
+        return self.windows if isinstance(self.windows, AllWindows) else None
 
     @property
     def smoothness(self) -> int:
@@ -116,10 +123,6 @@ class AbstractCriterion(eqx.Module):
     def block_length(self) -> Leaf:
         """Seconds after which two rows share no data: their errors are not locked together."""
         return np.zeros(()) if self.windows is None else self.windows.beta
-
-    def in_chunks(self, record: Record) -> bool:
-        """Whether a record is so long that it is worked through in chunks."""
-        return isinstance(self.windows, AllWindows) and self.windows.in_chunks(record)
 
     def block_samples(self, record: Record) -> int:
         """Samples to one of the short blocks of start times that have moments of their own."""
@@ -189,7 +192,8 @@ class AbstractCriterion(eqx.Module):
         """An equation's columns, and what the record's noise does to them."""
         if self.corrects_noise:
             return noisy_columns(equation, record, self.smoothness)
-        return without_noise(sampled_columns(equation, record, self.smoothness))
+        columns = sampled_columns(equation, record, self.smoothness)
+        return NoisyColumns(columns, {}, {}, (), Noise())
 
     def noise_of(
         self,
@@ -197,12 +201,13 @@ class AbstractCriterion(eqx.Module):
         windows: LagBins | WindowSet,
         blocks: StartBlocks,
         products: Callable[[Columns], Array],
-    ) -> NoiseMoments | None:
-        """What noise adds to `products` of rows over windows, `None` without any.
+    ) -> tuple[Array, Array] | None:
+        """What noise adds to `products` of rows over windows, and what each of its sources adds
+        to those of all blocks; `None` without any.
 
         **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
         """
-        if not noisy.moves:
+        if not (noisy.white or noisy.coloured):
             return None
 
         def weights_of(law: LagBins | WindowSet) -> NoiseWeights | None:
@@ -310,10 +315,7 @@ class RIEC(AbstractCriterion):
 
     def between(self, alpha: float | Array, beta: float | Array) -> "RIEC":
         """The same with windows of other lengths."""
-        return self._over(self.windows.between(alpha, beta))
-
-    def _over(self, windows: RandomWindows | AllWindows) -> "RIEC":
-        return RIEC(windows, self.test_function, self.why)
+        return dataclasses.replace(self, windows=self.windows.between(alpha, beta))
 
     def finest(self) -> "RIEC":
         """The same with the test function's finest quadrature; windows between samples have one."""
@@ -323,18 +325,18 @@ class RIEC(AbstractCriterion):
 
     def block_samples(self, record: Record) -> int:
         """Of all windows, as many starts as they are summed over at once."""
-        if self.in_closed_form:
-            return self.windows.every.block(record.sample_count)
-        return super().block_samples(record)
+        if self.all_windows is None:
+            return super().block_samples(record)
+        return self.all_windows.block(record.sample_count)
 
     @property
     def every(self) -> "RIEC":
         """This criterion with all windows, which random ones converge to."""
-        return self._over(self.windows.every)
+        return dataclasses.replace(self, windows=self.windows.every)
 
     def fitted(self, records: Sequence[Record]) -> "RIEC":
         """This criterion with what it takes from the records before tracing."""
-        return self._over(self.windows.fitted(records))
+        return dataclasses.replace(self, windows=self.windows.fitted(records))
 
     def check(self, record: Record) -> None:
         """The record must be longer than the longest window."""
@@ -350,7 +352,11 @@ class RIEC(AbstractCriterion):
             return None
         # Inside a jitted function, JAX would trace arithmetic on known numbers too.
         with jax.ensure_compile_time_eval():
-            return self.test_function.window_count(self.windows.every, record)
+            # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
+            # n - k starts; a bin's lags have n - k on average at its middle.
+            first, last, weight = (np.asarray(leaf, float) for leaf in self.law(record))
+            starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
+            return float(np.sum(weight * (last - first + 1) * starts))
 
     def draw(
         self, record: Record, key: Key[Array, ""] | None, unpadded: Count | None = None
@@ -372,3 +378,88 @@ class RIEC(AbstractCriterion):
         because = {"because": self.why} if self.why else {}
         windows, weight = self.windows.describe(), self.test_function.describe()
         return {"name": "riec", **windows, **weight, **because}
+
+
+# A criterion as plain data, for files, and back.
+#
+# Each part is its class's name and its fields, parts within parts. A file names classes and never
+# imports them: what is read is looked for among the subclasses that the running program has
+# defined, so that a new test function needs nothing here, and a file can run no code.
+
+FAMILIES = (AbstractCriterion, AbstractWindows, AbstractLaw, AbstractTestFunction)
+"""What a criterion is made of."""
+RESERVED = ("class", "from")
+"""Keys beside the fields' names: keywords of Python, and so no names of fields."""
+
+
+def to_plain_data(part: eqx.Module) -> dict[str, Any]:
+    """A part of a criterion as nested dictionaries of what JSON has words for.
+
+    `{"class": name, "from": module, field: value, ...}`, where an array is `{dtype: list}`.
+
+    **Raises:** `ModelError` for what is code rather than numbers.
+    """
+    kind = type(part)
+    fields = {
+        field.name: _plain(getattr(part, field.name), f"the {field.name} of {kind.__name__}")
+        for field in dataclasses.fields(part)
+    }
+    return {"class": kind.__name__, "from": kind.__module__} | fields
+
+
+def _plain(value: Any, name: str) -> Any:
+    if isinstance(value, FAMILIES):
+        return to_plain_data(value)
+    if isinstance(value, tuple | list):
+        return [_plain(each, name) for each in value]
+    if isinstance(value, np.ndarray | jax.Array) and value.dtype.kind in "fiub":
+        return {str(value.dtype): np.asarray(value).tolist()}
+    plain = value.item() if isinstance(value, np.generic) else value
+    if plain is None or isinstance(plain, bool | int | float | str):
+        return plain
+    raise ModelError(f"{name} is code, which no file can hold: give numbers in its place.")
+
+
+def criterion_from_plain_data(document: dict[str, Any]) -> AbstractCriterion:
+    """The criterion that [`to_plain_data`][riecjax.criteria.criterion.to_plain_data] described.
+
+    **Raises:** `DataError` for a class that is not defined here, or one with other fields.
+    """
+    found = _read(document)
+    if not isinstance(found, AbstractCriterion):
+        raise DataError("what it calls a criterion is none.")
+    return found
+
+
+def _read(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_read(each) for each in value)
+    if not isinstance(value, dict):
+        return value
+    if "class" in value:
+        name, module = value["class"], value["from"]
+        fields = {name: _read(each) for name, each in value.items() if name not in RESERVED}
+        # The class of this name, as it was defined last; of several modules', that of `module`.
+        found = {kind.__module__: kind for kind in _subclasses(*FAMILIES) if kind.__name__ == name}
+        if module not in found and len(found) != 1:
+            raise DataError(
+                f"it was made with {name} of '{module}', a class that is not defined here: import "
+                f"the module that defines it first."
+            )
+        try:
+            return (found.get(module) or next(iter(found.values())))(**fields)
+        except (TypeError, ModelError):
+            raise DataError(
+                f"its {name} has other settings than the one of this name here."
+            ) from None
+    ((dtype, values),) = value.items()
+    array = np.array(values, dtype)
+    # Constructors take any NumPy array to 64-bit; JAX's pass unchanged.
+    return array if array.dtype == np.float64 else jnp.asarray(array)
+
+
+def _subclasses(*kinds: type) -> Iterator[type]:
+    for kind in kinds:
+        below = kind.__subclasses__()
+        yield from below
+        yield from _subclasses(*below)

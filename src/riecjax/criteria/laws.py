@@ -47,8 +47,8 @@ class AbstractLaw(eqx.Module):
         raise NotImplementedError
 
     def describe(self) -> dict[str, object]:
-        """Name and settings, for tables and JSON."""
-        raise NotImplementedError
+        """Name and settings, for tables and JSON: nothing of what one expects."""
+        return {}
 
 
 class UniformLaw(AbstractLaw):
@@ -59,10 +59,6 @@ class UniformLaw(AbstractLaw):
         xp = namespace(shortest, longest, unit)
         first, last = rounded(shortest), rounded(longest)
         return LagBins(first[None], last[None], xp.ones(1, unit.dtype))
-
-    def describe(self) -> dict[str, object]:
-        """Nothing: it is what one expects."""
-        return {}
 
 
 class SteppedLaw(AbstractLaw):
@@ -160,14 +156,6 @@ MOST_BINS = 2**10
 """Bins of window lengths: memory grows with each, and neighbours hardly differ."""
 
 
-def _require_memory(bins: int) -> None:
-    if bins > MOST_BINS:
-        raise ModelError(
-            f"sums of {bins} bins of window lengths would take too much memory: give at most "
-            f"{MOST_BINS}, bins=12 as a rule."
-        )
-
-
 class LengthBins(NamedTuple):
     """Stretches of window lengths in seconds, among whose edges are alpha and beta.
 
@@ -179,31 +167,34 @@ class LengthBins(NamedTuple):
     band: tuple[int, int]
 
     @classmethod
-    def around(cls, alpha: float, beta: float, edges: ArrayLike) -> "LengthBins":
-        """Bins with these edges, in seconds, and with alpha and beta.
+    def of(cls, alpha: float, beta: float, bins: int | ArrayLike) -> "LengthBins":
+        """So many bins from alpha to beta, in equal ratios; or with these edges, in seconds, and
+        with alpha and beta.
 
-        **Raises:** `ModelError` unless edges are positive and finite, and for too many.
+        **Raises:** `ModelError` for fewer than one, for too many, and unless edges are positive
+        and finite.
         """
-        given = np.asarray(edges, float).ravel()
-        if not (np.isfinite(given).all() and (given > 0).all()):
-            raise ModelError("edges of bins of window lengths are positive numbers of seconds.")
-        _require_memory(given.size - 1)
+        edges = None
+        if isinstance(bins, int | np.integer):
+            number = int(bins)
+            if number < 1:
+                raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
+        else:
+            edges = np.asarray(bins, float).ravel()
+            number = edges.size - 1
+            if not (np.isfinite(edges).all() and (edges > 0).all()):
+                raise ModelError("edges of bins of window lengths are positive numbers of seconds.")
+        if number > MOST_BINS:
+            raise ModelError(
+                f"sums of {number} bins of window lengths would take too much memory: give at most "
+                f"{MOST_BINS}, bins=12 as a rule."
+            )
+        edges = np.geomspace(alpha, beta, number + 1) if edges is None else edges
         # Edges that are alpha or beta but for rounding would make bins of nothing.
-        near = np.isclose(given, alpha, rtol=1e-9) | np.isclose(given, beta, rtol=1e-9)
-        every = np.unique([*given[~near], alpha, beta])
+        near = np.isclose(edges, alpha, rtol=1e-9) | np.isclose(edges, beta, rtol=1e-9)
+        every = np.unique([*edges[~near], alpha, beta])
         first, last = np.searchsorted(every, [alpha, beta])
         return cls(every, (int(first), int(last)))
-
-    @classmethod
-    def of_number(cls, alpha: float, beta: float, number: int) -> "LengthBins":
-        """So many bins from alpha to beta, in equal ratios.
-
-        **Raises:** `ModelError` for fewer than one, and for too many.
-        """
-        if number < 1:
-            raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
-        _require_memory(number)
-        return cls.around(alpha, beta, np.geomspace(alpha, beta, number + 1))
 
     def lags(
         self, unit: float, most: int
@@ -243,24 +234,16 @@ def law_in_bins(law: LagBins, bins: LengthBins, unit: float, most: int) -> LagBi
 
     Inside the band lengths count by the law; beyond it all alike.
     """
-    first, last = bins.lags(unit, most)
-    parts = [np.asarray(leaf) for leaf in (law.first, law.last, law.weight)]
-    cut = []
-    for i, (low, high) in enumerate(zip(first, last)):
-        if bins.band[0] <= i < bins.band[1]:
-            begin, end = np.maximum(parts[0], low), np.minimum(parts[1], high)
-            held = begin <= end
-            cut.append((begin[held], end[held], parts[2][held]))
-        else:
-            cut.append((np.array([low]), np.array([high]), np.ones(1, parts[2].dtype)))
-    # As many entries for recordings of any length, or each would be compiled for.
-    room = 1 if parts[0].size == 1 else 2 ** int(np.ceil(np.log2(parts[0].size)))
-
-    def filled(place: int, nothing: float) -> np.ndarray:
-        rows = [np.pad(c[place], (0, room - c[place].size), constant_values=nothing) for c in cut]
-        return np.stack(rows).astype(parts[place].dtype)
-
-    return LagBins(filled(0, 1), filled(1, 0), filled(2, 0.0))
+    low, high = (ends[:, None] for ends in bins.lags(unit, most))
+    at, law = np.arange(low.size)[:, None], LagBins(*map(np.asarray, law))
+    inside = (bins.band[0] <= at) & (at < bins.band[1])
+    begin = np.where(inside, np.maximum(law.first, low), low)
+    end = np.where(inside, np.minimum(law.last, high), high)
+    weight = np.where(inside, law.weight, 1.0)
+    # Beyond the band the first entry has all of a bin.
+    held = (begin <= end) & (inside | (np.arange(law.first.size) == 0))
+    parts = (np.where(held, *of) for of in ((begin, 1), (end, 0), (weight, 0.0)))
+    return LagBins(*(part.astype(leaf.dtype) for part, leaf in zip(parts, law)))
 
 
 def each_bin(of_lags: Callable[[LagBins], Any], lags: LagBins) -> Any:

@@ -27,7 +27,6 @@ both add up to the same.
 
 from collections.abc import Callable, Sequence
 from itertools import combinations_with_replacement
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,11 +34,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.criteria.all_windows import Runs
-from riecjax.criteria.chunks import StartBlocks
+from riecjax.criteria.all_windows import Points, Runs
 from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins, sum_over_lengths
 from riecjax.criteria.quadrature import interval_weights
-from riecjax.criteria.windows import WindowSet
+from riecjax.criteria.windows import StartBlocks, WindowSet
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
 
@@ -47,41 +45,19 @@ NoiseWeights = Float[Array, "orders orders n"]
 """W_kl at every sample, for derivatives k and l that a test function takes off."""
 
 
-class Points(NamedTuple):
-    """Weight of windows that start, have their middle (times k as well) or end at each sample."""
-
-    start: Float[Array, " n"]
-    middle: Float[Array, " n"]
-    middle_by_half: Float[Array, " n"]
-    end: Float[Array, " n"]
-
-
 def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, pieces: int) -> Points:
     """Where all windows of a law that start in some blocks have their ends, `pieces` lags long."""
     at, present = jnp.arange(columns.sample_count), columns.present
+    starts = blocks.first, blocks.size * blocks.number
     if present is None:
-        first, last = jnp.zeros_like(at), jnp.broadcast_to(blocks.unpadded - 1, at.shape)
+        first = jnp.broadcast_to(blocks.first, at.shape)
+        last = jnp.broadcast_to(blocks.unpadded - 1, at.shape)
+        runs = Runs(first, last, sum(starts) - 1)
     else:
-        first, last = Runs.of(present & (at < blocks.unpadded))
-    first = jnp.maximum(first, blocks.first)
-    stop = blocks.first + blocks.size * blocks.number - 1
-
-    def counted(low: Leaf, high: Array) -> tuple[Array, Array]:
-        number = jnp.maximum(high - low + 1, 0)
-        return number, number * (low + high) / 2
+        runs = Runs.of(present & (at < blocks.unpadded), *starts)
 
     def of_bin(bin_: LagBins) -> Points:
-        shortest, longest = bin_.first, bin_.last
-        begins = (at >= first) & (at <= stop) & (at <= last)
-        start, _ = counted(shortest, jnp.minimum(longest, (last - at) // pieces))
-        least = jnp.maximum(shortest, -(-(at - stop) // pieces))
-        end, _ = counted(least, jnp.minimum(longest, (at - first) // pieces))
-        middle = by_half = jnp.zeros_like(end)
-        if pieces == 2:
-            room = jnp.minimum(at - first, last - at)
-            middle, by_half = counted(jnp.maximum(shortest, at - stop), jnp.minimum(longest, room))
-        here = at <= last
-        counts = Points(jnp.where(begins, start, 0), middle, by_half, jnp.where(here, end, 0))
+        counts = Points.of_bin(bin_, runs, pieces)
         return jax.tree.map(lambda leaf: bin_.weight * leaf, counts)
 
     return sum_over_bins(lags, of_bin)
@@ -92,7 +68,7 @@ def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWe
     start, end = points.start, points.end
     inside = _covered(start, end) + _at_ends(start, end, _end_squares(quadrature))
     mixed = 0.5 * step * (end - start)
-    return _symmetric([[step**2 * inside, mixed], [mixed, start + end]])
+    return jnp.array([[step**2 * inside, mixed], [mixed, start + end]])
 
 
 def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:
@@ -130,17 +106,13 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
         flat = flat + (turn**2 - abs(sign)) * own
     knots = twice[0] * (start + end + 4 * middle) - 2 * by_half
     turn = 0.5 * step * (end - start)
-    return _symmetric(
+    return jnp.array(
         [
             [step**4 * triangle, step**3 * ramp, step**2 * knots],
             [step**3 * ramp, step**2 * flat, turn],
             [step**2 * knots, turn, start + 4 * middle + end],
         ]
     )
-
-
-def _symmetric(weights: Sequence[Sequence[Leaf]]) -> NoiseWeights:
-    return jnp.stack([jnp.stack([jnp.asarray(w) for w in row]) for row in weights])
 
 
 def _covered(start: Array, end: Array) -> Array:
@@ -150,16 +122,12 @@ def _covered(start: Array, end: Array) -> Array:
 
 def _ramp(points: Array) -> Array:
     """Sum of points[u] (v - u) over u < v."""
-    return _after(jnp.cumsum(jnp.cumsum(points)))
+    return _shifted(jnp.cumsum(jnp.cumsum(points)), 1)
 
 
 def _square_ramp(points: Array) -> Array:
     """Sum of points[u] (v - u)^2 over u < v: (v - u)^2 is twice C(v - u + 1, 2) less v - u."""
-    return 2 * _after(jnp.cumsum(jnp.cumsum(jnp.cumsum(points)))) - _ramp(points)
-
-
-def _after(values: Array) -> Array:
-    return jnp.pad(values, (1, 0))[:-1]
+    return 2 * _shifted(jnp.cumsum(jnp.cumsum(jnp.cumsum(points))), 1) - _ramp(points)
 
 
 def _shifted(values: Array, by: int) -> Array:
@@ -179,22 +147,12 @@ def _at_ends(start: Array, end: Array, weights: dict[int, float]) -> Array:
 def _interval_ends(quadrature: int) -> dict[int, float]:
     """sigma_j: weight of the sample j inwards from a window's end, 1 from some j on.
 
-    The sum of what the intervals from the end on give that sample.
+    The sum of what the intervals from the end on give that sample: interval i, between samples i
+    and i + 1 from the end, weighs sample j by its weight number j - i + reach - 1.
     """
     reach = quadrature // 2
-    weights = interval_weights(quadrature, reach - 1)
-    # Interval i, between samples i and i + 1 from the end, weighs sample j by its weight number
-    # j - i + reach - 1.
-    return {
-        j: float(
-            sum(
-                weights[j - i + reach - 1]
-                for i in range(2 * reach)
-                if 0 <= j - i + reach - 1 < quadrature
-            )
-        )
-        for j in range(-reach, reach + 1)
-    }
+    weights = np.cumsum(interval_weights(quadrature, reach - 1)).tolist()
+    return dict(zip(range(-reach, reach + 1), [0.0, *weights]))
 
 
 def _end_squares(quadrature: int) -> dict[int, float]:
@@ -243,25 +201,17 @@ PROBES = 8
 SIGNS = np.random.default_rng(7).integers(0, 2, (PROBES, 2**16), np.int8) * 2 - 1
 
 
-class NoiseMoments(eqx.Module):
-    """What noise adds to the sums of outer products of rows.
-
-    **Fields:** `total`, for blocks of starts; `of_source`, what each source adds to all of them,
-    in the order of the noise's sources.
-    """
-
-    total: Float[Array, "*bins blocks columns columns"]
-    of_source: Float[Array, "*bins sources columns columns"]
-
-
 def noise_moments(
     noisy: NoisyColumns,
     windows: LagBins | WindowSet,
     blocks: StartBlocks,
     weights_of: Callable[[LagBins | WindowSet], NoiseWeights | None],
     products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]],
-) -> NoiseMoments:
-    """What noise adds to the moments of an equation.
+) -> tuple[
+    Float[Array, "*bins blocks columns columns"], Float[Array, "*bins sources columns columns"]
+]:
+    """What noise adds to the moments of an equation, and what each of its sources adds to those of
+    all blocks.
 
     **Arguments:** `windows`, the law of all that start in the blocks, or those drawn; `weights_of`
     white noise at each sample, without which there is no closed form; `products`, sums of outer
@@ -270,29 +220,23 @@ def noise_moments(
     columns, noise = noisy.columns, noisy.noise
     width = columns.values.shape[1]
 
+    # What is white, and at last what is added where columns are curved.
+    squares = [*((1.0, movement) for movement in noisy.white.values()), *noisy.curved]
+
     def in_closed_form(law: LagBins | WindowSet) -> list[Array] | None:
-        """What each white source adds, and at last what is added where columns are curved."""
         if (weights := weights_of(law)) is None:
             return None
-        of_white = [
-            _weighted(movement, weights, blocks, width) for movement in noisy.white.values()
-        ]
-        nothing = jnp.zeros((blocks.number, width, width), columns.values.dtype)
-        every = (times * _weighted(m, weights, blocks, width) for times, m in noisy.curved)
-        return [*of_white, sum(every, start=nothing)]
+        return [times * _weighted(movement, weights, blocks, width) for times, movement in squares]
 
-    closed = None
-    if noisy.white or noisy.curved:
+    added = None
+    if squares:
         is_law = isinstance(windows, LagBins)
-        closed = each_bin(in_closed_form, windows) if is_law else in_closed_form(windows)
-    if closed is None:
-        white = jnp.ones(1)
-        each = [_probed([(m, white)], columns, products) for m in noisy.white.values()]
-        every = [times * _probed([(m, white)], columns, products) for times, m in noisy.curved]
-        curved = sum(every, start=jnp.zeros(()))
-    else:
-        *each, curved = closed
-    found = dict(zip(noisy.white, each))
+        added = each_bin(in_closed_form, windows) if is_law else in_closed_form(windows)
+    if added is None:
+        unit = jnp.ones(1)
+        added = [times * _probed([(m, unit)], columns, products) for times, m in squares]
+    found = dict(zip(noisy.white, added))
+    curved = sum(added[len(found) :], start=jnp.zeros(()))
     # Kernels of the signals' coloured noise, which has unit size in each.
     coloured: dict[str, list[tuple[Movement, Array]]] = {}
     for name, movement in sorted(noisy.coloured.items()):
@@ -307,77 +251,27 @@ def noise_moments(
         found[source] = _probed(parts, columns, products)
     nothing = jnp.zeros_like(next(iter(found.values())))
     of_source = [jnp.sum(found.get(source, nothing), axis=-3) for source in noise.sources]
-    return NoiseMoments(sum(found.values(), start=curved), jnp.stack(of_source, axis=-3))
+    return sum(found.values(), start=curved), jnp.stack(of_source, axis=-3)
 
 
 def _weighted(
     movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
 ) -> Float[Array, "blocks columns columns"]:
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
-    orders = weights.shape[0]
-    if all(values.shape[1] == 1 for values in movement.values.values()):
-        # Of columns that noise moves alike at every sample, as it does linear terms, what they move
-        # by stands before the sums, and one product serves all orders.
-        still = jnp.zeros((orders, size), weights.dtype)
-        for order, values in movement.values.items():
-            still = still.at[order, np.array(movement.rows[order])].add(values[:, 0])
-        one, other = np.triu_indices(orders)
-        unit = jnp.ones((1, 1), weights.dtype)
-        pairs = jax.vmap(lambda w: _sums_in_blocks(unit, w, unit, blocks)[:, 0, 0])
-        sums = pairs(weights[one, other])
-        place = np.zeros((orders, orders), int)
-        place[one, other] = place[other, one] = np.arange(one.size)
-        return jnp.einsum("klb,ki,lj->bij", sums[place], still, still)
-    total = jnp.zeros((blocks.number, size, size), weights.dtype)
+    n, total = weights.shape[-1], jnp.zeros((blocks.number, size, size), weights.dtype)
+    unit = jnp.ones((1, n), weights.dtype)
     for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
         rows, columns = np.array(movement.rows[k]), np.array(movement.rows[m])
-        part = _sums_in_blocks(left, weights[k, m], right, blocks)
+        weight = weights[k, m][None]
+        if left.shape[1] == right.shape[1] == 1:
+            # What is the same at every sample stands before the sum.
+            part = blocks.products(weight, unit) * (left @ right.T)[None]
+        else:
+            part = blocks.products(weight * left, right * unit)
         total = total.at[:, rows[:, None], columns[None, :]].add(part)
         if k != m:
             total = total.at[:, columns[:, None], rows[None, :]].add(jnp.swapaxes(part, 1, 2))
     return total
-
-
-def _sums_in_blocks(
-    left: Float[Array, "a samples"],
-    weight: Float[Array, " n"],
-    right: Float[Array, "b samples"],
-    blocks: StartBlocks,
-) -> Float[Array, "blocks a b"]:
-    """sum_u weight[u] left[u] right[u]^T by blocks; what lies beyond counts to the last one."""
-    number, size, n = blocks.number, blocks.size, weight.shape[0]
-    still = left.shape[1] == right.shape[1] == 1
-    if not isinstance(size, int):
-        block = jnp.clip((jnp.arange(n) - blocks.first) // size, 0, number - 1)
-        if still:
-            sums = jax.ops.segment_sum(weight, block, num_segments=number)
-            return sums[:, None, None] * (left @ right.T)[None]
-        other = jnp.broadcast_to(right, (right.shape[0], n)).T
-        each = (weight[None] * left).T[:, :, None] * other[:, None]
-        return jax.ops.segment_sum(each, block, num_segments=number)
-    # As many blocks of the same size as the samples could fill, the first sample in the first one.
-    room = max(-(-n // size), number)
-
-    def apart(values: Array) -> Array:
-        padded = jnp.pad(values, ((0, 0), (0, room * size)))
-        part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, room * size, axis=1)
-        return part.reshape(values.shape[0], room, size)
-
-    weights = apart(weight[None])[0]
-    if still:
-        sums = jnp.sum(weights, axis=1)[:, None, None] * (left @ right.T)[None]
-    else:
-        varying = [
-            values[:, :, None] if values.shape[1] == 1 else apart(values)
-            for values in (left, right)
-        ]
-        sums = jnp.einsum(
-            "abu,cbu->bac",
-            weights[None] * varying[0],
-            jnp.broadcast_to(varying[1], (right.shape[0], room, size)),
-            precision=jax.lax.Precision.HIGHEST,
-        )
-    return sums[:number].at[-1].add(jnp.sum(sums[number:], axis=0))
 
 
 def _probed(
@@ -399,7 +293,7 @@ def _probed(
             white = jnp.fft.rfft(signs.astype(values.dtype), size)
             first = reach + taps.shape[-1] // 2
             noise = jnp.fft.irfft(white * jnp.fft.rfft(taps, size), size)[first : first + n]
-            values = values + movement.scaled(noise).columns(like).values
+            values = values + movement.times(noise, like)
         return products(eqx.tree_at(lambda columns: columns.values, like, values))
 
     place = np.arange(n + 2 * reach) % SIGNS.shape[1]

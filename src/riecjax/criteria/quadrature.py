@@ -65,7 +65,7 @@ def sum_between(
     values[i - 2 stride] + ... For `last = first - stride` it is zero.
     """
     columns, n = values.shape
-    if stride == 1 and jnp.issubdtype(values.dtype, jnp.inexact):
+    if stride == 1:
         running = jnp.pad(running_sum(values), ((0, 0), (1, 0)))
     else:
         padded = jnp.pad(values, ((0, 0), (stride, -n % stride)))

@@ -1,4 +1,4 @@
-"""Which criterion suits a model and what was recorded of its motion.
+"""Which criterion, and which of two sensors, suits a model and what was recorded of its motion.
 
 The boxcar of RIEC as published needs a recorded velocity for every inertia. Where the record has
 none, or one that was made of the position, noise and all, a smooth test function takes both
@@ -10,7 +10,9 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool
 
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
 from riecjax.criteria.test_functions import (
@@ -20,7 +22,9 @@ from riecjax.criteria.test_functions import (
     GradedBump,
 )
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
+from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
+from riecjax.equations.term import AbstractTerm
 from riecjax.errors import MissingSignalError, require
 from riecjax.leaves import is_concrete, namespace
 from riecjax.records.preparation.filtering import local_slope
@@ -53,17 +57,18 @@ def criterion_for(
     **Raises:** `ModelError` for what is no criterion; `Contradiction` for a quadrature where the
     test function has none.
     """
-    criterion = fit.criterion if isinstance(fit, Fit) else fit
-    if isinstance(criterion, AbstractCriterion):
-        return criterion
-    if not isinstance(fit, Fit):
-        require("the criterion", fit, AbstractCriterion | None, WRITE_CRITERION)
-        return suited(model, model.band, records)
-    if not (criterion is None or isinstance(criterion, str)):
-        require("the criterion", criterion, AbstractCriterion, WRITE_CRITERION)
-    if criterion == "dols":
+    asked = fit.criterion if isinstance(fit, Fit) else fit
+    kinds = AbstractCriterion | str | None if isinstance(fit, Fit) else AbstractCriterion | None
+    write = (
+        "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, "
+        "or rx.DOLS()"
+    )
+    require("the criterion", asked, kinds, write)
+    if isinstance(asked, AbstractCriterion):
+        return asked
+    if asked == "dols":
         return DOLS()
-    if not fit.says_of_windows:
+    if not isinstance(fit, Fit) or not fit.says_of_windows:
         return suited(model, model.band, records)
     band = fit.band or model.band or DEFAULT_BAND
     # Bumps have no quadrature: to ask for one is to ask for boxcars.
@@ -80,18 +85,11 @@ def criterion_for(
     return criterion.between(alpha, beta)
 
 
-WRITE_CRITERION = (
-    "rx.RIEC(rx.AllWindows(0.05, 0.5)), with the shortest and the longest window in seconds, or "
-    "rx.DOLS()"
-)
-
-
 def _test_function(fit: Fit) -> AbstractTestFunction:
     named = {name: kind() for name, kind in TEST_FUNCTIONS.items()}
-    if isinstance(fit.test_function, AbstractTestFunction):
-        weight = fit.test_function
-    else:
-        name = "boxcar" if fit.test_function in (None, "auto") else fit.test_function
+    weight = fit.test_function
+    if not isinstance(weight, AbstractTestFunction):
+        name = "boxcar" if weight in (None, "auto") else weight
         if name not in named:
             require("test_function", name, (), f"rx.Hat(), or one of {', '.join(named)}")
         weight = named[name]
@@ -112,13 +110,14 @@ def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Rec
         return _with_modes(model, band or DEFAULT_BAND, list(records))
     usual, records = RIEC.of_band(band or DEFAULT_BAND), list(records)
     # Derivatives that boxcars would read of linear terms, and that no sensor measured.
-    lacking = []
-    for term in (t for e in model.equations for t in e.terms if t.is_linear):
-        name = term.measured[0] if term.measured else "a velocity"
-        for record in records if term.derivative == 2 else ():
-            made = isinstance(term.of, str) and record.noise.is_made_of(name, term.of)
-            if name not in record.arrays or made:
-                lacking.append(name)
+    terms = (t for e in model.equations for t in e.terms if t.is_linear and t.derivative == 2)
+    named = [(t.of, t.measured[0] if t.measured else "a velocity") for t in terms]
+    lacking = [
+        name
+        for of, name in named
+        for record in records
+        if name not in record.arrays or (isinstance(of, str) and record.noise.is_made_of(name, of))
+    ]
     if not lacking:
         return usual
     bump = RIEC.of_band(band or DEFAULT_BAND, Bump(lengths=LENGTHS))
@@ -176,3 +175,73 @@ def with_velocities(model: Model, record: Record) -> tuple[Record, list[str]]:
             record = record.through({name: op})
             steps.append(op.words.format(name))
     return record, steps
+
+
+# Which of two sensors a damping term reads: the position's, or the velocity's own.
+#
+# Over a window from t to T the term r x' is r (x(T) - x(t)), or the integral of a recorded
+# velocity. Without noise both are the same. Noise adds twice the position's variance to the first,
+# and to the second the velocity's times the window's length times a time step: a hundredth of it,
+# if both have the same share of noise and the window holds some dozens of samples.
+
+NOTICED = 0.02
+"""Noise of a position, as a share of its standard deviation, below which it is read in any case:
+the equation error then decides how far parameters scatter."""
+
+
+def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) -> Model:
+    """The model whose first derivatives are read from the sensor that adds less noise.
+
+    The same unless boxcars are summed, where the position has little noise, and where nothing is
+    known of the velocity's own. Under trace a term is of both sensors, with a factor of 0 and 1.
+    """
+    if criterion.windows is None or criterion.test_function.smoothness != 1:
+        return model
+
+    def read(term: AbstractTerm) -> list[AbstractTerm]:
+        if not _has_both(term, record):
+            return [term]
+        chosen = _adds_less(term.measured[0], str(term.of), record, criterion)
+        velocity, *measured = term.measured
+        by_velocity = term.with_fields(of=velocity, derivative=0, measured=tuple(measured))
+        if is_concrete(chosen):
+            return [by_velocity if chosen else term]
+        share = jnp.asarray(chosen, float)
+        factor = jnp.asarray(term.factor)
+        return [
+            term.with_fields(factor=factor * (1 - share)),
+            by_velocity.with_fields(factor=factor * share),
+        ]
+
+    def of(equation: Equation) -> Equation:
+        return equation.of_terms(*(each for term in equation.terms for each in read(term)))
+
+    return Model(stages=model.by_stage(of))
+
+
+def _has_both(term: AbstractTerm, record: Record) -> bool:
+    """Whether the record holds a signal and its derivative by a sensor whose noise is known."""
+    if term.signal is None or term.derivative != 1 or not term.measured:
+        return False
+    velocity, noise = term.measured[0], record.noise
+    own = velocity in noise.kernels and not noise.is_made_of(velocity, term.signal)
+    return own and velocity in record.arrays and term.signal in record.arrays
+
+
+# What overflows is for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore")
+def _adds_less(
+    velocity: str, position: str, record: Record, criterion: AbstractCriterion
+) -> Bool[Array, ""] | np.bool_:
+    """Whether the integral of a velocity has less noise than a noisy position's difference."""
+    windows, noise = criterion.windows, record.noise
+    assert windows is not None
+    xp = namespace(windows, record)
+    length = 0.5 * (xp.asarray(windows.alpha) + xp.asarray(windows.beta))
+    # What lies next to each other adds up in an integral, as the sum of a filter's taps does.
+    kernels = noise.kernels[velocity].values()
+    density = sum((xp.sum(xp.asarray(taps)) ** 2 for taps in kernels), np.zeros(()))
+    by_velocity = length * xp.asarray(record.time_step) * density
+    by_position = 2 * noise.std(position) ** 2
+    noticed = by_position > 2 * NOTICED**2 * xp.var(xp.asarray(record.arrays[position]))
+    return noticed & (by_velocity < by_position)

@@ -24,7 +24,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -33,19 +33,17 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.criteria.all_windows import Moments, moments_in_blocks
-from riecjax.criteria.chunks import StartBlocks
+from riecjax.criteria.all_windows import Moments, Points, moments_in_blocks
 from riecjax.criteria.laws import LagBins, each_bin, sum_over_lengths
 from riecjax.criteria.noise_moments import (
     NoiseWeights,
-    Points,
     boxcar_noise_weights,
     hat_noise_weights,
     noise_weights_of_lengths,
     points_of_windows,
 )
 from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
-from riecjax.criteria.windows import AllWindows, Count, WindowSet, half_periods
+from riecjax.criteria.windows import AllWindows, Count, StartBlocks, WindowSet, half_periods
 from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
@@ -86,15 +84,10 @@ def _nodes() -> tuple[np.ndarray, np.ndarray]:
     return np.polynomial.legendre.leggauss(NODES)
 
 
-class Integrals(NamedTuple):
-    """Weighted integrals of every column of an equation over every window.
-
-    **Fields:** `columns`, the target first; `valid`, False for windows that touch a missing or
-    masked sample and hold no meaning, `None` where there are none.
-    """
-
-    columns: Float[Array, "columns windows"]
-    valid: Bool[Array, " windows"] | None
+Integrals = tuple[Float[Array, "columns windows"], Bool[Array, " windows"] | None]
+"""Weighted integrals of every column of an equation over every window, the target first; and False
+for windows that touch a missing or masked sample and hold no meaning, `None` where there are
+none."""
 
 
 class AbstractTestFunction(eqx.Module):
@@ -165,17 +158,6 @@ class AbstractTestFunction(eqx.Module):
         """
         return None
 
-    def window_count(self, windows: AllWindows, record: Record) -> float:
-        """Number of all windows of a record without gaps, by the weights of their law.
-
-        A lag of k samples has n - k starts; a bin's lags have n - k on average at its middle.
-        """
-        first, last, weight = self.lags(windows, record)
-        # In real numbers: windows may be more than 32-bit integers hold.
-        first, last = (np.asarray(edge, float) for edge in (first, last))
-        starts = record.sample_count - self.length_multiple * (first + last) / 2
-        return float(np.sum(np.asarray(weight, float) * (last - first + 1) * starts))
-
     def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
         """|H| of windows, eq. (13): size of the weighted integral of a unit oscillation.
 
@@ -225,7 +207,7 @@ class Dirac(AbstractTestFunction):
         valid: Any = valid_windows(windows, columns.present)
         if unpadded is not None:
             valid = both(valid, windows.start < unpadded)
-        return Integrals(columns.values[0][:, windows.start], valid)
+        return columns.values[0][:, windows.start], valid
 
 
 class _Differences(AbstractTestFunction):
@@ -235,7 +217,7 @@ class _Differences(AbstractTestFunction):
     have s seconds more than the equation: it is integrated s times. s is the `smoothness`.
     """
 
-    quadrature: eqx.AbstractVar[int]
+    quadrature: int = eqx.field(static=True, default=4)
 
     def __check_init__(self):
         if self.quadrature not in ORDERS:
@@ -309,7 +291,7 @@ class _Differences(AbstractTestFunction):
                 "on samples (between_samples=False)."
             )
         values = self.primitives(columns, unpadded).differences(*windows)
-        return Integrals(values, valid_windows(windows, columns.present))
+        return values, valid_windows(windows, columns.present)
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts."""
@@ -353,7 +335,6 @@ class Boxcar(_Differences):
 
     name: ClassVar[str] = "boxcar"
     smoothness: ClassVar[int] = 1
-    quadrature: int = eqx.field(static=True, default=4)
 
 
 class Hat(_Differences):
@@ -371,7 +352,6 @@ class Hat(_Differences):
     smoothness: ClassVar[int] = 2
     length_multiple: ClassVar[int] = 2
     row_seconds: ClassVar[int] = 2
-    quadrature: int = eqx.field(static=True, default=4)
 
 
 def valid_windows(
@@ -492,7 +472,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
 
         empty = jnp.zeros((columns.values.shape[1], windows.start.shape[0]), columns.values.dtype)
         total, _ = jax.lax.scan(of_length, empty, lengths)
-        return Integrals(total, valid_windows(windows, columns.present))
+        return total, valid_windows(windows, columns.present)
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
         """The law at `lengths` window lengths."""
@@ -503,28 +483,15 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
         everywhere = self._at_every_start(columns, blocks.unpadded)
-        (_, size, room), dtype = columns.values.shape, columns.values.dtype
-        # Blocks of a known size are a reshape; of a traced one, a mask for each block.
-        count, starts = blocks.number, blocks.size
-        place = (jnp.arange(room) - blocks.first) // starts
-
-        def in_blocks(values: Float[Array, "columns n"]) -> Float[Array, "columns count starts"]:
-            if not isinstance(starts, int):
-                inside = place[None, :] == jnp.arange(count)[:, None]
-                return jnp.where(inside[None], values[:, None, :], 0.0)
-            # Room behind, so that no slice would begin earlier than asked for.
-            padded = jnp.pad(values, ((0, 0), (0, count * starts)))
-            part = jax.lax.dynamic_slice_in_dim(padded, blocks.first, count * starts, axis=1)
-            return part.reshape(values.shape[0], count, starts)
+        count, dtype = columns.values.shape[1], columns.values.dtype
 
         def of_length(length: Leaf, weight: Leaf) -> Moments:
-            valid = self._whole(columns, length, blocks)
-            parts = in_blocks(jnp.where(valid[None, :], everywhere(length), 0.0))
-            number = jnp.sum(in_blocks(valid[None].astype(parts.dtype))[0], axis=1)
-            moments = jnp.einsum("ibs,jbs->bij", parts, parts)
-            return jnp.asarray(weight) * moments, jnp.asarray(weight) * number
+            valid = self._whole(columns, length, blocks)[None, :]
+            rows, there = jnp.where(valid, everywhere(length), 0.0), valid.astype(dtype)
+            number = blocks.products(there, there)[:, 0, 0]
+            return jnp.asarray(weight) * blocks.products(rows, rows), jnp.asarray(weight) * number
 
-        none = (jnp.zeros((count, size, size), dtype), jnp.zeros(count, dtype))
+        none = (jnp.zeros((blocks.number, count, count), dtype), jnp.zeros(blocks.number, dtype))
 
         def law_moments(law: LagBins) -> Moments:
             return sum_over_lengths(of_length, (law.first, law.weight), none)
@@ -537,21 +504,20 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         """Of all windows, from the squares of each length's weights."""
         if not isinstance(windows, LagBins):
             return None
-        start = jnp.arange(columns.sample_count)
-        within = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
 
         def of_length(length: Leaf, weight: Leaf) -> tuple[Array, Array]:
-            at = jnp.where(within & self._whole(columns, length, blocks), weight, 0.0)
+            at = jnp.where(self._whole(columns, length, blocks), weight, 0.0)
             return at, self._weights(length, columns)
 
         return noise_weights_of_lengths(of_length, (windows.first, windows.weight))
 
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
-        """Where a window of this length may start: inside, with no sample missing."""
+        """Where a window of this length may start: in a block, with no sample missing."""
         start = jnp.arange(columns.sample_count)
+        within = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
         window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
         unbroken = valid_windows(window, columns.present)
-        valid: Any = both(unbroken, start + length < blocks.unpadded)
+        valid: Any = both(unbroken, within & (start + length < blocks.unpadded))
         return valid
 
     def _at_every_start(

@@ -6,7 +6,8 @@ What models of machines leave out most often: friction, springs, offsets, produc
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.equations.bases import AbstractShape, DeadZone, Saturation, Stribeck
-from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, constant, even, odd, product, read_expression
 from riecjax.equations.memories import BoucWen, Dahl, Elapsed, Memory, usual_widths
+from riecjax.equations.model import Model
 from riecjax.equations.motions import Motion, motions_and_unread, per
 from riecjax.equations.term import AbstractTerm, Term, Terms
 from riecjax.errors import ModelError, RiecjaxError, require
@@ -35,6 +36,7 @@ class Candidate:
     - `meaning`, in words.
     - `equation`, the name of the one that it may belong to; the first by default.
     - `memories`, states that its terms read and recordings lack.
+    - `law`, the [`Shaped`][] one that it has a width of, that of this `number`; `None` without.
 
     **Raises:** `ModelError` without terms, or for what is no term.
     """
@@ -44,6 +46,8 @@ class Candidate:
     meaning: str = ""
     equation: str = ""
     memories: tuple[Memory, ...] = ()
+    law: "Shaped | None" = None
+    number: int = 0
 
     def __post_init__(self):
         for term in self.terms:
@@ -56,6 +60,21 @@ class Candidate:
     def columns(self) -> tuple[str, ...]:
         """Names of its coefficients."""
         return tuple(name for term in self.terms for name in term.parameters)
+
+    @property
+    def family(self) -> str:
+        """The name of its law, whatever the width."""
+        return self.name if self.law is None else self.law.name
+
+    @property
+    def width(self) -> float | None:
+        """That of its law."""
+        return None if self.law is None else float(self.law.widths[self.number])
+
+    @property
+    def settled(self) -> "Candidate":
+        """The same by the name of its law, once the width is chosen."""
+        return self if self.law is None else self.law.at(self.number, self.law.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,18 +95,12 @@ class Shaped:
     equation: str = ""
     remember: Callable[[str, float], Memory] | None = None
 
-    def at(self, number: int) -> Candidate:
-        """The candidate of one of the widths."""
-        return self._candidate(f"{self.name}@{number}", float(self.widths[number]))
-
-    def chosen(self, width: float) -> Candidate:
-        """The candidate of this width, by its own name."""
-        return self._candidate(self.name, width)
-
-    def _candidate(self, name: str, width: float) -> Candidate:
+    def at(self, number: int, name: str = "") -> Candidate:
+        """The candidate of one of the widths, by a name of that width or another one."""
+        name, width = name or f"{self.name}@{number}", float(self.widths[number])
         memories = () if self.remember is None else (self.remember(name, width),)
-        term = self.build(name, width)
-        return Candidate(name, (term,), self.meaning, self.equation, memories)
+        terms = (self.build(name, width),)
+        return Candidate(name, terms, self.meaning, self.equation, memories, self, number)
 
     def closer(self, number: int) -> "Shaped":
         """The same for widths between the two beside one of them, which stays among them."""
@@ -103,21 +116,30 @@ class Shaped:
 AnyCandidate = Candidate | Shaped
 
 
+def members(candidates: Iterable[AnyCandidate]) -> list[Candidate]:
+    """Candidates as they are summed: of a law with a width one for each width."""
+    return [
+        each
+        for one in candidates
+        for each in (map(one.at, range(one.widths.size)) if isinstance(one, Shaped) else [one])
+    ]
+
+
 def as_candidates(given: object) -> list[AnyCandidate]:
     """What a user gives as candidates: these, or terms, each a candidate by itself.
 
     **Raises:** `ModelError` for anything else, and for two of one name.
     """
     listed: Sequence[object] = given if isinstance(given, list | tuple) else [given]
-    found: list[AnyCandidate] = []
-    for one in listed:
-        if isinstance(one, AbstractTerm):
-            found.append(Candidate(" + ".join(one.parameters) or "a known term", (one,)))
-            continue
+    found: list[Any] = [
+        Candidate(" + ".join(one.parameters) or "a known term", (one,))
+        if isinstance(one, AbstractTerm)
+        else one
+        for one in listed
+    ]
+    for candidate in found:
         example = "candidates=[rx.Term('drag', rx.odd('dx', 2))]"
-        require("a candidate", one, (Candidate, Shaped), example)
-        assert isinstance(one, Candidate | Shaped)
-        found.append(one)
+        require("a candidate", candidate, (Candidate, Shaped), example)
     if not found:
         raise ModelError("no candidate is given: leave candidates out for the usual ones.")
     names = [one.name for one in found]
@@ -172,41 +194,45 @@ STIFFNESS = (
 )
 
 
-def default_candidates(
-    equations: Sequence[Equation], names: Sequence[str], records: Sequence[Record],
-    units: Mapping[str, str],
-) -> list[AnyCandidate]:  # fmt: skip
-    """The usual candidates for each equation.
+def default_candidates(model: Model, records: Sequence[Record]) -> list[AnyCandidate]:
+    """The usual candidates for each equation of a model.
 
-    **Arguments:** `names` of the equations; `records`, which say what is recorded and how far
-    signals reach; `units` of signals, as far as they are known.
+    **Arguments:** `records`, which say what is recorded, in which units, and how far signals reach.
     """
     found: list[AnyCandidate] = []
+    units = {signal.name: signal.unit for signal in model.signals}
+    for record in records:
+        units |= {name: unit for name, unit in dict(record.units).items() if unit}
     recorded = set.intersection(*({*record.arrays} for record in records))
     # Signals that are recorded, and that no equation reads or knows as a derivative.
-    known = {name for e in equations for pair in e.derivatives for name in pair}
-    for equation in equations:
-        signals = records[0].signals
-        for term in equation.terms:
-            with contextlib.suppress(RiecjaxError):
-                read_expression(term.of, signals)
-        known |= {*signals.read}
+    signals = records[0].signals
+    for term in (term for equation in model.equations for term in equation.terms):
+        with contextlib.suppress(RiecjaxError):
+            read_expression(term.of, signals)
+    known = {name for e in model.equations for pair in e.derivatives for name in pair}
+    known |= {*signals.read}
     unread = [name for name in records[0].arrays if name in recorded and name not in known]
-    for name, equation in zip(names, equations, strict=True):
+    names = (name for stage in model.equation_names for name in stage)
+    for name, equation in zip(names, model.equations, strict=True):
         motions, others = motions_and_unread(equation, records[0], recorded, units, unread)
         found += _of_unread(others, motions, equation.unit, units, name)
         for motion in motions:
             after = f"_{motion.name}" if len(motions) > 1 else ""
             found += _of_motion(motion, equation.unit, records, name, after)
         found.append(of_term("offset", constant, equation.unit, "constant force", name))
-        state, unit = state_name("drift"), per(equation.unit, "s")
-        drift = of_term("drift", state, unit, "force that drifts", name)
-        found.append(replace(drift, memories=(Elapsed(state),)))
+        state = state_name("drift")
+        drift = (Term("drift", state, unit=per(equation.unit, "s")),)
+        found.append(Candidate("drift", drift, "force that drifts", name, (Elapsed(state),)))
     # Those of several equations by the equation's name, where two are called the same.
-    called = [one.name for one in found]
+    called = Counter(candidate.name for candidate in found)
+    found = [renamed(c, f"{c.name}_{c.equation}") if called[c.name] > 1 else c for c in found]
+    # Where the model has a coefficient of that name, under another one.
+    taken = {*model.parameter_names}
     return [
-        renamed(one, f"{one.name}_{one.equation}") if called.count(one.name) > 1 else one
-        for one in found
+        renamed(candidate, f"{candidate.name}_2")
+        if taken & {*members([candidate])[0].settled.columns}
+        else candidate
+        for candidate in found
     ]
 
 
@@ -242,10 +268,15 @@ def _of_motion(
         least = 1e-3 * float(widths[-1]) or 1.0
         widths = np.maximum.accumulate(np.maximum(widths, least * np.arange(1, widths.size + 1)))
 
-        def build(name: str, width: float) -> AbstractTerm:
-            return Terms(name, kind(width), of, unit=coefficient)
-
-        return Shaped(name + after, build, widths, of, of_unit, meaning, equation)
+        return Shaped(
+            name + after,
+            lambda name, width: Terms(name, kind(width), of, unit=coefficient),
+            widths,
+            of,
+            of_unit,
+            meaning,
+            equation,
+        )
 
     if v or x:
         derivative = {"derivative": 1, "measured": (v,) if v else ()} if x else {}

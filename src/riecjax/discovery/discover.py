@@ -1,29 +1,14 @@
 """The verb: which terms a model lacks, told from recordings."""
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
-
-import numpy as np
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, with_velocities
-from riecjax.discovery.candidate import AnyCandidate, Candidate, as_candidates, default_candidates
-from riecjax.discovery.discovery import Chosen, Discovery, Rejected, is_more_than_noise
-from riecjax.discovery.search import (
-    Again,
-    Offer,
-    Search,
-    Step,
-    Sums,
-    again,
-    by_equation,
-    extended,
-    members,
-    without_taken,
-    without_twins,
-)
+from riecjax.discovery.candidate import as_candidates, default_candidates, members
+from riecjax.discovery.discovery import Chosen, Discovery, is_more_than_noise
+from riecjax.discovery.search import Question, Rejected, Step, Sums, again, extended, without_twins
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import (
     HiddenMode,
@@ -31,7 +16,6 @@ from riecjax.equations.hidden_elements import (
     accelerated,
     mode_frequency,
 )
-from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.equations.motions import reading_velocities
 from riecjax.errors import DataError, ModelError, RiecjaxError
@@ -39,20 +23,16 @@ from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
+from riecjax.findings import Finding
 from riecjax.records.preparation.alignment import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
 from riecjax.settings import Discover as DiscoverSettings
 from riecjax.settings import taking
 from riecjax.summaries.task import ready
-from riecjax.uncertainty.intervals import AbstractIntervals, intervals_of
+from riecjax.uncertainty.intervals import intervals_of
 from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
 
-if TYPE_CHECKING:
-    from riecjax.findings import Finding
-
-FEWEST = 6
-"""Folds of time that a choice is made from at the least."""
 LATE = 3
 """Delays that are taken off at the most, one after the other."""
 TAKEN_OFF = "terms are of recordings with it in time"
@@ -100,209 +80,129 @@ def discover(model: Equation | Model, records: Records, settings: DiscoverSettin
     model.plan({*model.known, *settings.known})
     # Velocities that candidates read and no sensor measured are formed, if they can be.
     reading, recordings = reading_velocities(model), []
-    for one in as_recordings(records):
+    for recording in as_recordings(records):
         with contextlib.suppress(DataError):  # too short, which sums will say
-            record, steps = with_velocities(reading, one.record)
-            one = replace(one, record=record, steps=(*one.steps, *steps))
-        recordings.append(one)
+            record, steps = with_velocities(reading, recording.record)
+            recording = replace(recording, record=record, steps=(*recording.steps, *steps))
+        recordings.append(recording)
     if settings.candidates is None:
-        units = {signal.name: signal.unit for signal in model.signals}
-        sampled = [one.record for one in recordings]
-        for record in sampled:
-            units |= {name: unit for name, unit in dict(record.units).items() if unit}
-        names = [name for stage in model.equation_names for name in stage]
-        usual = default_candidates(model.equations, names, sampled, units)
-        offered = without_twins(without_taken(usual, model.parameter_names), model)
+        usual = default_candidates(model, [recording.record for recording in recordings])
+        offered = without_twins(usual, model)
     else:
         offered = as_candidates(settings.candidates)
     with_all = extended(model, members(offered))
     plan_parameters(with_all, 1, settings.known, ())
-    whole = ready(with_all, recordings, settings.noise)
-    plain = [one.record for one in whole]
-    own = criterion_for(settings, model, plain)
+    # States of candidates are formed as they are summed, for each width anew.
+    whole = ready(replace(with_all, memories=model.memories), recordings, settings.noise)
+    criterion = criterion_for(settings, model, [recording.record for recording in whole])
     # Without draws of its own, standard errors by blocks are the same.
-    usual = settings.intervals in (None, "bootstrap") and settings.seed == 0
-    intervals = None if usual else intervals_of(settings.intervals, settings.seed)
-    for one in whole:  # before they are given states that nobody recorded
-        read_of(model, one, own)
-    held = {**{name: float(value) for name, value in model.known.items()}, **settings.known}
-    asked = _Asked(model, offered, own, held, intervals, settings)
+    plain = settings.intervals in (None, "bootstrap") and settings.seed == 0
+    intervals = None if plain else intervals_of(settings.intervals, settings.seed)
+    for recording in whole:  # before they are given states that nobody recorded
+        read_of(model, recording, criterion)
+    known = {**{name: float(value) for name, value in model.known.items()}, **settings.known}
+    asked = Question(model, offered, criterion, known, intervals, settings)
     if settings.candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
-    if not answer.leaves_more or any(one.code in IN_DISORDER for one in answer.amiss):
+    if not answer.leaves_more or any(finding.code in IN_DISORDER for finding in answer.amiss):
         return answer
     return _with_mode(asked, answer, in_time)
 
 
-class _Asked(NamedTuple):
-    """What is asked of the recordings, however often they are searched."""
-
-    model: Model
-    offered: list[AnyCandidate]
-    criterion: AbstractCriterion
-    known: Mapping[str, float]
-    intervals: AbstractIntervals | None
-    settings: DiscoverSettings
-
-    def parts(self, recordings: list[Recording]) -> tuple[list[Recording], list[Recording]]:
-        """What is searched, and what values are from."""
-        if self.settings.hold_out is None:
-            return recordings, recordings
-        first, last = zip(*(one.split(self.settings.hold_out) for one in recordings))
-        return list(first), list(last)
-
-    def identified(
-        self, model: Model, recordings: list[Recording], criterion: AbstractCriterion | None
-    ) -> Estimate:
-        """The estimate of a model."""
-        settings = {"intervals": self.intervals, "at_rest": self.settings.at_rest}
-        return identify(model, self.parts(recordings)[1], criterion, known=self.known, **settings)
+def _identified(
+    asked: Question,
+    model: Model,
+    recordings: list[Recording],
+    criterion: AbstractCriterion | None,
+) -> Estimate:
+    settings = {"intervals": asked.intervals, "at_rest": asked.settings.at_rest}
+    return identify(model, asked.parts(recordings)[1], criterion, known=asked.known, **settings)
 
 
-def _in_time(asked: _Asked, recordings: list[Recording]) -> tuple[Discovery, list[Recording]]:
+def _in_time(asked: Question, recordings: list[Recording]) -> tuple[Discovery, list[Recording]]:
     """What is found once signals are in time that come late against the terms found.
 
     Terms stand for a delay: damping turns a phase as well. It is taken off only where a search
     leaves less without it.
     """
-    found, late = _found(asked, recordings)
+    answer, late = _found(asked, recordings)
     known: list[Finding] = []
     while late is not None and len(known) < LATE:
-        told = found.findings[-1]
+        told = answer.findings[-1]
         if told.code != "late_signal":
             break
         moved = dict.fromkeys(late.signals, late.seconds)
         try:
             in_time = [replace(one, record=shift(one.record, moved)) for one in recordings]
-            again, late = _found(asked, in_time)
+            other, late = _found(asked, in_time)
         except RiecjaxError:  # nothing is left of a signal
             break
-        if _left(again) >= _left(found):
+        if other.of_motion >= answer.of_motion:
             break
-        delays = {name: found.delays.get(name, 0.0) + more for name, more in moved.items()}
+        delays = {name: answer.delays.get(name, 0.0) + more for name, more in moved.items()}
         known.append(told._replace(message=f"{told.message.partition('. ')[0]}; {TAKEN_OFF}"))
-        found, recordings = replace(again, delays={**found.delays, **delays}), in_time
-    return replace(found, findings=(*known, *found.findings)), recordings
+        answer, recordings = replace(other, delays={**answer.delays, **delays}), in_time
+    return replace(answer, findings=(*known, *answer.findings)), recordings
 
 
-def _left(found: Discovery) -> float:
-    """What is unexplained of all equations, noise not counted."""
-    return sum(steps[-1].of_motion for steps in found.paths.values())
-
-
-def _found(asked: _Asked, whole: list[Recording]) -> tuple[Discovery, SignalDelay | None]:
+def _found(asked: Question, whole: list[Recording]) -> tuple[Discovery, SignalDelay | None]:
     """What is found in recordings as they are, and the delay that explains what is left."""
     first, last = asked.parts(whole)
     model, settings = asked.model, asked.settings
-    shares = settings.least, settings.smallest
-    sums = Sums(model, first, asked.criterion, asked.offered, asked.known, *shares)
-    stages = _searched(sums)
+    stages = Sums(asked, first).stages()
     times = 0 if settings.hold_out is not None else settings.resamples
-    drawn = [again(search, chosen, settings.seed, times) for search, chosen in stages]
-    chosen = [_as_chosen(sums, search, of, one, drawn) for search, of in stages for one in of]
-    larger = _with_chosen(model, chosen)
-    estimate = asked.identified(larger, whole, asked.criterion)
-    # What is amiss with recordings, and what is late against the equations.
-    amiss: list[Finding] = []
-    records = [with_memories(one.record, larger.memories) for one in last]
-    for one, record in zip(last, records, strict=True):
-        one = replace(one, record=record)
-        read = read_of(larger, one, estimate.criterion)
-        amiss += [*one.concerning(read).findings, *of_sensors(larger, one, read)]
-    late = None
-    # Of signals that contradict each other an equation blames the wrong one.
-    if not any(one.code in IN_DISORDER for one in amiss):
-        with contextlib.suppress(RiecjaxError):  # too short to tell
-            late = late_cause(larger, records, estimate)
-    amiss += [] if late is None else [finding_of(late, records[0])]
-    # The nearest of each law.
+    chosen, scatter = [], {}
     rejected: dict[str, Rejected] = {}
     for search, of_stage in stages:
-        for offer, gain, chance in search.next_best(of_stage):
-            rejected.setdefault(offer.family, Rejected(offer.family, gain, chance))
-    found = Discovery(
+        chosen_again, errors = again(search, of_stage, settings.seed, times)
+        scatter |= errors
+        for candidate in search.next_best(of_stage):  # the nearest of each law
+            rejected.setdefault(candidate.name, candidate)
+        chosen += [
+            Chosen(
+                offer.settled,
+                offer.width,
+                "" if offer.law is None else offer.law.unit,
+                search.width_error(of_stage, offer),
+                chosen_again.get(offer.family, float("nan")),
+            )
+            for offer in of_stage
+        ]
+    larger = extended(model, [one.candidate for one in chosen])
+    estimate = _identified(asked, larger, whole, asked.criterion)
+    # Standard errors include the choice: they are never less than the estimate's own.
+    errors = dict(zip(estimate.parameters, map(float, estimate.standard_errors)))
+    errors |= {name: max(errors[name], e) for name, e in scatter.items() if name in errors}
+    # What is amiss with recordings, and what is late against the equations.
+    amiss: list[Finding] = []
+    last = ready(larger, last)
+    for recording in last:
+        read = read_of(larger, recording, estimate.criterion)
+        amiss += [*recording.concerning(read).findings, *of_sensors(larger, recording, read)]
+    late = None
+    # Of signals that contradict each other an equation blames the wrong one.
+    if not any(finding.code in IN_DISORDER for finding in amiss):
+        with contextlib.suppress(RiecjaxError):  # too short to tell
+            late = late_cause(larger, [recording.record for recording in last], estimate)
+    amiss += [] if late is None else [finding_of(late, last[0].record)]
+    answer = Discovery(
         larger,
         model,
         tuple(chosen),
-        tuple(sorted(rejected.values(), key=lambda one: -one.gain)),
+        tuple(sorted(rejected.values(), key=lambda candidate: -candidate.gain)),
         {
             " + ".join(names): tuple(search.path(of_stage))
             for names, (search, of_stage) in zip(model.equation_names, stages, strict=True)
             if search.offers
         },
         estimate,
-        _errors(estimate, stages, chosen, drawn),
+        errors,
         settings.hold_out or 0.0,
-        sum(len({one.family for one in search.offers}) for search, _ in stages),
-        tuple({one.message: one for one in amiss}.values()),
+        sum(len({offer.family for offer in search.offers}) for search, _ in stages),
+        tuple({finding.message: finding for finding in amiss}.values()),
     )
-    return found, late
-
-
-def _searched(sums: Sums) -> list[tuple[Search, list[Offer]]]:
-    """A search of each stage that terms were offered to, and what it found."""
-    found: dict[str, float] = {}
-    stages = []
-    for number, _ in enumerate(sums.model.stages):
-        search, chosen = sums.settled(number, found)
-        if search.folds.number < FEWEST:
-            raise DataError(
-                f"the recordings hold {search.folds.number} blocks of time, of which terms are to "
-                f"be chosen by leaving some out: {FEWEST} are needed. Record for longer, or choose "
-                f"a smaller beta."
-            )
-        places = [step.added for step in search.path(chosen)]
-        chosen = sorted(chosen, key=lambda one: places.index(one.family))
-        names = (*search.kept, *(name for one in chosen for name in one.columns))
-        found |= dict(zip(names, map(float, search.folds.fitted(names))))
-        stages.append((search, chosen))
-    return stages
-
-
-def _as_chosen(
-    sums: Sums, search: Search, beside: Sequence[Offer], offer: Offer, drawn: Sequence[Again]
-) -> Chosen:
-    shares = [one.shares[offer.family] for one in drawn if offer.family in one.shares]
-    share = max(shares, default=np.nan)
-    one = sums.candidate(offer.family)
-    if isinstance(one, Candidate):
-        return Chosen(one, None, "", np.nan, share)
-    assert offer.number is not None
-    width = float(one.widths[offer.number])
-    error = sums.width_error(search, beside, offer)
-    return Chosen(one.chosen(width), width, one.unit, error, share)
-
-
-def _with_chosen(model: Model, chosen: Sequence[Chosen]) -> Model:
-    candidates = [one.candidate for one in chosen]
-    if not candidates:
-        return model
-    meanings = {name: one.meaning for one in candidates for name in one.columns}
-    memories = list(dict.fromkeys(memory for one in candidates for memory in one.memories))
-    return model.with_terms(by_equation(model, candidates), memories=memories, meanings=meanings)
-
-
-def _errors(
-    estimate: Estimate,
-    stages: Sequence[tuple[Search, list[Offer]]],
-    chosen: Sequence[Chosen],
-    drawn: Sequence[Again],
-) -> dict[str, float]:
-    """Standard errors that include the choice: never less than the estimate's own."""
-    taken = [one for _, of_stage in stages for one in of_stage]
-    called = {
-        name: other
-        for offer, one in zip(taken, chosen, strict=True)
-        for name, other in zip(offer.columns, one.candidate.columns, strict=True)
-    }
-    own = dict(zip(estimate.parameters, map(float, estimate.standard_errors)))
-    for one in drawn:
-        for name, error in one.errors.items():
-            final = called.get(name, name)
-            if final in own and error == error:
-                own[final] = max(own[final], error)
-    return own
+    return answer, late
 
 
 # A further hidden mode, instead of terms or beside them.
@@ -320,7 +220,7 @@ TOLD = 3.0
 for it."""
 
 
-def _with_mode(asked: _Asked, found: Discovery, recordings: list[Recording]) -> Discovery:
+def _with_mode(asked: Question, found: Discovery, recordings: list[Recording]) -> Discovery:
     """The same, or where much less is left with a hidden mode, with it: instead of all terms, or
     beside those that are still told from zero."""
     model = found.start
@@ -330,52 +230,56 @@ def _with_mode(asked: _Asked, found: Discovery, recordings: list[Recording]) -> 
     bodies = {n: accelerated(one) for n, one in zip(stages, model.equations, strict=True)}
     fits = found.estimate.equations
     for name in sorted((n for n in stages if bodies[n]), key=lambda n: -float(fits[n].model_rms)):
-        most = LEAVES * float(fits[name].model_rms)
         for on in reversed(bodies[name]):
-
-            def beside(chosen: Sequence[Chosen], by: _Asked = asked, on: str = on) -> Estimate:
-                larger = _with_chosen(model, chosen).with_modes(HiddenMode(on))
-                return by.identified(larger, recordings, criterion)
-
             try:
-                chosen, estimate = _staying(found, name, beside, asked)
+                chosen, estimate = _beside_mode(asked, found, recordings, criterion, name, on)
             except RiecjaxError:  # no mode is to be found on this body
                 continue
-            if float(estimate.equations[name].model_rms) < most:
-                start = found.estimate
-                if found.chosen:
-                    start = asked.identified(model, recordings, criterion)
-                number = ModeParameters.of(len(model.modes))
-                frequency, _ = mode_frequency(estimate.values, number)
-                stage = stages[name] if stages[name] in found.paths else name
-                terms = " + ".join(one.candidate.name for one in chosen)
-                path = [_step(terms, fits[name])] if chosen else []
-                last = _step("mode", estimate.equations[name])
-                mode = HiddenMode(on, float(f"{float(frequency):.4g}"))
-                errors = map(float, estimate.standard_errors)
-                return replace(
-                    found,
-                    model=_with_chosen(model, chosen).with_modes(mode),
-                    chosen=chosen,
-                    rejected=(),
-                    mode=mode,
-                    paths={stage: (_step("", start.equations[name]), *path, last)},
-                    estimate=estimate,
-                    errors=dict(zip(estimate.parameters, errors, strict=True)),
-                )
+            if float(estimate.equations[name].model_rms) >= LEAVES * float(fits[name].model_rms):
+                continue
+            start = found.estimate
+            if found.chosen:
+                start = _identified(asked, model, recordings, criterion)
+            candidates = [one.candidate for one in chosen]
+            frequency, _ = mode_frequency(estimate.values, ModeParameters.of(len(model.modes)))
+            terms = " + ".join(candidate.name for candidate in candidates)
+            path = [_step("", start.equations[name])]
+            path += [_step(terms, fits[name])] if chosen else []
+            path.append(_step("mode", estimate.equations[name]))
+            mode = HiddenMode(on, float(f"{float(frequency):.4g}"))
+            return replace(
+                found,
+                model=extended(model, candidates).with_modes(mode),
+                chosen=chosen,
+                rejected=(),
+                mode=mode,
+                paths={stages[name] if stages[name] in found.paths else name: tuple(path)},
+                estimate=estimate,
+                errors=dict(zip(estimate.parameters, map(float, estimate.standard_errors))),
+            )
     return found
 
 
-def _staying(
-    found: Discovery, name: str, beside: Callable[..., Estimate], asked: _Asked
+def _beside_mode(
+    asked: Question,
+    found: Discovery,
+    recordings: list[Recording],
+    criterion: AbstractCriterion | None,
+    name: str,
+    on: str,
 ) -> tuple[tuple[Chosen, ...], Estimate]:
-    """Terms that stay beside a mode, and the estimate with both; `beside` makes one of terms."""
-    alone = beside(())
+    """Terms that stay beside a mode on a body, and the estimate with both, of a named equation."""
+
+    def estimate(chosen: Sequence[Chosen], by: Question = asked) -> Estimate:
+        larger = extended(found.start, [one.candidate for one in chosen])
+        return _identified(by, larger.with_modes(HiddenMode(on)), recordings, criterion)
+
+    alone = estimate(())
     left = _step("mode", alone.equations[name])
     if not found.chosen or not is_more_than_noise(left):
         return (), alone
     # Standard errors by blocks of time, whatever intervals were asked for.
-    both = beside(found.chosen, asked._replace(intervals=None))
+    both = estimate(found.chosen, asked._replace(intervals=None))
     errors = dict(zip(both.parameters, map(float, both.standard_errors), strict=True))
     stay = tuple(
         one
@@ -383,12 +287,12 @@ def _staying(
         if any(abs(float(both[n])) > TOLD * errors[n] for n in one.candidate.columns)
     )
     if len(stay) < len(found.chosen) or asked.intervals is not None:
-        both = beside(stay) if stay else alone
+        both = estimate(stay) if stay else alone
     less = _step("mode", both.equations[name]).of_motion < 0.5 * left.of_motion
     return (stay, both) if less else ((), alone)
 
 
 def _step(added: str, fit: EquationFit) -> Step:
     """What a fit leaves, of all that it was fitted to."""
-    whole, of_motion = (float(of) ** 2 for of in (fit.relative_rms, fit.model_rms))
+    whole, of_motion = (float(rms) ** 2 for rms in (fit.relative_rms, fit.model_rms))
     return Step(added, whole, of_motion, float("nan"), float("nan"))

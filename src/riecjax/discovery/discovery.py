@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from riecjax.discovery.candidate import Candidate
-from riecjax.discovery.search import Step
+from riecjax.discovery.search import Rejected, Step
 from riecjax.equations.hidden_elements import HiddenMode
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
@@ -19,15 +19,6 @@ ELSE = 1e-4
 def is_more_than_noise(step: Step) -> bool:
     """Whether noise makes less than half of what a step leaves, and the rest is worth telling."""
     return step.of_motion > max(0.5 * step.unexplained, ELSE)
-
-
-class Rejected(NamedTuple):
-    """A candidate that was not taken: share of what is unexplained that it would gain, and the
-    chance that one which explains nothing stands out as much, any one of those offered."""
-
-    name: str
-    gain: float
-    chance: float
 
 
 class Chosen(NamedTuple):
@@ -90,6 +81,11 @@ class Discovery(Shown):
     def leaves_more(self) -> bool:
         """Whether most of what is left is no noise, so that a model lacks something else."""
         return any(is_more_than_noise(steps[-1]) for steps in self.paths.values())
+
+    @property
+    def of_motion(self) -> float:
+        """What is unexplained of all equations, noise not counted."""
+        return sum(steps[-1].of_motion for steps in self.paths.values())
 
     @property
     def amiss(self) -> tuple[Finding, ...]:

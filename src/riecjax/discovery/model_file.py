@@ -1,7 +1,7 @@
 """A discovered model as a Python file that `identify` and `simulate` take."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 
@@ -22,48 +22,47 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     names = ", ".join(found.names)
     head = f'"""{found.start.name}{f" with {names}" if names else ""}."""\n\n'
     values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
-    table = found.estimate.table
+    table, terms = found.estimate.table, [chosen.candidate for chosen in found.chosen]
     of_mode = {n: v for n, v in values.items() if isinstance(table[n].element, ModeParameters)}
     added: dict[str, list[str]] = {}
-    first = found.start.equation_names[0][0]
-    own = False
-    for one in (chosen.candidate for chosen in found.chosen):
-        lines = [term.source for term in one.terms]
+    for candidate in terms:
+        lines = [term.source for term in candidate.terms]
         if None in lines:
             if candidates is None:
-                raise ModelError(f"{one.name} is of a function of your own: name its file.")
-            own = True
-            lines = [f"*rx.discovery.named({_path(candidates, folder)}, {written(one.name)}).terms"]
-        added.setdefault(one.equation or first, []).extend(map(str, lines))
-    start = _path(model, folder)
-    body = [f"MODEL = rx.find_model({start})"]
+                raise ModelError(f"{candidate.name} is of a function of your own: name its file.")
+            name = written(candidate.name)
+            lines = [f"*rx.discovery.named({_path(candidates, folder)}, {name}).terms"]
+        equation = candidate.equation or found.start.equation_names[0][0]
+        added.setdefault(equation, []).extend(f"{line}," for line in lines)
+    body = [f"MODEL = rx.find_model({_path(model, folder)})"]
     if found.chosen or found.mode is None:
-        others = {name: value for name, value in values.items() if name not in of_mode}
-        of_terms = [one.candidate for one in found.chosen]
-        named = {name: one.meaning for one in of_terms for name in one.columns}
-        meanings = _mapping("meanings", named)
-        body[-1] += ".with_terms("
-        body.append("    {")
-        for equation, lines in added.items():
-            terms = (f"            {line}," for line in lines)
-            body += [f"        {written(equation)}: [", *terms, "        ],"]
-        body.append("    },")
+        equations = [
+            line
+            for name, lines in added.items()
+            for line in _block(f"{written(name)}: [", lines, "],")
+        ]
         states = []
-        for memory in dict.fromkeys(m for one in of_terms for m in one.memories):
+        for memory in dict.fromkeys(memory for candidate in terms for memory in candidate.memories):
             given = ((field, getattr(memory, field.name)) for field in fields(memory))
             words = ", ".join(written(value) for field, value in given if value != field.default)
-            states.append(f"        rx.equations.{type(memory).__name__}({words}),")
-        body += ["    memories=[", *states, "    ],"] if states else []
-        body += [*_mapping("values", others), *meanings, ")"]
+            states.append(f"rx.equations.{type(memory).__name__}({words}),")
+        others = {name: value for name, value in values.items() if name not in of_mode}
+        meanings = {name: candidate.meaning for candidate in terms for name in candidate.columns}
+        arguments = [
+            *_block("{", equations, "},"),
+            *(_block("memories=[", states, "],") if states else []),
+            *_mapping("values", others),
+            *_mapping("meanings", meanings),
+        ]
+        body = _block(f"{body[0]}.with_terms(", arguments, ")")
     if found.mode is not None:
-        body[-1] += ".with_modes("
-        mode = f"rx.HiddenMode({written(found.mode.on)}, {found.mode.hz!r})"
-        body += [f"    {mode},", *_mapping("values", of_mode if found.chosen else values), ")"]
-    folder_line = ["HERE = Path(__file__).parent"] if "HERE" in start or own else []
-    folder_line += [""] if folder_line else []
-    imports = ["from pathlib import Path", ""] if folder_line else []
-    imports += ["import riecjax as rx", ""]
-    return head + "\n".join([*imports, *folder_line, *body]) + "\n"
+        mode = f"rx.HiddenMode({written(found.mode.on)}, {found.mode.hz!r}),"
+        arguments = [mode, *_mapping("values", of_mode if found.chosen else values)]
+        body = [*body[:-1], *_block(f"{body[-1]}.with_modes(", arguments, ")")]
+    imports = ["import riecjax as rx", ""]
+    if any("{HERE}" in line for line in body):
+        imports = ["from pathlib import Path", "", *imports, "HERE = Path(__file__).parent", ""]
+    return head + "\n".join([*imports, *body]) + "\n"
 
 
 def _path(reference: str, folder: Path) -> str:
@@ -77,8 +76,10 @@ def _path(reference: str, folder: Path) -> str:
     return f'f"{{HERE}}/{beside}{separator}{attribute}"'
 
 
+def _block(opening: str, lines: Iterable[str], closing: str) -> list[str]:
+    return [opening, *(f"    {line}" for line in lines), closing]
+
+
 def _mapping(name: str, values: Mapping[str, object]) -> list[str]:
-    if not values:
-        return []
-    each = (f"        {written(key)}: {written(value)}," for key, value in values.items())
-    return [f"    {name}={{", *each, "    },"]
+    each = (f"{written(key)}: {written(value)}," for key, value in values.items())
+    return _block(f"{name}={{", each, "},") if values else []

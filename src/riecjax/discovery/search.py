@@ -35,8 +35,7 @@ A model with terms that it may lack.
 
 import itertools
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Container, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,15 +43,16 @@ import scipy.stats
 from jaxtyping import Float
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, renamed
+from riecjax.discovery.candidate import AnyCandidate, Candidate, Shaped, members
 from riecjax.equations.bases import DeadZone, Saturation
-from riecjax.equations.memories import with_memories
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
+from riecjax.errors import DataError
 from riecjax.records.recording import Recording
+from riecjax.settings import Discover
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summarise import summarise
-from riecjax.summaries.summary import Summary
+from riecjax.uncertainty.intervals import AbstractIntervals
 
 FOLDS = 20
 """At most: more would make little difference to what is left out of each fit."""
@@ -68,6 +68,10 @@ class Left(NamedTuple):
 
     motion: Float[np.ndarray, " folds"]
     samples: Float[np.ndarray, " folds"]
+
+
+LEFT_BY_NONE = Left(np.array([np.inf]), np.zeros(1))
+"""Of columns that cannot be told apart: any others are better."""
 
 
 class Folds(NamedTuple):
@@ -195,21 +199,6 @@ MOST = 12
 """Terms that are added at most."""
 
 
-class Offer(NamedTuple):
-    """Columns that enter together. Of one `family` a structure takes one: they are one law with
-    other widths, of which they have that of this `number`; `None` without a width."""
-
-    name: str
-    columns: tuple[str, ...]
-    family: str
-    number: int | None = None
-
-    @property
-    def simple(self) -> bool:
-        """Whether they have no width."""
-        return self.number is None
-
-
 class Step(NamedTuple):
     """One line of the path.
 
@@ -225,10 +214,21 @@ class Step(NamedTuple):
     chance: float
 
 
+class Rejected(NamedTuple):
+    """A candidate that was not taken: share of what is unexplained that it would gain, and the
+    chance that one which explains nothing stands out as much, any one of those offered."""
+
+    name: str
+    gain: float
+    chance: float
+
+
 class Search:
     """A search for the columns that belong beside those that are kept.
 
-    `trials`, how many offers there were to choose from, where these are some of them; `least`,
+    Columns of a candidate enter together. Of a law with a width a structure takes one.
+
+    `trials`, how many candidates there were to choose from, where these are some of them; `least`,
     share of what is unexplained that a term must make up for; `smallest`, share of the whole.
     """
 
@@ -236,116 +236,104 @@ class Search:
         self,
         folds: Folds,
         kept: Sequence[str],
-        offers: Sequence[Offer],
+        offers: Sequence[Candidate],
         trials: int | None = None,
         least: float = SHARE,
         smallest: float = LEAST,
     ):
         self.folds, self.kept = folds, tuple(kept)
         self.every = tuple(offers)
-        self.offers = [one for one in offers if folds.told_apart(self._names([one]))]
+        self.offers = [offer for offer in offers if folds.told_apart(self.names([offer]))]
         self.least, self.smallest = least, smallest
         self._trials = max(len(self.offers) if trials is None else trials, 1)
-        self._known: dict[frozenset[str], Left | None] = {}
+        self._known: dict[frozenset[str], Left] = {}
 
-    def _names(self, chosen: Sequence[Offer]) -> tuple[str, ...]:
+    def names(self, chosen: Sequence[Candidate]) -> tuple[str, ...]:
+        """Of the columns that are kept and those of candidates."""
         return (*self.kept, *(column for offer in chosen for column in offer.columns))
 
-    def left(self, chosen: Sequence[Offer]) -> Left | None:
-        """What offers leave of each fold; `None` where they cannot be told apart."""
+    def left(self, chosen: Sequence[Candidate]) -> Left:
+        """What candidates leave of each fold."""
         key = frozenset(offer.name for offer in chosen)
         if key not in self._known:
-            names = self._names(chosen)
+            names = self.names(chosen)
             good = not chosen or self.folds.told_apart(names)
-            self._known[key] = self.folds.left(names) if good else None
+            self._known[key] = self.folds.left(names) if good else LEFT_BY_NONE
         return self._known[key]
 
-    def unexplained(self, chosen: Sequence[Offer]) -> float:
-        """What offers leave of the motion, infinite where they cannot be told apart."""
-        left = self.left(chosen)
-        return float("inf") if left is None else float(left.motion.sum())
+    def unexplained(self, chosen: Sequence[Candidate]) -> float:
+        """What candidates leave of the motion, infinite where they cannot be told apart."""
+        return float(self.left(chosen).motion.sum())
 
-    def chance(self, chosen: Sequence[Offer], one: Offer) -> float:
-        """That an offer which explains nothing stands out as much, any one of all."""
-        names = self._names(chosen)
-        each = min(self.folds.chance(names, column) for column in one.columns)
-        return min(each * len(one.columns) * self._trials, 1.0)
+    def chance(self, chosen: Sequence[Candidate], offer: Candidate) -> float:
+        """That a candidate which explains nothing stands out as much, any one of all."""
+        names = self.names(chosen)
+        each = min(self.folds.chance(names, column) for column in offer.columns)
+        return min(each * len(offer.columns) * self._trials, 1.0)
 
-    def found(self) -> list[Offer]:
-        """The offers that belong."""
-        chosen: list[Offer] = []
+    def found(self) -> list[Candidate]:
+        """The candidates that belong."""
+        chosen: list[Candidate] = []
         seen = {frozenset[str]()}
         while len(chosen) < MOST and (grown := self._grown(chosen)) is not None:
             settled = self._settled(grown)
             # What is added and taken away again would be added for ever.
-            if (names := frozenset(one.name for one in settled)) in seen:
+            if (names := frozenset(offer.name for offer in settled)) in seen:
                 break
             seen.add(names)
             chosen = settled
-        found = self._pruned(chosen)
+        chosen = self._pruned(chosen)
         # What gained most may have been left to chance, and hidden what is sure and gains less.
-        while (grown := self._grown(found, sure=True)) is not None:
+        while (grown := self._grown(chosen, sure=True)) is not None:
             more = self._pruned(self._settled(grown))
-            if len(more) <= len(found):
+            if len(more) <= len(chosen):
                 break
-            found = more
-        return found
+            chosen = more
+        return chosen
 
-    def _free(self, chosen: Sequence[Offer]) -> Iterator[Offer]:
+    def _free(self, chosen: Sequence[Candidate]) -> Iterator[Candidate]:
         families = {offer.family for offer in chosen}
         return (offer for offer in self.offers if offer.family not in families)
 
-    def _grown(self, chosen: list[Offer], sure: bool = False) -> list[Offer] | None:
+    def _grown(self, chosen: list[Candidate], sure: bool = False) -> list[Candidate] | None:
         """With what gains most, if that is worth a term; of what chance does not explain, if it is
         to be `sure`."""
-        before, best, most = self.left(chosen), None, 0.0
-        for offer in self._free(chosen):
-            after = self.left([*chosen, offer])
-            gain = self._gain(before, after)
-            if not gain > most:
-                continue
-            if not sure or (
-                self._is_worth(before, after) and self.chance([*chosen, offer], offer) < RATE
-            ):
-                best, most = offer, gain
-        if best is None:
+        before, larger = self.left(chosen), [[*chosen, offer] for offer in self._free(chosen)]
+        if sure:
+            larger = [
+                more
+                for more in larger
+                if self._is_worth(before, self.left(more)) and self.chance(more, more[-1]) < RATE
+            ]
+        best = min(larger, key=self.unexplained, default=chosen)
+        if not self.unexplained(best) < self.unexplained(chosen):
             return None
-        grown = self._simpler([*chosen, best])
+        grown = self._simpler(best)
         return grown if self._is_worth(before, self.left(grown)) else None
 
-    def _simpler(self, chosen: list[Offer]) -> list[Offer]:
+    def _simpler(self, chosen: list[Candidate]) -> list[Candidate]:
         """With a law without a width instead of the last one, where it predicts about as well and
         is as sure."""
         *rest, last = chosen
-        if last.simple:
+        if last.law is None:
             return chosen
         now, is_doubtful = self.left(chosen), self.chance(chosen, last) >= RATE
         alike = [
-            (left.motion.sum(), i)
-            for i, one in enumerate(self.offers)
-            if one.simple
-            and one not in rest
-            and (left := self.left([*rest, one])) is not None
-            and not self._is_worth(left, now)
-            and (is_doubtful or self.chance([*rest, one], one) < RATE)
+            [*rest, offer]
+            for offer in self.offers
+            if offer.law is None
+            and offer not in rest
+            and not self._is_worth(self.left([*rest, offer]), now)
+            and (is_doubtful or self.chance([*rest, offer], offer) < RATE)
         ]
-        return [*rest, self.offers[min(alike)[1]]] if alike else chosen
+        return min(alike, key=self.unexplained, default=chosen)
 
-    def _gain(self, before: Left | None, after: Left | None) -> float:
-        """What more is explained of the motion: a term's own noise is no fault of it."""
-        if before is None or after is None:
-            return -np.inf
-        return float(before.motion.sum() - after.motion.sum())
-
-    def _is_worth(self, before: Left | None, after: Left | None) -> bool:
-        if before is None:
-            return True
-        if after is None:
-            return False
-        gain = self._gain(before, after)
+    def _is_worth(self, before: Left, after: Left) -> bool:
+        """Whether terms explain enough more of the motion: their own noise is no fault of them."""
+        gain = float(before.motion.sum()) - float(after.motion.sum())
         return gain > max(self.least * before.samples.sum(), self.smallest * self.folds.energy)
 
-    def _settled(self, chosen: list[Offer]) -> list[Offer]:
+    def _settled(self, chosen: list[Candidate]) -> list[Candidate]:
         """Without what is worth no term beside the rest, and others where these predict better."""
         for _ in range(MOST):
             if (other := self._better(chosen)) is None:
@@ -353,172 +341,157 @@ class Search:
             chosen = other
         return chosen
 
-    def _better(self, chosen: list[Offer]) -> list[Offer] | None:
+    def _better(self, chosen: list[Candidate]) -> list[Candidate] | None:
         now = self.left(chosen)
-        for offer in chosen:
-            rest = [one for one in chosen if one is not offer]
+        without = [(offer, [other for other in chosen if other is not offer]) for offer in chosen]
+        for _, rest in without:
             if not self._is_worth(self.left(rest), now):
                 return rest
         # Of two terms the one law that says the same: a spring and what it lacks within a gap.
         for pair in itertools.combinations(chosen, 2):
-            rest = [one for one in chosen if one not in pair]
+            rest = [offer for offer in chosen if offer not in pair]
             for other in self._free(rest):
-                fewer = [*rest, other]
-                if other not in pair and not self._is_worth(self.left(fewer), now):
-                    return fewer
-        for offer in chosen:
-            rest = [one for one in chosen if one is not offer]
-            simpler = self._simpler([*rest, offer])
-            if not offer.simple and simpler[-1] is not offer:
+                if other not in pair and not self._is_worth(self.left([*rest, other]), now):
+                    return [*rest, other]
+        for offer, rest in without:
+            if (simpler := self._simpler([*rest, offer]))[-1] is not offer:
                 return simpler
-        best, most = None, 0.0
-        for offer in chosen:
-            rest = [one for one in chosen if one is not offer]
-            for other in self._free(rest):
-                changed = [*rest, other]
-                gain = self._gain(now, self.left(changed))
-                if other is not offer and gain > most and self._is_worth(now, self.left(changed)):
-                    best, most = changed, gain
-        return best
+        changed = [
+            [*rest, other]
+            for offer, rest in without
+            for other in self._free(rest)
+            if other is not offer and self._is_worth(now, self.left([*rest, other]))
+        ]
+        return min(changed, key=self.unexplained, default=None)
 
-    def _pruned(self, chosen: list[Offer]) -> list[Offer]:
+    def _pruned(self, chosen: list[Candidate]) -> list[Candidate]:
         while chosen:
             chances = [self.chance(chosen, offer) for offer in chosen]
             doubtful = int(np.argmax(chances))
             if chances[doubtful] < RATE:
                 break
-            chosen = [one for i, one in enumerate(chosen) if i != doubtful]
-            chosen = self._settled(chosen)
+            chosen = self._settled([*chosen[:doubtful], *chosen[doubtful + 1 :]])
         return chosen
 
-    def path(self, chosen: Sequence[Offer]) -> list[Step]:
-        """What is left without any, and with one more at a time, what gains most first."""
-        energy = self.folds.energy or 1.0
-        before = self.left([])
-        assert before is not None
-        steps = [self._step("", before, before, energy, 0.0)]
-        added: list[Offer] = []
-        waiting = list(chosen)
-        while waiting:
-            after = [(one, self.left([*added, one])) for one in waiting]
-            sure = [(one, left) for one, left in after if left is not None]
-            if not sure:
-                break
-            one, left = min(sure, key=lambda pair: pair[1].motion.sum())
-            chance = self.chance(chosen, one)
-            steps.append(self._step(one.family, before, left, energy, chance))
-            added.append(one)
-            waiting.remove(one)
+    def in_order(self, chosen: Sequence[Candidate]) -> list[Candidate]:
+        """What gains most first, beside those before it."""
+        ordered: list[Candidate] = []
+        while waiting := [offer for offer in chosen if offer not in ordered]:
+            ordered = min(([*ordered, offer] for offer in waiting), key=self.unexplained)
+        return ordered
+
+    def path(self, chosen: Sequence[Candidate]) -> list[Step]:
+        """What is left without any, and with one more at a time in this order."""
+        energy, before, steps = self.folds.energy or 1.0, self.left([]), []
+        for number, added in enumerate([None, *chosen]):
+            left = self.left(chosen[:number])
+            gain = (before.samples - left.samples) / energy
+            error = np.sqrt(gain.size) * np.std(gain, ddof=1) if gain.size > 1 else np.nan
+            whole, motion = (float(part.sum() / energy) for part in (left.samples, left.motion))
+            name, chance = (added.family, self.chance(chosen, added)) if added else ("", 0.0)
+            steps.append(Step(name, whole, motion, float(error), chance))
             before = left
         return steps
 
-    def _step(self, name: str, before: Left, left: Left, energy: float, chance: float) -> Step:
-        gain = before.samples - left.samples
-        error = np.sqrt(gain.size) * np.std(gain, ddof=1) if gain.size > 1 else np.nan
-        whole, of_motion = (float(of.sum() / energy) for of in (left.samples, left.motion))
-        return Step(name, whole, of_motion, float(error / energy), chance)
+    def next_best(self, chosen: Sequence[Candidate], most: int = 5) -> list[Rejected]:
+        """Candidates that were not taken and would gain most."""
+        now, energy = self.unexplained(chosen), self.left(chosen).samples.sum()
+        larger = [[*chosen, offer] for offer in self._free(chosen)]
+        gains = [(float((now - self.unexplained(more)) / energy), more) for more in larger]
+        nearest = [
+            Rejected(more[-1].family, gain, self.chance(more, more[-1]))
+            for gain, more in gains
+            if gain > 0
+        ]
+        return sorted(nearest, key=lambda rejected: -rejected.gain)[:most]
 
-    def next_best(self, chosen: Sequence[Offer], most: int = 5) -> list[tuple[Offer, float, float]]:
-        """Offers that were not taken: share that each would gain, and by what chance."""
-        before = self.left(chosen)
-        if before is None:
-            return []
-        found = []
-        for offer in self._free(chosen):
-            after = self.left([*chosen, offer])
-            if after is None:
-                continue
-            gain = self._gain(before, after) / before.samples.sum()
-            if gain > 0:
-                found.append((offer, float(gain), self.chance([*chosen, offer], offer)))
-        return sorted(found, key=lambda one: -one[1])[:most]
+    def width_error(self, chosen: Sequence[Candidate], offer: Candidate) -> float:
+        """Standard error of a law's width; nan where it lies at the end of what was tried.
+
+        The width makes the sum over folds of what is unexplained least: with L_f' its slope in fold
+        f, the variance is sum L_f'^2 / (sum L_f'')^2 (Huber's sandwich), slopes by differences.
+        """
+        if offer.law is None:
+            return float("nan")
+        beside, widths = [other for other in chosen if other is not offer], offer.law.widths
+        each = [[*beside, other] for other in self.every if other.law is offer.law]
+        number = offer.number
+        # Of widths that leave alike the one that was chosen may stand at an end, and not the least.
+        if not 0 < number < widths.size - 1:
+            number = int(np.argmin([self.unexplained(structure) for structure in each]))
+        # At an end there are fewer.
+        near = [self.left(structure) for structure in each[max(number - 1, 0) : number + 2]]
+        if len(near) < 3 or any(left is LEFT_BY_NONE for left in near):
+            return float("nan")
+        below, at, above = (left.motion for left in near)
+        low, high = widths[number] - widths[number - 1], widths[number + 1] - widths[number]
+        # Of a parabola through three points, wherever its least is.
+        slopes = ((above - at) * low / high + (at - below) * high / low) / (low + high)
+        bend = 2 * np.sum((above - at) / high - (at - below) / low) / (low + high)
+        return float(np.sqrt(np.sum(slopes**2)) / bend) if bend > 0 else float("nan")
 
 
 AGAIN = 40
 """Searches."""
 AMONG = 40
-"""Offers at most that are searched again: those that leave least, alone or beside the chosen."""
+"""Candidates at most that are searched again: those that leave least, alone or beside the chosen.
+"""
 
 
-class Again(NamedTuple):
-    """What searches of folds that were drawn again found.
+def again(
+    search: Search, chosen: Sequence[Candidate], seed: int, times: int = AGAIN
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Search again from folds drawn with replacement.
 
-    **Fields:** `shares` of the searches that chose each family; `errors`, the standard deviation of
-    each parameter over those that hold it.
+    **Returns:** shares of the searches that chose each family again, and the standard deviation of
+    each parameter over those that hold it. Of a law it is the same one, whatever its width.
     """
-
-    shares: dict[str, float]
-    errors: dict[str, float]
-
-
-def again(search: Search, chosen: Sequence[Offer], seed: int, times: int = AGAIN) -> Again:
-    """Search again from folds drawn with replacement."""
     rng = np.random.default_rng(seed)
-    folds = search.folds
-    among = _among(search, chosen)
-    trials = len(search.offers)
-    families: Counter[str] = Counter()
-    values: dict[tuple[str, int], list[float]] = {}
-    # Of a law the same coefficient, whatever its width.
-    place_of = {
-        name: (offer.family, i) for offer in search.every for i, name in enumerate(offer.columns)
+    folds, among = search.folds, search.offers
+    if len(among) > AMONG:
+        others = [offer for offer in among if offer not in chosen]
+        orders = [
+            sorted(others, key=lambda offer: search.unexplained([*beside, offer]))
+            for beside in ([], chosen)
+        ]
+        others.sort(key=lambda offer: min(order.index(offer) for order in orders))
+        among = [*chosen, *others[: AMONG - len(chosen)]]
+    final = {
+        column: name
+        for offer in search.every
+        for column, name in zip(offer.columns, offer.settled.columns, strict=True)
     }
+    families: Counter[str] = Counter()
+    values: dict[str, list[float]] = {}
     for _ in range(times):
         drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
-        one = Search(drawn, search.kept, among, trials, search.least, search.smallest)
-        found = one.found()
-        families.update(offer.family for offer in found)
-        names = (*search.kept, *(name for offer in found for name in offer.columns))
+        trials = len(search.offers)
+        trial = Search(drawn, search.kept, among, trials, search.least, search.smallest)
+        belonging = trial.found()
+        families.update(offer.family for offer in belonging)
+        names = trial.names(belonging)
         for name, value in zip(names, drawn.fitted(names)):
-            values.setdefault(place_of.get(name, (name, 0)), []).append(float(value))
-    errors = {place: float(np.std(each)) for place, each in values.items() if len(each) > 1}
-    kept = (*search.kept, *(name for offer in chosen for name in offer.columns))
-    held = {name: errors.get(place_of.get(name, (name, 0)), np.nan) for name in kept}
+            values.setdefault(final.get(name, name), []).append(float(value))
     shares = {offer.family: families[offer.family] / times for offer in chosen} if times else {}
-    return Again(shares, held)
+    held = {final.get(name, name) for name in search.names(chosen)}
+    errors = {name: float(np.std(v)) for name, v in values.items() if name in held and len(v) > 1}
+    return shares, errors
 
 
-def _among(search: Search, chosen: Sequence[Offer]) -> list[Offer]:
-    """The offers that come into question, those that were chosen first."""
-    if len(search.offers) <= AMONG:
-        return search.offers
-    others = [one for one in search.offers if one not in chosen]
-
-    def rank(beside: Sequence[Offer]) -> dict[str, int]:
-        sizes = {one.name: search.unexplained([*beside, one]) for one in others}
-        return {name: i for i, name in enumerate(sorted(sizes, key=lambda n: sizes[n]))}
-
-    first, second = rank([]), rank(chosen)
-    others.sort(key=lambda one: min(first[one.name], second[one.name]))
-    return [*chosen, *others[: AMONG - len(chosen)]]
-
-
-def by_equation(
-    model: Model, candidates: Iterable[Candidate]
-) -> Mapping[str, Sequence[AbstractTerm]]:
-    """The terms of candidates by the equation that each is for, the first one by default."""
-    first = model.equation_names[0][0]
-    found: dict[str, list[AbstractTerm]] = {}
-    for one in candidates:
-        found.setdefault(one.equation or first, []).extend(one.terms)
-    return found
-
-
-def extended(model: Model, candidates: Iterable[Candidate]) -> Model:
-    """The same equations with the terms of candidates.
+def extended(model: Model, candidates: Sequence[Candidate]) -> Model:
+    """The same equations with the terms of candidates, the first one's by default.
 
     **Raises:** `ModelError` as [`Model.with_terms`][].
     """
-    return model.with_terms(by_equation(model, candidates))
-
-
-def members(candidates: Iterable[AnyCandidate]) -> list[Candidate]:
-    """Candidates as they are summed: of a law with a width one for each width."""
-    return [
-        each
-        for one in candidates
-        for each in (map(one.at, range(one.widths.size)) if isinstance(one, Shaped) else [one])
-    ]
+    if not candidates:
+        return model
+    added: dict[str, list[AbstractTerm]] = {}
+    for candidate in candidates:
+        name = candidate.equation or model.equation_names[0][0]
+        added.setdefault(name, []).extend(candidate.terms)
+    memories = dict.fromkeys(memory for one in candidates for memory in one.memories)
+    meanings = {name: one.meaning for one in candidates for name in one.columns}
+    return model.with_terms(added, memories=list(memories), meanings=meanings)
 
 
 def without_twins(
@@ -532,40 +505,25 @@ def without_twins(
     **Arguments:** `chosen`, names of those candidates that are in the equations too.
     """
     names = [name for stage in model.equation_names for name in stage]
-    own = zip(names, (equation.terms for equation in model.equations), strict=True)
-    there = [(name, term) for name, terms in own for term in terms]
-    offered = [(one, (one.equation or names[0], members([one])[0].terms[0])) for one in candidates]
-    beyond = {_signal(pair) for _, pair in offered if isinstance(pair[1].basis, DeadZone)}
-    there += [pair for one, pair in offered if one.name in chosen]
+    laws = {one.name: (one.equation or names[0], members([one])[0].terms[0]) for one in candidates}
+    there = [(n, term) for n, e in zip(names, model.equations, strict=True) for term in e.terms]
+    there += [law for name, law in laws.items() if name in chosen]
+    beyond = {(name, term.of) for name, term in laws.values() if isinstance(term.basis, DeadZone)}
     straight = {
-        _signal((name, term))
+        (name, term.of)
         for name, term in there
         if isinstance(term.basis, DeadZone) or (term.is_linear and not term.derivative)
     }
-    return [
-        one
-        for one, pair in offered
-        if not (isinstance(pair[1].basis, Saturation) and _signal(pair) in straight & beyond)
-    ]
+    twins = {
+        law
+        for law, (name, term) in laws.items()
+        if isinstance(term.basis, Saturation) and (name, term.of) in straight & beyond
+    }
+    return [candidate for candidate in candidates if candidate.name not in twins]
 
 
-def _signal(place: tuple[str, AbstractTerm]) -> tuple[str, object]:
-    """Of which equation and of what a term is."""
-    equation, term = place
-    return equation, term.of
-
-
-def without_taken(
-    candidates: Iterable[AnyCandidate], parameters: Sequence[str]
-) -> list[AnyCandidate]:
-    """Candidates whose coefficient the model has one of that name of: under another name."""
-    found: list[AnyCandidate] = []
-    for one in candidates:
-        columns = {name for each in members([one]) for name in each.columns}
-        found.append(renamed(one, f"{one.name}_2") if columns & {*parameters} else one)
-    return found
-
-
+FEWEST = 6
+"""Folds of time that a choice is made from at the least."""
 CLOSER = 10
 """Times at most that widths are moved together; each divides what lies between by 2.5."""
 ALIKE = 0.1
@@ -574,93 +532,102 @@ SEVERAL = 4
 """Laws with widths that are looked into, one after the other."""
 
 
-@dataclass
-class Sums:
-    """Sums of a model's equations with candidates.
+class Question(NamedTuple):
+    """What is asked of recordings, however often they are searched.
 
-    **Fields:** `candidates`, whose widths change; `known`, coefficients that are held; `least`
-    and `smallest` as of a [`Search`][riecjax.discovery.search.Search].
+    **Fields:** `model`, and the candidates that are `offered`; `criterion`; `known`, coefficients
+    that are held; `intervals` of estimates; `settings` of the search.
     """
 
     model: Model
-    recordings: list[Recording]
+    offered: list[AnyCandidate]
     criterion: AbstractCriterion
-    candidates: list[AnyCandidate]
     known: Mapping[str, float]
-    least: float = SHARE
-    smallest: float = LEAST
-    summary: Summary = field(init=False)
+    intervals: AbstractIntervals | None
+    settings: Discover
 
-    def __post_init__(self):
-        self.sum_up()
+    def parts(self, recordings: list[Recording]) -> tuple[list[Recording], list[Recording]]:
+        """What is searched, and what values are from."""
+        if self.settings.hold_out is None:
+            return recordings, recordings
+        first, last = zip(*(each.split(self.settings.hold_out) for each in recordings))
+        return list(first), list(last)
 
-    def sum_up(self) -> None:
-        """Read the recordings and sum them up, for the widths as they are."""
-        every = members(self.candidates)
-        memories = [memory for one in every for memory in one.memories]
-        # What is known of noise was judged before, and widths must not change it.
-        carrying = [
-            replace(one, record=with_memories(one.record, memories)) for one in self.recordings
-        ]
-        self.summary = summarise(extended(self.model, every), carrying, self.criterion)
+
+class Sums:
+    """Sums of a model's equations with candidates, whose widths change."""
+
+    def __init__(self, question: Question, recordings: list[Recording]):
+        self.question, self.recordings = question, recordings
+        self.sum_up(question.offered)
+
+    def sum_up(self, candidates: list[AnyCandidate]) -> None:
+        """Read the recordings and sum them up, for candidates with the widths that they have."""
+        self.candidates = candidates
+        model = extended(self.question.model, members(candidates))
+        self.summary = summarise(model, self.recordings, self.question.criterion)
+
+    def stages(self) -> list[tuple[Search, list[Candidate]]]:
+        """A search of each stage, and what belongs to it, what gains most first."""
+        values: dict[str, float] = {}
+        stages = []
+        for number, _ in enumerate(self.question.model.stages):
+            search, chosen = self.settled(number, values)
+            if search.folds.number < FEWEST:
+                raise DataError(
+                    f"the recordings hold {search.folds.number} blocks of time, of which terms are "
+                    f"to be chosen by leaving some out: {FEWEST} are needed. Record for longer, or "
+                    f"choose a smaller beta."
+                )
+            names = search.names(chosen)
+            values |= dict(zip(names, map(float, search.folds.fitted(names))))
+            stages.append((search, search.in_order(chosen)))
+        return stages
 
     def search(self, stage: int, found: Mapping[str, float]) -> Search:
         """A search of one stage, as the sums are now, what earlier ones found being known."""
-        equations = self.summary.equations()[stage]
-        names = tuple(dict.fromkeys(name for e in equations for name in e.parameters))
-        folds = Folds.of(sum_of_equations(equations, names).fix({**self.known, **found}))
-        # What may be chosen: of a law with a width, one for each.
+        equations = sum_of_equations(self.summary.equations()[stage])
+        folds = Folds.of(equations.fix({**self.question.known, **found}))
         offered = [
-            Offer(each.name, each.columns, one.name, i if isinstance(one, Shaped) else None)
-            for one in self.candidates
-            for i, each in enumerate(members([one]))
-            if {*each.columns} <= {*folds.parameters}
+            offer for offer in members(self.candidates) if {*offer.columns} <= {*folds.parameters}
         ]
         columns = {name for offer in offered for name in offer.columns}
         kept = [name for name in folds.parameters if name not in columns]
-        return Search(folds, kept, offered, least=self.least, smallest=self.smallest)
+        settings = self.question.settings
+        return Search(folds, kept, offered, None, settings.least, settings.smallest)
 
-    def candidate(self, family: str) -> AnyCandidate:
-        """The candidate of this name, with the widths that are summed."""
-        return next(one for one in self.candidates if one.name == family)
-
-    def shape(self, family: str) -> Shaped:
-        """The same of a law with a width."""
-        one = self.candidate(family)
-        assert isinstance(one, Shaped)
-        return one
-
-    def settled(self, stage: int, found: Mapping[str, float]) -> tuple[Search, list[Offer]]:
+    def settled(self, stage: int, found: Mapping[str, float]) -> tuple[Search, list[Candidate]]:
         """What belongs to one stage, with widths as near as samples tell them."""
         near: set[str] = set()
         while True:
             search = self.search(stage, found)
             chosen = search.found()
-            rough = [one for one in chosen if not one.simple and one.family not in near]
+            rough = [one for one in chosen if one.law is not None and one.family not in near]
             if not rough or len(near) >= SEVERAL:
-                families = {one.family for one in chosen}
-                fewer = without_twins(self.candidates, self.model, families)
+                families = {offer.family for offer in chosen}
+                fewer = without_twins(self.candidates, self.question.model, families)
                 if len(fewer) == len(self.candidates):
                     return search, chosen
-                self.candidates = fewer
-                self.sum_up()
+                self.sum_up(fewer)
                 continue
 
             without = [search.unexplained([o for o in chosen if o is not one]) for one in rough]
-            strongest = rough[int(np.argmax(without))]
-            beside = [one for one in chosen if one not in rough]
+            law = rough[int(np.argmax(without))].law
+            assert law is not None
+            beside = [offer for offer in chosen if offer not in rough]
             # Of laws with a memory all of the same signal: rough widths tell none from the others.
-            law = self.shape(strongest.family)
-            families = [strongest.family]
-            if law.remember is not None:
-                shapes = [each for each in self.candidates if isinstance(each, Shaped)]
-                families = [s.name for s in shapes if s.remember is not None and s.of == law.of]
+            families = [
+                shape.name
+                for shape in self.candidates
+                if isinstance(shape, Shaped)
+                and (shape is law or (shape.of == law.of and shape.remember and law.remember))
+            ]
             for family in families:
                 self.narrow(stage, found, family, beside)
-                near.add(family)
+            near |= {*families}
 
     def narrow(
-        self, stage: int, found: Mapping[str, float], family: str, beside: Sequence[Offer]
+        self, stage: int, found: Mapping[str, float], family: str, beside: Sequence[Candidate]
     ) -> None:
         """Move the widths of a law to where it leaves least."""
         for _ in range(CLOSER):
@@ -668,38 +635,11 @@ class Sums:
             each = [[*beside, offer] for offer in search.every if offer.family == family]
             left = np.array([search.unexplained(chosen) for chosen in each])
             best = int(np.argmin(left))
-            if (at_best := search.left(each[best])) is None:
+            most = left[best] + ALIKE * search.least * search.left(each[best]).samples.sum()
+            if np.all(left[max(best - 1, 0) : best + 2] <= most):
                 return
-            near = left[max(best - 1, 0) : best + 2] - left[best]
-            if np.all(near < ALIKE * self.least * at_best.samples.sum()):
-                return
-            closer = self.shape(family).closer(best)
-            self.candidates = [closer if one.name == family else one for one in self.candidates]
-            self.sum_up()
-
-    def width_error(self, search: Search, chosen: Sequence[Offer], one: Offer) -> float:
-        """Standard error of a law's width; nan where it lies at the end of what was tried.
-
-        The width makes the sum over folds of what is unexplained least: with L_f' its slope in fold
-        f, the variance is sum L_f'^2 / (sum L_f'')^2 (Huber's sandwich), slopes by differences.
-        """
-        if (number := one.number) is None:
-            return float("nan")
-        widths = self.shape(one.family).widths
-        beside = [other for other in chosen if other is not one]
-        near = {o.number: o for o in search.every if o.family == one.family}
-        each = [[*beside, near[i]] for i in range(widths.size)]
-        # Of widths that leave alike the one that was chosen may stand at an end, and not the least.
-        if not 0 < number < widths.size - 1:
-            number = int(np.argmin([search.unexplained(chosen) for chosen in each]))
-        # At an end there are fewer.
-        left = map(search.left, each[max(number - 1, 0) : number + 2])
-        three = [each.motion for each in left if each is not None]
-        if len(three) < 3:
-            return float("nan")
-        below, at, above = three
-        low, high = widths[number] - widths[number - 1], widths[number + 1] - widths[number]
-        # Of a parabola through three points, wherever its least is.
-        slopes = ((above - at) * low / high + (at - below) * high / low) / (low + high)
-        bend = 2 * np.sum((above - at) / high - (at - below) / low) / (low + high)
-        return float(np.sqrt(np.sum(slopes**2)) / bend) if bend > 0 else float("nan")
+            closer = [
+                shape.closer(best) if isinstance(shape, Shaped) and shape.name == family else shape
+                for shape in self.candidates
+            ]
+            self.sum_up(closer)

@@ -4,6 +4,7 @@ from .bases import Friction as Friction
 from .bases import RoofFunctions as RoofFunctions
 from .bases import Saturation as Saturation
 from .bases import Stribeck as Stribeck
+from .equation_system import EquationSystem as EquationSystem
 from .expressions import faster_than as faster_than
 from .memories import BoucWen as BoucWen
 from .memories import Dahl as Dahl

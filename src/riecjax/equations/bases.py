@@ -167,24 +167,15 @@ class Friction(AbstractBasis):
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the functions; see the class."""
-        sliding = ("viscous", "coulomb")
-        if self.asymmetric:
-            sliding = ("viscous_pos", "coulomb_pos", "viscous_neg", "coulomb_neg")
-        return sliding if self.stribeck is None else (*sliding, "stribeck")
+        sides = ("_pos", "_neg") if self.asymmetric else ("",)
+        sliding = (f"{kind}{side}" for side in sides for kind in ("viscous", "coulomb"))
+        return (*sliding, *(("stribeck",) if self.stribeck is not None else ()))
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
         """Every function at every velocity."""
         direction = jnp.sign(x) if self.smooth is None else jnp.tanh(x / self.smooth)
-        if self.asymmetric:
-            forward, backward = x > 0, x < 0
-            functions = [
-                jnp.where(forward, x, 0.0),
-                jnp.where(forward, direction, 0.0),
-                jnp.where(backward, x, 0.0),
-                jnp.where(backward, direction, 0.0),
-            ]
-        else:
-            functions = [x, direction]
+        sides = (x > 0, x < 0) if self.asymmetric else (True,)
+        functions = [jnp.where(side, of, 0.0) for side in sides for of in (x, direction)]
         if self.stribeck is not None:
             functions.append(direction * _near_standstill(x, self.stribeck))
         return jnp.stack(functions)

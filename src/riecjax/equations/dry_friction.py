@@ -22,6 +22,7 @@ import functools
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -30,13 +31,15 @@ import numpy as np
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, combined, evaluate
-from riecjax.equations.model import Model
+from riecjax.equations.expressions import Expression, combined, evaluate, product
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.at_rest import Rest, rest_of
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
+
+if TYPE_CHECKING:
+    from riecjax.equations.model import Model
 
 FAR = 1e6
 """Widths beyond which a weight is 1."""
@@ -65,11 +68,7 @@ class InMotion(AbstractTerm):
         if self.term.derivative and not order:
             return self.velocity
         of = self.term.expression(record, self.term.derivative if order else 0)
-
-        def both(signals: Signals) -> Array:
-            return signals[self.velocity] * (signals[of] if isinstance(of, str) else of(signals))
-
-        return both
+        return product(self.velocity, of)
 
     def samples(self, record: Record, order: int) -> Signal:
         """Samples of the weighted term; see the base class."""
@@ -90,19 +89,18 @@ class InMotion(AbstractTerm):
         return eqx.tree_at(lambda own: own.term, self, -self.term)
 
 
-def in_motion(model: Model, record: Record) -> Model:
+def in_motion(model: "Model", record: Record) -> "Model":
     """The model with equations weighted where a velocity with dry friction rests.
 
     The same unless rests are to be masked, and under trace; and of hidden elements.
     """
-    if model.at_rest == "keep" or model.has_hidden:
-        return model
-    rests = rests_of(model, record)
+    unmasked = model.at_rest == "keep" or model.has_hidden
+    rests = {} if unmasked else rests_of(model, record)
     if not rests:
         return model
 
     def of(equation: Equation) -> Equation:
-        own = _jumping_at_rest(equation, record, rests)
+        own = reversing_states(equation.terms, sorted(rests), sorted(record.arrays))
         terms = _weighted(equation, own[0], rests[own[0]]) if len(own) == 1 else None
         if terms is None:
             return equation
@@ -113,37 +111,39 @@ def in_motion(model: Model, record: Record) -> Model:
     return model if unchanged else weighted
 
 
-def rests_of(model: Model, record: Record) -> dict[str, Rest]:
+def rests_of(model: "Model", record: Record) -> dict[str, Rest]:
     """Rests of the signals at whose zero some equation jumps, by signal; none under trace."""
-    if not is_concrete(model, record) or is_under_trace():
-        return {}
-    if next(iter(record.arrays.values())).ndim != 1:
+    is_batch = next(iter(record.arrays.values())).ndim != 1
+    if is_batch or not is_concrete(model, record) or is_under_trace():
         return {}
     # First what costs no call of a user's function.
     found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}
     if not found:
         return {}
-    jumping = {n for e in model.equations for n in _jumping_at_rest(e, record, found)}
+    terms = [term for equation in model.equations for term in equation.terms]
+    jumping = reversing_states(terms, sorted(found), sorted(record.arrays))
     return {name: rest for name, rest in found.items() if name in jumping}
-
-
-def _jumping_at_rest(equation: Equation, record: Record, among: dict[str, Rest]) -> tuple[str, ...]:
-    return reversing_states(equation.terms, sorted(among), sorted(record.arrays))
 
 
 def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] | None:
     """Its terms times the weight; `None` where one is a derivative of something else."""
     taken = {of: 1 for of, name in equation.derivatives if name == velocity} | {velocity: 0}
-    found = []
-    for term in equation.terms:
-        left = term.derivative
-        if left:
-            left -= -2 if term.signal is None else taken.get(term.signal, -2)
-            if left > 1:
-                return None
-        own = {"of": term.of, "derivative": left}
-        found.append(InMotion(term=term, velocity=velocity, width=np.asarray(rest.width), **own))
-    return found
+    orders = [
+        term.derivative - taken.get(term.signal or "", -2) if term.derivative else 0
+        for term in equation.terms
+    ]
+    if max(orders) > 1:
+        return None
+    return [
+        InMotion(
+            term=term,
+            velocity=velocity,
+            width=np.asarray(rest.width),
+            of=term.of,
+            derivative=order,
+        )
+        for term, order in zip(equation.terms, orders)
+    ]
 
 
 ASIDE, JUMP = 1e-9, 1e-4

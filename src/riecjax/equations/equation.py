@@ -74,6 +74,8 @@ class Equation(Shown, eqx.Module):
         for word in (name, unit, *self.parameters, *self.units.values()):
             if not (isinstance(word, str) and word.isprintable()):
                 raise ModelError(f"names and units are shown, and must be printable; got {word!r}.")
+        if not all(map(str.strip, (name, *self.parameters))):
+            raise ModelError(f"{name.strip() or 'an equation'}: a name is empty.")
 
     def of_terms(self, *terms: AbstractTerm) -> "Equation":
         """Other terms under this equation's name, unit and mask."""
@@ -87,10 +89,8 @@ class Equation(Shown, eqx.Module):
     @property
     def units(self) -> dict[str, str]:
         """Unit of each named coefficient."""
-        units: dict[str, str] = {}
-        for term in self.terms:
-            units |= {name: unit for name, unit in term.units.items() if not units.get(name)}
-        return units
+        units = [pair for term in self.terms for pair in term.units.items()]
+        return dict(units) | {name: unit for name, unit in reversed(units) if unit}
 
     @property
     def known(self) -> Mapping[str, Leaf]:

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from riecjax.errors import ModelError, users_code
+from riecjax.records.faults.derivative_pairs import Relation
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal, both
 
@@ -114,7 +116,8 @@ def constant(signals: Signals) -> Array:
 class _Formula:
     """A function of signals that is equal to another one of this kind and these arguments.
 
-    **Fields:** `kind`, as users call it; `arguments` of the `function` after the signals; `words`.
+    **Fields:** `kind`, as users call it; `arguments`, expressions and numbers, of the `function`;
+    `words`.
     """
 
     kind: str
@@ -135,29 +138,30 @@ class _Formula:
         return None if None in texts else f"{self.kind}({', '.join(map(str, texts))})"
 
     def __call__(self, signals: Signals) -> Array:
-        return self.function(signals, *self.arguments)
+        values = (
+            signals[of] if isinstance(of, str) else of(signals) if callable(of) else of
+            for of in self.arguments
+        )
+        return self.function(*values)
 
 
-def _times(signals: Signals, *factors: Expression) -> Array:
-    values = (signals[of] if isinstance(of, str) else of(signals) for of in factors)
-    return functools.reduce(operator.mul, values)
+def _times(*factors: Array) -> Array:
+    return functools.reduce(operator.mul, factors)
 
 
-def _minus(signals: Signals, first: str, second: str) -> Array:
-    return signals[first] - signals[second]
+def _minus(first: Array, second: Array) -> Array:
+    return first - second
 
 
-def _beyond(signals: Signals, name: str, threshold: float) -> Array:
-    return jnp.abs(signals[name]) > threshold
+def _beyond(x: Array, threshold: float) -> Array:
+    return jnp.abs(x) > threshold
 
 
-def _odd(signals: Signals, name: str, power: int) -> Array:
-    x = signals[name]
+def _odd(x: Array, power: int) -> Array:
     return x**power if power % 2 else jnp.sign(x) * jnp.abs(x) ** power
 
 
-def _even(signals: Signals, name: str, power: int) -> Array:
-    x = signals[name]
+def _even(x: Array, power: int) -> Array:
     return jnp.abs(x) ** power if power % 2 else x**power
 
 
@@ -209,3 +213,28 @@ def faster_than(name: str, threshold: float) -> _Formula:
     """
     words = f"|{name}| > {threshold:g}"
     return _Formula("equations.faster_than", (name, threshold), _beyond, words)
+
+
+PROBES, EXACT = 32, 1e-5
+"""Values that an expression is tried with, and how nearly it must be a sum of them."""
+
+
+def relation_of(signal: str, rate: Expression) -> Relation | None:
+    """The relation that a rate of a signal stands for; `None` unless it is a sum of signals."""
+    if isinstance(rate, str):
+        return Relation(signal, ((rate, 1.0),))
+    try:
+        read = signals_read(rate)
+        probe = {n: np.random.default_rng(i).standard_normal(PROBES) for i, n in enumerate(read)}
+        values = np.asarray(rate(Signals(probe)), float)  # pyright: ignore[reportArgumentType]
+    except Exception:  # of the user's function, which says so where it is used
+        return None
+    if values.shape != (PROBES,) or not 0 < len(probe) < PROBES // 2 or signal in probe:
+        return None
+    columns = np.transpose([*probe.values()])
+    factors = np.linalg.lstsq(columns, values)[0]
+    if not np.abs(columns @ factors - values).max() < EXACT * np.abs(factors).max():
+        return None
+    # What rounding adds to 1 would be told as a factor.
+    told = zip(probe, np.round(factors, 6).tolist())
+    return Relation(signal, tuple((name, factor) for name, factor in told if factor))

@@ -34,8 +34,8 @@ linear in K.
 """
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -45,11 +45,17 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import constant, difference, label_of, signals_read
+from riecjax.equations.expressions import (
+    Expression,
+    constant,
+    difference,
+    label_of,
+    signals_read,
+)
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, Column, Term
 from riecjax.errors import ModelError, require, users_code
-from riecjax.leaves import Leaf, is_number
+from riecjax.leaves import Leaf, is_number, namespace
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 
@@ -80,6 +86,8 @@ class SeriesSpring(eqx.Module):
     """
 
     of: str = eqx.field(static=True)
+    hz: ClassVar[None] = None
+    """No frequency is near which to look for a lag."""
 
     def __check_init__(self):
         require("what a spring is in series with", self.of, str, "rx.SeriesSpring(of='c')")
@@ -88,11 +96,6 @@ class SeriesSpring(eqx.Module):
     def on(self) -> str:
         """What it acts on, the element."""
         return self.of
-
-    @property
-    def hz(self) -> None:
-        """No frequency is near which to look for a lag."""
-        return None
 
     def term_in(self, equation: Equation) -> AbstractTerm | None:
         """The element's term in an equation, if it has one."""
@@ -158,10 +161,8 @@ class SpringParameters(NamedTuple):
         """Those that are no coefficient of the equations."""
         return (self.stiffness,)
 
-    @property
-    def judged(self) -> tuple[str, ...]:
-        """Parameters that are positive, and sure, where such an element is found."""
-        return (self.stiffness,)
+    judged = hidden
+    """Parameters that are positive, and sure, where such an element is found."""
 
     def doubted(self, values: Mapping[str, Array], band: tuple[Leaf, Leaf]) -> Float[Array, "1"]:
         """The error of the stiffness that counts as one: that of a lag by 1 / band[1] seconds.
@@ -220,10 +221,17 @@ def force_elements(
     return {t.parameters[0]: t for t in terms if not why_no_element(t, equations)}
 
 
+class HiddenState(NamedTuple):
+    """A state of a hidden element: `name`, `unit`, and the signal that it `follows` at rest, if it
+    does."""
+
+    name: str
+    unit: str
+    follows: str = ""
+
+
 LEAST_SLOPE = 0.01
 """Of a map, as a share of its mean slope."""
-Reading = Callable[[AbstractTerm], Array]
-"""A term's expression at a point of a simulation, differentiated as the term says."""
 
 
 class SpringElement(eqx.Module):
@@ -237,13 +245,12 @@ class SpringElement(eqx.Module):
     map through (v_i, F_i) the map through (F_i, v_i). The law must rise; where values tried on the
     way to an answer do not, a least slope stands in for them.
 
-    **Fields:** `element`, its term; `state`, the name of its force, and the force's `unit`;
-    `stiffness`, the name of the spring's parameter.
+    **Fields:** `element`, its term; `state`, its force; `stiffness`, the name of the spring's
+    parameter.
     """
 
     element: AbstractTerm
-    state: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
+    state: HiddenState = eqx.field(static=True)
     stiffness: str = eqx.field(static=True)
 
     @classmethod
@@ -261,25 +268,13 @@ class SpringElement(eqx.Module):
                 f"known of one coefficient and of roof functions (rx.roof) only."
             )
         stiffness = SpringParameters.of(number, spring).stiffness
-        return cls(first, f"series{_ending(number)}_force", force, stiffness)
-
-    @property
-    def states(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of the force."""
-        return ((self.state, self.unit),)
-
-    @property
-    def divisor(self) -> str | None:
-        """The coefficient of a linear element, which its velocity is divided by."""
-        return self.element.parameters[0] if self.element.is_linear else None
-
-    words = ", a spring in series,"
+        return cls(first, HiddenState(f"series{_ending(number)}_force", force), stiffness)
 
     def written_out(self, equation: Equation) -> Equation:
         """The equation with the force in the element's place."""
-        placed = {*self.element.parameters}
+        placed, force = {*self.element.parameters}, self.state.name
         return equation.of_terms(
-            *(Term(t.factor, self.state) if placed & {*t.parameters} else t for t in equation.terms)
+            *(Term(t.factor, force) if placed & {*t.parameters} else t for t in equation.terms)
         )
 
     @property
@@ -288,15 +283,15 @@ class SpringElement(eqx.Module):
         basis = self.element.basis
         return basis.break_points if isinstance(basis, RoofFunctions) else None
 
-    def rates(self, signals: Values, values: Values, read: Reading) -> dict[str, Array]:
-        """Time derivative of the force."""
+    def rate(self, signals: Values, values: Values, across: Array) -> Array:
+        """Time derivative of the force, with the velocity across both."""
         own = jnp.stack([values[n] for n in self.element.parameters])
-        points, force = self.points, signals[self.state]
+        points, force = self.points, signals[self.state.name]
         if points is None:
             inner = force / own[0]
         else:
             inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
-        return {self.state: values[self.stiffness] * (read(self.element) - inner)}
+        return values[self.stiffness] * (across - inner)
 
     def at_rest(self, signals: Values, values: Values) -> dict[str, Array]:
         """The force at a velocity that does not change, where signals tell it: the spring takes up
@@ -310,8 +305,8 @@ class SpringElement(eqx.Module):
         own = jnp.stack([values[n] for n in self.element.parameters])
         points = self.points
         if points is None:
-            return {self.state: own[0] * velocity}
-        return {self.state: RoofFunctions(points).interpolate(_rising(own, points), velocity)}
+            return {self.state.name: own[0] * velocity}
+        return {self.state.name: RoofFunctions(points).interpolate(_rising(own, points), velocity)}
 
 
 def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
@@ -370,6 +365,44 @@ class HiddenMode(eqx.Module):
         words = f"of the hidden mode on {self.on}"
         return [Quantity(name, unit, f"{part} {words}") for (part, name), unit in named]
 
+    def written_out(
+        self, number: int, equations: Sequence[Equation]
+    ) -> tuple[tuple[Equation, ...], dict[str, Expression], tuple[HiddenState, ...]]:
+        """The motion of the mode with this number among some equations, for a simulation.
+
+        With velocity v of the body, w of the mass, and deflection d, body minus mass,
+
+            d' = v - w,    M w' = f,    f = K d + B (v - w),
+
+        and every equation that accelerates the body gains f, with the sign of its inertia. No
+        acceleration is in f. At rest the mass moves as its body does.
+
+        **Returns:** the equations, rates of states that none of them has, and the mode's states.
+        """
+        inertias = [self.term_in(equation) for equation in equations]
+        inertia = next(term for term in inertias if term is not None)
+        body = self.on
+        if inertia.derivative != 1:
+            terms = [t for e in equations for t in e.terms if t.of == inertia.of]
+            named = (t for t in terms if t.derivative and t.measured)
+            body = next((t.measured[0] for t in named), f"d{inertia.of}")
+        mass, stiffness, damping = ModeParameters.of(number)
+        deflection, velocity = (f"mode{_ending(number)}_{s}" for s in ("deflection", "velocity"))
+        stretching = difference(body, velocity)
+
+        def force(sign: float | Leaf) -> tuple[Term, Term]:
+            return Term(stiffness, deflection, sign=sign), Term(damping, stretching, sign=sign)
+
+        loaded = (
+            equation if t is None else equation.of_terms(*equation.terms, *force(inertia_sign(t)))
+            for equation, t in zip(equations, inertias)
+        )
+        moved = Equation(Term(mass, velocity, derivative=1), *force(-1.0))
+        unit = self.quantities(number, equations)[0].unit
+        units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(unit, ("", ""))
+        states = HiddenState(deflection, units[0]), HiddenState(velocity, units[1], body)
+        return (*loaded, moved), {deflection: stretching}, states
+
 
 class ModeParameters(NamedTuple):
     """Names of a mode's mass, stiffness and damping."""
@@ -424,76 +457,6 @@ class ModeParameters(NamedTuple):
         _, q, p = self.shape_at(at).denominator
         stiffness = values[self.mass] / p
         return {self.stiffness: stiffness, self.damping: stiffness * q}
-
-
-class ModeElement(eqx.Module):
-    """An oscillator on a body, whose deflection and velocity are states of a simulation.
-
-    With velocity v of the body, w of the mass, and deflection d,
-
-        d' = v - w,    M w' = f,    f = K d + B (v - w),
-
-    and every equation that accelerates the body gains f, with the sign of its inertia. No
-    acceleration is in f, so that the equations have no more unknowns than without modes.
-
-    **Fields:** `mode`; `parameters`; `deflection`, the state that is body minus mass; `velocity` of
-    the mass; `body`, the signal that is the body's velocity; `units` of the two states.
-    """
-
-    mode: HiddenMode
-    parameters: ModeParameters = eqx.field(static=True)
-    deflection: str = eqx.field(static=True)
-    velocity: str = eqx.field(static=True)
-    body: str = eqx.field(static=True)
-    units: tuple[str, str] = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, number: int, mode: HiddenMode, equations: Sequence[Equation]) -> "ModeElement":
-        """Of the mode with this number, from 0, that some of the equations have."""
-        mass = mode.quantities(number, equations)[0].unit
-        units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(mass, ("", ""))
-        # The signal that is the velocity of the mode's body.
-        body = mode.on
-        inertia = next(term for e in equations if (term := mode.term_in(e)) is not None)
-        if inertia.derivative != 1:
-            terms = [t for e in equations for t in e.terms if t.of == inertia.of]
-            named = (t for t in terms if t.derivative and t.measured)
-            body = next((t.measured[0] for t in named), f"d{inertia.of}")
-        deflection, velocity = (f"mode{_ending(number)}_{s}" for s in ("deflection", "velocity"))
-        return cls(mode, ModeParameters.of(number), deflection, velocity, body, units)
-
-    @property
-    def states(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of each."""
-        return tuple(zip((self.deflection, self.velocity), self.units))
-
-    @property
-    def divisor(self) -> str:
-        """The mass, which its force is divided by."""
-        return self.parameters.mass
-
-    words = ""
-
-    def written_out(self, equation: Equation) -> Equation:
-        """The equation with the force of the mode, if that is on a body that it accelerates."""
-        inertia = self.mode.term_in(equation)
-        if inertia is None:
-            return equation
-        _, stiffness, damping = self.parameters
-        sign, stretching = inertia_sign(inertia), difference(self.body, self.velocity)
-        force = Term(stiffness, self.deflection, sign=sign), Term(damping, stretching, sign=sign)
-        return equation.of_terms(*equation.terms, *force)
-
-    def rates(self, signals: Values, values: Values, read: Reading) -> dict[str, Array]:
-        """Time derivatives of the two states."""
-        mass, stiffness, damping = (jnp.asarray(values[name]) for name in self.parameters)
-        stretching = signals[self.body] - signals[self.velocity]
-        force = stiffness * signals[self.deflection] + damping * stretching
-        return {self.deflection: stretching, self.velocity: force / mass}
-
-    def at_rest(self, signals: Values, values: Values) -> dict[str, Array]:
-        """The mass moves as its body does, where signals tell how."""
-        return {self.velocity: signals[self.body]} if self.body in signals else {}
 
 
 HiddenParameters = ModeParameters | SpringParameters
@@ -623,9 +586,7 @@ def accelerated(equation: Equation) -> tuple[str, ...]:
 def inertia_sign(inertia: AbstractTerm) -> Leaf:
     """What a mode's mass is multiplied by beside this inertia."""
     factor = inertia.factor
-    if inertia.parameters:
-        return factor
-    return np.sign(factor) if isinstance(factor, np.ndarray) else jnp.sign(factor)
+    return factor if inertia.parameters else namespace(factor).sign(factor)
 
 
 class Differentiated(AbstractTerm):

@@ -6,7 +6,7 @@ without: each mode adds the term M w'. A linear element behind a spring is its c
 what passes 1 / (1 + tau s). So whatever reads an equation sample by sample need not know of them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
@@ -14,12 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, evaluate
-from riecjax.equations.hidden_elements import (
-    Shape,
-    SpringParameters,
-    inertia_sign,
-)
+from riecjax.equations.expressions import evaluate
+from riecjax.equations.hidden_elements import ModeParameters, Shape, inertia_sign
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError
@@ -43,60 +39,48 @@ def with_hidden_motion(
     """
     signals: dict[str, Signal] = {}
 
-    def following(name: str, of: Expression, shape: Shape) -> None:
-        """Add what follows an expression by this shape."""
-        if name not in signals and (callable(of) or of in record.arrays):
-            signals[name] = filtered(evaluate(of, record), record.time_step, shape)
+    def following(term: AbstractTerm, label: str, shape: Shape) -> tuple[str, ...]:
+        """Names of what follows a term's expression, and its derivatives, by this shape."""
+        of = term.of if isinstance(term.of, str) else term.name
+        names = tuple(f"{name} {label}" for name in (of, *term.measured))
+        for name, read in zip(names, (term.of, *term.measured)):
+            if name not in signals and (callable(read) or read in record.arrays):
+                signals[name] = filtered(evaluate(read, record), record.time_step, shape)
+        return names
 
     def without_hidden(equation: Equation) -> Equation:
         terms = list(equation.terms)
         for names, element in model.hidden.items():
             shape = names.shape(values)
-            if isinstance(names, SpringParameters):
-                terms = [
-                    _lagging(term, names, shape, following)
-                    if names.coefficient in term.parameters
-                    else term
-                    for term in terms
-                ]
-            elif (inertia := element.term_in(equation)) is not None:
-                moving = (str(inertia.of), *inertia.measured)
-                of, *measured = (f"{body} of {names.mass}" for body in moving)
-                terms.append(
-                    Term(
-                        names.mass,
-                        of,
-                        derivative=inertia.derivative,
-                        measured=tuple(measured),
-                        sign=inertia_sign(inertia),
-                        unit=inertia.unit,
+            if isinstance(names, ModeParameters):
+                if (inertia := element.term_in(equation)) is not None:
+                    of, *measured = following(inertia, f"of {names.mass}", shape)
+                    terms.append(
+                        Term(
+                            names.mass,
+                            of,
+                            derivative=inertia.derivative,
+                            measured=tuple(measured),
+                            unit=inertia.unit,
+                            sign=inertia_sign(inertia),
+                        )
                     )
-                )
-                for body, name in zip(moving, (of, *measured)):
-                    following(name, body, shape)
+                continue
+            for i, term in enumerate(terms):
+                if names.coefficient not in term.parameters:
+                    continue
+                if not term.is_linear:
+                    raise ModelError(
+                        f"what the map of '{names.coefficient}' does behind its spring is not "
+                        f"known from the motion across both alone: simulate the model, "
+                        f"rx.validation.validate_held_out."
+                    )
+                of, *measured = following(term, f"behind {names.stiffness}", shape)
+                terms[i] = term.with_fields(of=of, measured=tuple(measured))
         return equation.of_terms(*terms)
 
     stages = model.by_stage(without_hidden)
     return Model(stages=stages), record.with_signals(signals)
-
-
-def _lagging(
-    term: AbstractTerm,
-    names: SpringParameters,
-    shape: Shape,
-    following: Callable[[str, Expression, Shape], None],
-) -> AbstractTerm:
-    """An element's term, of what its spring leaves of the motion across both."""
-    if not term.is_linear:
-        raise ModelError(
-            f"what the map of '{names.coefficient}' does behind its spring is not known from the "
-            f"motion across both alone: simulate the model, rx.validation.validate_held_out."
-        )
-    of = f"{term.of if isinstance(term.of, str) else names.coefficient} behind {names.stiffness}"
-    made = [of, *(f"{name} behind {names.stiffness}" for name in term.measured)]
-    for name, read in zip(made, (term.of, *term.measured)):
-        following(name, read, shape)
-    return term.with_fields(of=of, measured=tuple(made[1:]))
 
 
 def filtered(signal: Signal, step: Float[Array, ""], shape: Shape) -> Signal:

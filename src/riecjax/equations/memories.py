@@ -22,9 +22,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.errors import ModelError
-from riecjax.records.noise import SignalNoise
 from riecjax.records.record import Record, Signals
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Signal, SignalNoise
 
 TURNS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Widths within which hysteresis turns round, in strokes."""

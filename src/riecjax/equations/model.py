@@ -13,23 +13,28 @@ is a known number the offset b itself is the coefficient; where k is estimated t
 measured: what is simulated of them is what the sensors would show.
 """
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import Expression, constant, signals_read
+from riecjax.equations.equation_system import (
+    EquationSystem,
+    read_structure,
+    require_solvable,
+)
+from riecjax.equations.expressions import Expression, constant, relation_of, signals_read
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenMode,
     HiddenParameters,
     ModeParameters,
     SeriesSpring,
+    SpringElement,
     SpringParameters,
     force_elements,
     why_no_element,
@@ -38,49 +43,14 @@ from riecjax.equations.memories import Memory
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, require, users_code
-from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.faults.derivative_pairs import Relation
-from riecjax.records.record import Record, Signals
+from riecjax.extensions import element
+from riecjax.leaves import Leaf, is_concrete, is_under_trace
+from riecjax.records.record import Record
 from riecjax.shows import Shown
 
 if TYPE_CHECKING:
+    from riecjax.records.faults.derivative_pairs import Relation
     from riecjax.settings import Elements
-
-
-def _refuse_functions(equation: Equation, signal: str) -> None:
-    """Refuse a function of the signal: in it, an offset or a gain is no coefficient."""
-    for term in equation.terms:
-        if signal in signals_read(term.of) and term.signal != signal:
-            raise ModelError(
-                f"{equation.name}: the term of {' and '.join(term.parameters) or 'no coefficient'} "
-                f"is a function of '{signal}', in which an unknown offset or gain is no "
-                f"coefficient of its own; calibrate that sensor."
-            )
-
-
-PROBES, EXACT = 32, 1e-5
-"""Values that an expression is tried with, and how nearly it must be a sum of them."""
-
-
-def relation_of(signal: str, rate: Expression) -> Relation | None:
-    """The relation that a rate of a signal stands for; `None` unless it is a sum of signals."""
-    if isinstance(rate, str):
-        return Relation(signal, ((rate, 1.0),))
-    try:
-        read = signals_read(rate)
-        probe = {n: np.random.default_rng(i).standard_normal(PROBES) for i, n in enumerate(read)}
-        values = np.asarray(rate(Signals(probe)), float)  # pyright: ignore[reportArgumentType]
-    except Exception:  # of the user's function, which says so where it is used
-        return None
-    if values.shape != (PROBES,) or not 0 < len(probe) < PROBES // 2 or signal in probe:
-        return None
-    columns = np.transpose([*probe.values()])
-    factors = np.linalg.lstsq(columns, values)[0]
-    if not np.abs(columns @ factors - values).max() < EXACT * np.abs(factors).max():
-        return None
-    # What rounding adds to 1 would be told as a factor.
-    told = zip(probe, np.round(factors, 6).tolist())
-    return Relation(signal, tuple((name, factor) for name, factor in told if factor))
 
 
 AtRest: TypeAlias = Literal["mask", "keep"]
@@ -92,20 +62,31 @@ Made = TypeVar("Made")
 OWN = "your own equation"
 """What a model says of itself where it is not described."""
 Stages = tuple[tuple[Equation, ...], ...]
+FIELDS = (
+    ("name", str, "rx.Model('cart', stages=rx.Equation(...)): the name stands first"),
+    ("derived", Mapping, "derived={'dx': 'x'}"),
+    ("rates", Mapping, "rates={'x1': rx.difference('v_r', 'x3')}"),
+    ("band", (tuple, list, type(None)), "band=(1.0, 10.0), in hertz"),
+    ("modes", (tuple, list), "modes=(rx.HiddenMode(on='x4'),)"),
+    ("springs", (tuple, list), "springs=(rx.SeriesSpring(of='c'),)"),
+    ("memories", (tuple, list), "memories=(memory,)"),
+)
+"""Fields of a model, what they may be, and what to write instead."""
 
 
-def _in_stages(given: "Stages | Equation | Model") -> Stages:
+def _in_stages(given: "Sequence[Equation | Sequence[Equation]] | Equation | Model") -> Stages:
     """Stages as they are given: of an equation or a model, its own."""
     if isinstance(given, Model):
         if given.has_hidden or given.memories or given.rates:
             raise ModelError("stages= takes equations: add what else the model has to the new one.")
         return given.stages
-    if isinstance(given, tuple):
-        return given
-    require(
-        "what is in stages", given, Equation, "stages=rx.Equation(...), or rx.staged(*equations)"
-    )
-    return ((given,),)
+    write = "stages=rx.Equation(...), or rx.staged(*equations)"
+    stages = []
+    for stage in given if isinstance(given, tuple | list) else (given,):
+        stages.append(tuple(stage) if isinstance(stage, tuple | list) else (stage,))
+        for equation in stages[-1]:
+            require("what is in stages", equation, Equation, write)
+    return tuple(stages)
 
 
 class Model(Shown, eqx.Module):
@@ -159,6 +140,12 @@ class Model(Shown, eqx.Module):
 
     def __post_init__(self) -> None:
         # The field's converter comes after, for what stands here is needed first.
+        for name, kinds, write in FIELDS:
+            require(f"{name} of a model", getattr(self, name), kinds, write)
+        if self.band is not None and not 0 < self.band[0] < self.band[1]:
+            raise ModelError(f"a model's band is from a low to a high frequency; got {self.band}.")
+        if self.at_rest not in get_args(AtRest):
+            raise ModelError(f"at_rest must be 'mask' or 'keep'; got {self.at_rest!r}.")
         self.stages = _in_stages(self.stages)
         self.system = self.system if isinstance(self.system, Machine) else Machine(self.system)
         for field_name in ("signals", "parameters", "inputs"):
@@ -207,13 +194,13 @@ class Model(Shown, eqx.Module):
             taken += every[0].parameters
 
     @property
-    def kinematics(self) -> tuple[Relation, ...]:
+    def kinematics(self) -> "tuple[Relation, ...]":
         """Rates that are sums of signals with constant factors."""
         sums = (relation_of(name, rate) for name, rate in self.rates.items())
         return tuple(relation for relation in sums if relation)
 
     @property
-    def derivatives(self) -> tuple[tuple[str, str] | Relation, ...]:
+    def derivatives(self) -> "tuple[tuple[str, str] | Relation, ...]":
         """Signals with those that are their time derivatives, alone or as a sum."""
         pairs = (pair for equation in self.equations for pair in equation.derivatives)
         return tuple(dict.fromkeys((*pairs, *self.kinematics)))
@@ -259,7 +246,14 @@ class Model(Shown, eqx.Module):
         return replace(self, memories=(*self.memories, *memories))
 
     def with_values(self, values: Mapping[str, float]) -> "Model":
-        """The same model with these values of parameters to simulate with."""
+        """The same model with these values of parameters to simulate with.
+
+        **Raises:** `ModelError` for a parameter that the model does not have.
+        """
+        names = [quantity.name for quantity in self.parameters]
+        for name in values:
+            if name not in names:
+                raise ModelError(f"unknown parameter '{name}'; there are: {', '.join(names)}.")
         return replace(
             self,
             parameters=tuple(
@@ -288,16 +282,18 @@ class Model(Shown, eqx.Module):
         **Raises:** `ModelError` for an equation that there is none of, and for a coefficient that
         the model has already or that is added twice.
         """
+        for name, terms in added.items():
+            write = f"{{'{name}': [rx.Term('d', 'v')]}}"
+            require(f"what is added to {name}", terms, (tuple, list), write)
         names = [name for stage in self.equation_names for name in stage]
         if unknown := [name for name in added if name not in names]:
             raise ModelError(
                 f"no equation is called '{unknown[0]}'; there are: {', '.join(names)}."
             )
-        taken = {*self.parameter_names}
-        for name in (n for terms in added.values() for term in terms for n in term.parameters):
-            if name in taken:
-                raise ModelError(f"there is a coefficient '{name}' already: call it otherwise.")
-            taken.add(name)
+        new = [n for terms in added.values() for term in terms for n in term.parameters]
+        taken = (*self.parameter_names, *new)
+        if twice := [name for name in new if taken.count(name) > 1]:
+            raise ModelError(f"there is a coefficient '{twice[0]}' already: call it otherwise.")
         rest = iter(names)
 
         def extended(equation: Equation) -> Sequence[AbstractTerm]:
@@ -308,7 +304,7 @@ class Model(Shown, eqx.Module):
             own = added.get(next(rest), ())
             return (*equation.terms, *(-term if turned else term for term in own))
 
-        model = self.with_memories(*memories)._with_equations(extended, meanings or {})
+        model = self.with_memories(*memories)._with_equations(extended, meanings=meanings or {})
         return replace(model, written=()).with_values(values or {})
 
     def with_sensor_errors(self, offsets: Sequence[str] = (), gains: Sequence[str] = ()) -> "Model":
@@ -324,110 +320,88 @@ class Model(Shown, eqx.Module):
         function; where it has a constant term already, from which no offset can be told apart; and
         where a term whose sensor has a gain has a coefficient that is estimated too.
         """
+        for what, signals in {"offsets": offsets, "gains": gains}.items():
+            require(what, signals, (tuple, list), f"{what}=['F']")
         model = self
         for signal in offsets:
-            model = model._with_offset(signal)
+            tells = f"has a term of '{signal}' itself, so that none tells of its offset"
+            model = model._with_sensor(signal, _with_offset, tells)
         for signal in gains:
-            model = model._with_gain(signal)
+            tells = f"reads '{signal}', so that none tells of its gain"
+            model = model._with_sensor(signal, _with_gain, tells)
         return model
 
-    def _with_offset(self, signal: str) -> "Model":
-        units = {quantity.name: quantity.unit for quantity in self.signals}
+    def _with_sensor(
+        self,
+        signal: str,
+        of_sensor: Callable[[Equation, Quantity], list[AbstractTerm]],
+        tells: str,
+    ) -> "Model":
+        """Equations as `of_sensor` of a signal makes them, which one at least `tells` of."""
+        quantity = next((q for q in self.signals if q.name == signal), Quantity(signal, "", ""))
 
         def terms(equation: Equation) -> list[AbstractTerm]:
-            _refuse_functions(equation, signal)
-            own = [t for t in equation.terms if t.signal == signal and t.derivative == 0]
-            if not own:
-                return [*equation.terms]
-            if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
-                raise ModelError(
-                    f"{equation.name}: an offset of '{signal}' cannot be told apart from "
-                    f"'{taken[0]}', which is constant too; give {signal}'s offset, or leave that "
-                    f"term out."
-                )
-            if len(own) > 1:
-                raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
-            name, number = own[0].name, -own[0].factor
-            label = f"offset_{signal}" if name is None else f"{name}_offset_{signal}"
-            unit = (
-                units.get(signal, own[0].unit if isinstance(own[0].unit, str) else "")
-                if name is None
-                else equation.unit
-            )
-            return [*equation.terms, Term(label, constant, unit=unit, sign=number)]
+            for term in equation.terms:
+                if signal in signals_read(term.of) and term.signal != signal:
+                    named = " and ".join(term.parameters) or "no coefficient"
+                    raise ModelError(
+                        f"{equation.name}: the term of {named} is a function of '{signal}', in "
+                        f"which an unknown offset or gain is no coefficient of its own; calibrate "
+                        f"that sensor."
+                    )
+            return of_sensor(equation, quantity)
 
-        unread = f"no equation has a term of '{signal}' itself, so that none tells of its offset."
-        return self._with_equations(terms, unread=unread)
-
-    def _with_gain(self, signal: str) -> "Model":
-        def changed(term: AbstractTerm) -> AbstractTerm:
-            if term.signal != signal:
-                return term
-            if term.name is not None:
-                raise ModelError(
-                    f"the gain of '{signal}' cannot be told apart from '{term.name}', which "
-                    f"multiplies it: {term.name} comes out multiplied by the gain."
-                )
-            order, measured, factor = term.derivative, term.measured, term.factor
-            return Term(f"gain_{signal}", term.of, derivative=order, measured=measured, sign=factor)
-
-        def terms(equation: Equation) -> list[AbstractTerm]:
-            _refuse_functions(equation, signal)
-            return list(map(changed, equation.terms))
-
-        unread = f"no equation reads '{signal}', so that none tells of its gain."
-        return self._with_equations(terms, unread=unread)
+        model = self._with_equations(terms, "of a sensor")
+        if len(model.parameters) == len(self.parameters):
+            raise ModelError(f"no equation {tells}.")
+        return model
 
     def _with_equations(
         self,
         terms: Callable[[Equation], Sequence[AbstractTerm]],
+        meaning: str = "",
         meanings: Mapping[str, str] = FrozenDict(),
-        unread: str = "",
     ) -> "Model":
-        """Equations of other terms in their place; `meanings` of what that adds, by default of a
-        sensor; `unread`, an error where it adds nothing."""
+        """Equations of other terms in their place, and what the parameters mean that these add."""
 
         def other(equation: Equation) -> Equation:
             return eqx.tree_at(lambda e: e.terms, equation, tuple(terms(equation)))
 
         after = replace(self, system=BY_EQUATIONS, stages=self.by_stage(other))
-        said = "of a sensor" if unread else ""
-        before = len(self.parameters)
-        if unread and len(after.parameters) == before:
-            raise ModelError(unread)
-        added = (q._replace(meaning=meanings.get(q.name, said)) for q in after.parameters[before:])
-        return replace(after, parameters=(*self.parameters, *added))
+        added = after.parameters[len(self.parameters) :]
+        meant = (q._replace(meaning=meanings.get(q.name, meaning)) for q in added)
+        return replace(after, parameters=(*self.parameters, *meant))
 
     def with_elements(self, elements: "Elements") -> "Model":
         """The same model with what it leaves out, and with what its sensors get wrong.
 
         **Raises:** `ModelError` as the methods that add each, and for an unknown kind.
         """
-        added: dict[str, list[Any]] = {"mode": [*elements.modes], "spring": [*elements.springs]}
-        added |= {"offset": [*elements.offsets_of], "gain": [*elements.gains_of]}
-        others = []
-        for kind, signal, hertz in elements.added:
-            if kind not in added:
-                from riecjax.extensions import element
-
-                others.append((kind, element(kind, [*added]), signal, hertz))
-            elif kind == "mode":
-                added[kind].append((signal, hertz))
-            elif hertz is not None:
+        plain = {
+            "spring": elements.springs,
+            "offset": elements.offsets_of,
+            "gain": elements.gains_of,
+        }
+        asked = [("mode", signal, hertz) for signal, hertz in elements.modes]
+        asked += [(kind, signal, None) for kind, signals in plain.items() for signal in signals]
+        asked += elements.added
+        for kind, signal, hertz in asked:
+            if kind in plain and hertz is not None:
                 raise ModelError(f"{kind}:{signal} is near no frequency: leave out ={hertz:g}.")
-            else:
-                added[kind].append(signal)
-        offsets, gains = (tuple(dict.fromkeys(added[kind])) for kind in ("offset", "gain"))
+        ours = ("mode", *plain)
+        others = [(kind, element(kind, ours), *of) for kind, *of in asked if kind not in ours]
+        of_kind = {kind: [signal for each, signal, _ in asked if each == kind] for kind in plain}
+        offsets, gains = (tuple(dict.fromkeys(of_kind[kind])) for kind in ("offset", "gain"))
         model = self.with_sensor_errors(offsets, gains)
         for kind, add, signal, hertz in others:
             with users_code(f"the element '{kind}'"):
                 model = add(model, signal, hertz)
             write = "a function that returns the model with it"
             require(f"what the element '{kind}' returned", model, Model, write)
-        if added["mode"]:
-            model = model.with_modes(*(HiddenMode(*each) for each in added["mode"]))
-        if added["spring"]:
-            model = model.with_series_springs(*map(SeriesSpring, added["spring"]))
+        if modes := [HiddenMode(signal, hertz) for kind, signal, hertz in asked if kind == "mode"]:
+            model = model.with_modes(*modes)
+        if springs := of_kind["spring"]:
+            model = model.with_series_springs(*map(SeriesSpring, springs))
         return model
 
     @property
@@ -445,18 +419,17 @@ class Model(Shown, eqx.Module):
         if build is None and not self.stages:
             raise ModelError(f"model '{self.name}' has neither equations nor a system.")
         names = [parameter.name for parameter in self.simulation_parameters]
-        for name in settings:
-            if name not in names:
-                raise ModelError(
-                    f"unknown parameter '{name}'; {self.name} has: {', '.join(names)}."
-                )
-        values = {p.name: settings.get(p.name, p.default) for p in self.simulation_parameters}
-        if missing := [name for name, value in values.items() if value is None]:
+        if unknown := [name for name in settings if name not in names]:
             raise ModelError(
-                f"{self.name} needs a value for {', '.join(missing)} (--set {missing[0]}=VALUE)."
+                f"unknown parameter '{unknown[0]}'; {self.name} has: {', '.join(names)}."
+            )
+        values = {p.name: settings.get(p.name, p.default) for p in self.simulation_parameters}
+        if unset := [name for name, value in values.items() if value is None]:
+            raise ModelError(
+                f"{self.name} needs a value for {', '.join(unset)} (--set {unset[0]}=VALUE)."
             )
         if build is None:
-            return _simulation().equation_system(self, values)
+            return equation_system(self, values)
         return build({name: jnp.asarray(value, float) for name, value in values.items()})
 
     def identified_system(self, values: Mapping[str, Any], record: Record) -> Any:
@@ -468,7 +441,7 @@ class Model(Shown, eqx.Module):
         """
         if self.has_own_system(record):
             return self.build_system({name: float(value) for name, value in values.items()})
-        return _simulation().equation_system(self, values, rates=self.driven_rates(record))
+        return equation_system(self, values, rates=self.driven_rates(record))
 
     def has_own_system(self, record: Record) -> bool:
         """Whether a record drives a system of the model's own that its parameters are those of."""
@@ -537,16 +510,13 @@ class Model(Shown, eqx.Module):
     @property
     def stage_parameters(self) -> list[tuple[str, ...]]:
         """Names of the coefficients of each stage, in order of first appearance."""
-        if not self.has_hidden:
-            every = [list(names) for names in self.by_stage(lambda e: e.parameters)]
-        else:
-            every = [[e.all_parameters for e in stage] for stage in self.expanded]
-        # A spring in series with a map is in no expanded equation.
-        for names, element in self.hidden.items():
-            for of, equations in zip(every, self.stages):
-                if any(element.term_in(e) is not None for e in equations):
-                    of.append(names.hidden)
-        return [tuple(dict.fromkeys(name for of in stage for name in of)) for stage in every]
+        hidden = self.hidden.items()
+
+        def names(equation: Equation) -> list[str]:
+            of_hidden = (n.hidden for n, element in hidden if element.term_in(equation) is not None)
+            return [*equation.parameters, *(name for names in of_hidden for name in names)]
+
+        return [tuple(dict.fromkeys(n for e in stage for n in names(e))) for stage in self.stages]
 
     @property
     def equation_names(self) -> list[tuple[str, ...]]:
@@ -557,10 +527,9 @@ class Model(Shown, eqx.Module):
     @property
     def units(self) -> dict[str, str]:
         """Unit of each coefficient."""
-        units: dict[str, str] = {}
-        for equation in self.equations:
-            units |= {k: v for k, v in equation.units.items() if v or k not in units}
-        return units | {name: quantity.unit for name, quantity in self._of_hidden.items()}
+        units = [pair for equation in self.equations for pair in equation.units.items()]
+        known = dict(units) | {name: unit for name, unit in units if unit}
+        return known | {name: quantity.unit for name, quantity in self._of_hidden.items()}
 
     @property
     def known(self) -> Mapping[str, Leaf]:
@@ -579,12 +548,10 @@ class Model(Shown, eqx.Module):
             unknown = tuple(name for name in names if name not in found)
             label = names_of(stage)
             # A known term sets an equation's scale, if through parameters that it shares.
-            reached, size = set(found), -1
-            while len(reached) > size:
-                size = len(reached)
-                for equation in stage:
-                    if equation.has_target or set(equation.parameters) & reached:
-                        reached |= set(equation.parameters)
+            reached = set(found)
+            for equation in stage * len(stage):
+                if equation.has_target or set(equation.parameters) & reached:
+                    reached |= set(equation.parameters)
             if unknown and not all(reached & set(equation.parameters) for equation in stage):
                 coefficients = {name for equation in stage for name in equation.parameters}
                 own = [name for name in unknown if name in coefficients]
@@ -597,9 +564,113 @@ class Model(Shown, eqx.Module):
         return plan
 
 
-def _simulation() -> Any:
-    """What simulates equations: it knows models, and is imported when it is asked for."""
-    return importlib.import_module("riecjax.simulation.equation_system")
+def equation_system(
+    model: Equation | Model,
+    values: Mapping[str, Leaf | float],
+    *,
+    rates: Mapping[str, Expression] | None = None,
+    inputs: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
+) -> EquationSystem:
+    """The system that equations describe, to be simulated, linearised and validated.
+
+    The highest derivative of each signal in the equations leads: a second derivative of `y` makes
+    `y` and its first derivative states, a first derivative of `x4` makes `x4` a state. A
+    derivative has the name that `measured` of its term gives it, else a `d` before the signal's,
+    and may be read under that name by any term. Every other signal that is read is an input. There
+    must be one equation for each leading derivative, which may appear in several.
+
+    A static equation beside dynamic ones determines a quantity, an output: the first plain signal
+    with a number for coefficient, as `Term(1.0, "F_t")` in F_t = K_t x1. `where` of an equation
+    says which samples to identify from and means nothing here.
+
+    A hidden mode has two further states, `mode_deflection` (body minus mass) and `mode_velocity`,
+    of a second one `mode_2_deflection` and `mode_2_velocity`. An element with a spring in series
+    has its force, `series_force`, of a second one `series_2_force`.
+
+    **Arguments:**
+
+    - `values`: value of every coefficient, scalars; for those with a `known` value it may be left
+      out. Others are ignored.
+    - `rates`: further states by their time derivative, signal name to expression: kinematics such
+      as `{"x2": difference("x3", "x4")}` that no coefficient appears in; by default the model's.
+    - `inputs`: signals to take as inputs although their derivative appears, as of a base that is
+      moved; the derivative is an input too, under its name from `measured`.
+    - `units`: signal name to unit.
+
+    **Raises:** `ModelError` if a coefficient has no value; if the equations cannot be simulated
+    because none holds a derivative, their number is not that of the unknowns, a derivative is of
+    third order or of an expression of inputs; or, with values that can be looked at, if the
+    leading coefficient is zero or the unknowns do not enter linearly.
+    """
+    model = as_model(model)
+    listed, label = (*model.signals, *model.inputs), names_of(model.equations)
+    known: dict[str, Any] = {**model.known, **values}
+    names = model.parameter_names
+    if unset := [name for name in names if name not in known]:
+        raise ModelError(f"{label}: no value is given for {', '.join(unset)}.")
+    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
+    for name, number in numbers.items():
+        if number.shape != ():
+            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
+    further: dict[str, Expression] = {memory.state: memory for memory in model.memories}
+    further |= model.rates if rates is None else rates
+    equations, hidden = model.equations, []
+    springs = tuple(SpringElement.of(i, s, equations) for i, s in enumerate(model.springs))
+    for spring in springs:
+        equations = tuple(map(spring.written_out, equations))
+    for i, mode in enumerate(model.modes):
+        equations, of_mode, states = mode.written_out(i, equations)
+        further |= of_mode
+        hidden += states
+    hidden += (spring.state for spring in springs)
+    order = tuple(quantity.name for quantity in listed)
+    structure = read_structure(
+        label, equations, further, frozenset(inputs), tuple(hidden), springs, order
+    )
+    given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
+    given |= {state.name: state.unit for state in hidden}
+    named = tuple(sorted((given | dict(units or {})).items()))
+    system = EquationSystem(equations, numbers, structure, named, springs)
+    if is_concrete(equations, numbers) and not is_under_trace():
+        require_solvable(label, system)
+    return system
+
+
+def _with_offset(equation: Equation, signal: Quantity) -> list[AbstractTerm]:
+    """Its terms, and that of an unknown offset of the signal if one is of it."""
+    own = [t for t in equation.terms if t.signal == signal.name and t.derivative == 0]
+    if not own:
+        return [*equation.terms]
+    if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
+        raise ModelError(
+            f"{equation.name}: an offset of '{signal.name}' cannot be told apart from "
+            f"'{taken[0]}', which is constant too; give {signal.name}'s offset, or leave that "
+            f"term out."
+        )
+    if len(own) > 1:
+        raise ModelError(f"{equation.name} has several terms of '{signal.name}'; add them up.")
+    term, label = own[0], f"offset_{signal.name}"
+    unit = signal.unit or str(term.unit)
+    if term.name is not None:
+        label, unit = f"{term.name}_{label}", equation.unit
+    return [*equation.terms, Term(label, constant, unit=unit, sign=-term.factor)]
+
+
+def _with_gain(equation: Equation, signal: Quantity) -> list[AbstractTerm]:
+    """Its terms, those of the signal times an unknown gain."""
+    if named := [t.name for t in equation.terms if t.signal == signal.name and t.name is not None]:
+        raise ModelError(
+            f"the gain of '{signal.name}' cannot be told apart from '{named[0]}', which "
+            f"multiplies it: {named[0]} comes out multiplied by the gain."
+        )
+    name = f"gain_{signal.name}"
+    return [
+        Term(name, t.of, derivative=t.derivative, measured=t.measured, sign=t.factor)
+        if t.signal == signal.name
+        else t
+        for t in equation.terms
+    ]
 
 
 def as_model(model: Equation | Model) -> Model:

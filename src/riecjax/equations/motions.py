@@ -56,51 +56,58 @@ def motions_and_unread(
 
     By the derivatives of its terms; by their units, of signals that it reads in no derivative.
     """
-    found: dict[str, Motion] = {}
+    motions: dict[str, Motion] = {}
     for position, velocity in _pairs(equation, units):
-        held = [name if name in recorded else "" for name in (position, velocity)]
-        if not any(held):
-            continue
-        of_velocity = units.get(velocity, "")
-        unit = units.get(position) or (per(of_velocity, "1/s") if of_velocity else "")
-        for term in equation.terms if not unit and equation.unit else ():
-            # By the units of the equation and of coefficients.
-            if term.signal == position and term.unit and not unit:
-                of_inertia = OF_INERTIA.get((equation.unit, str(term.unit)), "")
-                by_order = {0: per(equation.unit, str(term.unit)), 2: of_inertia}
-                unit = by_order.get(term.derivative, "")
-        one = Motion(held[0], held[1], unit)
+        # By the units of the equation and of coefficients, where signals have none.
+        by_term = (
+            OF_INERTIA.get((equation.unit, str(term.unit)), "")
+            if term.derivative
+            else per(equation.unit, str(term.unit))
+            for term in equation.terms
+            if term.signal == position and term.unit and term.derivative != 1
+        )
+        unit = units.get(position) or per(units.get(velocity, ""), "1/s")
+        recorded_ones = [name if name in recorded else "" for name in (position, velocity)]
+        motion = Motion(*recorded_ones, unit or next(filter(None, by_term), ""))
         # What is read as a velocity here may be the derivative of a position there.
-        for key in filter(None, held):
-            before = found.get(key)
-            if before is None or (not before.position and one.position):
-                found[key] = one
+        for name in filter(None, recorded_ones):
+            if name not in motions or (motion.position and not motions[name].position):
+                motions[name] = motion
     # A velocity has the position whose slope it goes along with, among signals not read.
-    motions = []
-    for motion in dict.fromkeys(found.values()):
-        if motion.velocity and not motion.position:
-            v = record.signal(motion.velocity).with_nan[1:-1]
-            for name in unread:
-                x = record.signal(name).with_nan
-                slope = x[2:] - x[:-2]
-                both = np.isfinite(v) & np.isfinite(slope)
-                moves = both.sum() > FEWEST and np.ptp(slope[both]) > 0 and np.ptp(v[both]) > 0
-                if moves and np.corrcoef(slope[both], v[both])[0, 1] > ALIKE:
-                    motion = motion._replace(position=name)
-                    break
-        motions.append(motion)
-    positions = {motion.position for motion in motions}
-    return motions, [name for name in unread if name not in positions][:MOST_UNREAD]
+    with_positions = [
+        motion
+        if motion.position
+        else motion._replace(
+            position=next((n for n in unread if _is_slope(record, n, motion.velocity)), "")
+        )
+        for motion in dict.fromkeys(motions.values())
+    ]
+    positions = {motion.position for motion in with_positions}
+    return with_positions, [name for name in unread if name not in positions][:MOST_UNREAD]
+
+
+def _is_slope(record: Record, position: str, velocity: str) -> bool:
+    """Whether a signal goes along with the slope of another one."""
+    x, v = record.signal(position).with_nan, record.signal(velocity).with_nan[1:-1]
+    slope = x[2:] - x[:-2]
+    both = np.isfinite(v) & np.isfinite(slope)
+    moves = both.sum() > FEWEST and np.ptp(slope[both]) > 0 and np.ptp(v[both]) > 0
+    return bool(moves and np.corrcoef(slope[both], v[both])[0, 1] > ALIKE)
 
 
 def reading_velocities(model: Model) -> Model:
     """The same equations with a term that reads each velocity that they have a name for."""
     names = [name for stage in model.equation_names for name in stage]
-    added: dict[str, list[Term]] = {}
-    for name, equation in zip(names, model.equations, strict=True):
-        velocities = {t.measured[0] for t in equation.terms if t.signal and t.measured}
-        added[name] = [Term(f"{name} {v}", odd(v, 2)) for v in sorted(velocities)]
-    return model.with_terms(added)
+    velocities = (
+        sorted({t.measured[0] for t in equation.terms if t.signal and t.measured})
+        for equation in model.equations
+    )
+    return model.with_terms(
+        {
+            name: [Term(f"{name} {v}", odd(v, 2)) for v in read]
+            for name, read in zip(names, velocities, strict=True)
+        }
+    )
 
 
 def _pairs(equation: Equation, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:

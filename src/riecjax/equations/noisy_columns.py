@@ -44,29 +44,22 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import combined, evaluate, read_expression
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf
-from riecjax.records.noise import Noise
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Noise, Signal
 
-
-class _Part(NamedTuple):
-    """Values that a term adds to columns of one order."""
-
-    term: AbstractTerm
-    order: int
-    values: Float[Array, "columns samples"]
+_Part = tuple[AbstractTerm, int, Float[Array, "columns samples"]]
+"""A term, and values that it adds to columns of one order."""
 
 
 def _rows(parts: Iterable[_Part], parameters: tuple[str, ...]) -> dict[int, dict[int, Array]]:
     """The sums of each coefficient's columns, by order and row; the first takes known terms."""
     found: dict[int, dict[int, Array]] = {}
-    for part in parts:
-        names = part.term.parameters or (None,)
-        for name, values in zip(names, part.values, strict=True):
+    for term, order, columns in parts:
+        for name, values in zip(term.parameters or (None,), columns, strict=True):
             row = 0 if name is None else 1 + parameters.index(name)
             # The terms sum to zero, so the known ones change sides and are regressed on the rest.
             values = -values if name is None else values
-            rows = found.setdefault(part.order, {})
+            rows = found.setdefault(order, {})
             rows[row] = rows[row] + values if row in rows else values
     return found
 
@@ -124,7 +117,7 @@ def columns_of_terms(
 
     def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
         orders = (min(term.derivative, smoothness) for term in equation.terms)
-        rows = _rows(map(_Part, equation.terms, orders, each), names)
+        rows = _rows(zip(equation.terms, orders, each), names)
         return jnp.stack(
             [
                 jnp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
@@ -167,17 +160,12 @@ class Movement(eqx.Module):
             for order, rows in found.items()
         }
 
-    def scaled(self, by: Float[Array, " n"]) -> "Movement":
-        """Times a factor at each sample."""
-        values = {order: rows * by[None, :] for order, rows in self.values.items()}
-        return eqx.tree_at(lambda m: m.values, self, values)
-
-    def columns(self, like: Columns) -> Columns:
-        """As columns, zero where nothing moves."""
+    def times(self, noise: Float[Array, " n"], like: Columns) -> Float[Array, "orders columns n"]:
+        """Values of columns that move by this much at each sample, zero where nothing moves."""
         values = jnp.zeros_like(like.values)
         for order, rows in self.values.items():
-            values = values.at[order, jnp.array(self.rows[order])].set(rows)
-        return Columns(values, like.present, like.time_step, like.parameters)
+            values = values.at[order, jnp.array(self.rows[order])].set(rows * noise[None, :])
+        return values
 
 
 class NoisyColumns(NamedTuple):
@@ -194,16 +182,6 @@ class NoisyColumns(NamedTuple):
     coloured: dict[str, Movement]
     curved: tuple[tuple[float, Movement], ...]
     noise: Noise
-
-    @property
-    def moves(self) -> bool:
-        """Whether anything is known of noise on what the columns are made of."""
-        return bool(self.white or self.coloured)
-
-
-def without_noise(columns: Columns) -> NoisyColumns:
-    """Columns of which nothing is known."""
-    return NoisyColumns(columns, {}, {}, (), Noise())
 
 
 class _Curved(NamedTuple):
@@ -240,11 +218,11 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
         sampled = term.samples(record, above)
         rises, curved = _term_noise(term, record, above, jnp.asarray(sampled.values), directions)
         for key, rise in rises.items():
-            moves[key].append(_Part(term, order, rise))
+            moves[key].append((term, order, rise))
         for keys, of in curved.items():
             sampled = combined(lambda values, shift=of.shift: values - shift, sampled)
             weights, squares = zip(*of.squares)
-            bends.setdefault(keys, []).append(tuple(_Part(term, order, v) for v in squares))
+            bends.setdefault(keys, []).append(tuple((term, order, v) for v in squares))
         clean.append(sampled)
     names = equation.parameters
     movements = {key: Movement(parts, names) for key, parts in moves.items() if parts}

@@ -231,10 +231,11 @@ class Term(AbstractTerm):
         self.unit = unit
         self.known = None if known is None else as_leaf(known)
         self.basis = basis
-        if derivative not in (0, 1, 2):
+        if type(derivative) is not int or derivative not in (0, 1, 2):
             raise ModelError(f"a term's derivative must be 0, 1 or 2; got {derivative}.")
         if known is not None and not named:
             raise ModelError("a known value belongs to a named coefficient.")
+        require("a term's unit", unit, (str, tuple, list), "unit='kg'")
         if not isinstance(unit, str) and len(unit) != len(self.parameters):
             raise ModelError(
                 f"{coefficient}: {len(unit)} units for {len(self.parameters)} functions of the "
@@ -273,18 +274,14 @@ class Term(AbstractTerm):
     @property
     def source(self) -> str | None:
         """As it is written, of a named coefficient with nothing in front."""
-        of = source_of(self.of)
+        basis = () if self.basis is None else (self.basis.source,)
+        words = [written(self.coefficient), *basis, source_of(self.of)]
         is_plain = self.known is None and float(np.asarray(self.factor)) == 1
-        if of is None or self.coefficient is None or not is_plain:
+        if self.coefficient is None or None in words or not is_plain:
             return None
-        words = [written(self.coefficient), of]
-        if self.basis is not None:
-            if self.basis.source is None:
-                return None
-            words.insert(1, self.basis.source)
         settings = {"derivative": self.derivative, "measured": self.measured, "unit": self.unit}
         words += [f"{name}={written(value)}" for name, value in settings.items() if value]
-        return f"rx.{'Term' if self.basis is None else 'Terms'}({', '.join(words)})"
+        return f"rx.{'Terms' if basis else 'Term'}({', '.join(map(str, words))})"
 
 
 def Terms(

@@ -7,3 +7,4 @@ from .parameters import ParameterTable as ParameterTable
 from .parameters import plan_parameters as plan_parameters
 from .stages import Solution as Solution
 from .stages import solve as solve
+from .stages import solve_stages as solve_stages

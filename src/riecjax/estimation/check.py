@@ -25,9 +25,9 @@ from riecjax.records.recording import Recording
 from riecjax.settings import Check as CheckSettings
 from riecjax.settings import taking
 from riecjax.shows import Shown
+from riecjax.summaries.normal_equations import Survey
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.sums import Survey
 from riecjax.summaries.task import ready, signals_read, task
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def linear_sums(model: Model, summary: Summary, table: ParameterTable) -> Summar
     """The sums, linearised about hidden elements where there are some."""
     if not model.has_hidden:
         return summary
-    from riecjax.estimation.mode_windows import linearised
+    from riecjax.estimation.hidden_modes import linearised
 
     return linearised(model, summary, table.known)
 
@@ -173,29 +173,22 @@ def check_sums(
     constant = () if model.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
     sensors = [of_sensors(model, one, names) for one, names in zip(recordings, read)]
 
-    def is_for_all(finding: Finding) -> bool:
-        """Whether what is proposed does no harm to recordings without the fault."""
+    def told(number: int, finding: Finding) -> Finding:
+        """Of which recording it is; what is proposed, if it does no harm to those without it."""
+        prefix = f"record {number}: " if len(recordings) > 1 else ""
+        finding = finding._replace(message=prefix + finding.message)
         same = finding.code, finding.signals
-        return "--leave-out" in finding.remedy or all(
-            any((f.code, f.signals) == same for f in own) for own in sensors
-        )
+        everywhere = all(any((f.code, f.signals) == same for f in own) for own in sensors)
+        if "--leave-out" in finding.remedy or everywhere:
+            return finding
+        # Options are for all recordings.
+        step = finding.step and f"{finding.step}, in record {number} alone"
+        return finding._replace(remedy=(), step=step)
 
     findings = [
         *(f for one, names in zip(recordings, read) for f in one.concerning(names).findings),
         *duplicates(recordings),
-        *(
-            f._replace(message=prefix + f.message)
-            if is_for_all(f)
-            # Without options, which are for all recordings.
-            else f._replace(
-                message=prefix + f.message,
-                remedy=(),
-                step=f"{f.step}, in record {i} alone" if f.step else "",
-            )
-            for i, own in enumerate(sensors, 1)
-            for prefix in [f"record {i}: " if len(recordings) > 1 else ""]
-            for f in own
-        ),
+        *(told(i, finding) for i, own in enumerate(sensors, 1) for finding in own),
         *_windows([one.record for one in recordings], summary.criterion),
         *_quadrature(summary),
         *_break_points(model, summary),
@@ -271,13 +264,9 @@ def _break_points(model: Model, summary: Summary) -> Iterator[Finding]:
         least, most = np.min(reach[str(term.name)]), np.max(reach[str(term.name)])
         points = np.asarray(term.basis.break_points)
         # The end segments are continued: what counts is data past the last but one.
-        idle = [points[0]] if least > points[1] else []
-        idle += [points[-1]] if most < points[-2] else []
-        if least > 0.5 * (points[0] + points[1]) and not idle:
-            idle.append(points[0])
-        if most < 0.5 * (points[-1] + points[-2]) and points[-1] not in idle:
-            idle.append(points[-1])
-        if idle:
+        below = least > points[1] or (least > 0.5 * (points[0] + points[1]) and most >= points[-2])
+        ends = (points[0], below), (points[-1], most < 0.5 * (points[-1] + points[-2]))
+        if idle := [point for point, unreached in ends if unreached]:
             listed = " and ".join(f"{point:g}" for point in idle)
             yield Finding(
                 "break_points_outside",

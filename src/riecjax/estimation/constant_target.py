@@ -41,8 +41,8 @@ from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding
 from riecjax.linear_algebra import factor_of_gram
+from riecjax.summaries.normal_equations import EquationSums
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.sums import EquationSums
 
 CONSTANT = 0.05
 """Share of a target, rms, that may vary where it counts as constant: of integrals, in the longest

@@ -1,5 +1,6 @@
 """Parameters with units and uncertainty, however they were estimated."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Self
 
@@ -46,12 +47,12 @@ class AbstractEstimate(Saved, eqx.Module):
       seconds that each lasts.
     """
 
-    theta: eqx.AbstractVar[Float[Array, "*batch p"]]
-    uncertainty: eqx.AbstractVar[Uncertainty]
-    table: eqx.AbstractVar[ParameterTable]
-    inflation: eqx.AbstractVar[Float[Array, "*batch p"]]
-    block_count: eqx.AbstractVar[Int[Array, "*batch"]]
-    block_length: eqx.AbstractVar[Float[Array, "*batch"]]
+    theta: Float[Array, "*batch p"]
+    uncertainty: Uncertainty
+    table: ParameterTable
+    inflation: Float[Array, "*batch p"]
+    block_count: Int[Array, "*batch"]
+    block_length: Float[Array, "*batch"]
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -71,11 +72,9 @@ class AbstractEstimate(Saved, eqx.Module):
     def __getitem__(self, name: str) -> Float[Array, "*batch"]:
         if not isinstance(name, str) or name not in self.known:
             return self._of(self.theta, name)
-        if not self.batch_shape:
-            return _single(self.known[name])
-        value, shape = self.known[name], self.batch_shape
         # What is known may be one value for all of a batch.
-        return value if value.shape == shape else namespace(value).broadcast_to(value, shape)
+        value = namespace(self.known[name]).broadcast_to(self.known[name], self.batch_shape)
+        return value if self.batch_shape else _single(value)
 
     def __iter__(self) -> Iterator[str]:
         return iter((*self.parameters, *self.known))
@@ -141,9 +140,8 @@ class AbstractEstimate(Saved, eqx.Module):
 
         Floats, or of a batch arrays of its shape.
         """
-        index = self._index(name)
-        low, high = (ends[..., index] for ends in self.intervals(level))
-        return (low, high) if self.batch_shape else (float(low), float(high))
+        self._index(name)
+        return self.interval_by_name(level)[name]
 
     def intervals(
         self, level: float = 0.95
@@ -180,15 +178,14 @@ class AbstractEstimate(Saved, eqx.Module):
         if not self.batch_shape:
             return list(host._findings())
         first: dict[str, Finding] = {}
-        concerned: dict[str, int] = {}
+        concerned = Counter[str]()
         for place in np.ndindex(self.batch_shape):
-            at = ", ".join(map(str, place))
-            said = list(host.member(*place)._findings())
-            for finding in said:
+            at, said = ", ".join(map(str, place)), dict[str, Finding]()
+            for finding in host.member(*place)._findings():
                 message = f"first in member {at}: {finding.message}"
-                first.setdefault(finding.code, finding._replace(message=message))
-            for code in {finding.code for finding in said}:
-                concerned[code] = concerned.get(code, 0) + 1
+                said.setdefault(finding.code, finding._replace(message=message))
+            concerned.update(said.keys())
+            first |= {code: said[code] for code in said if code not in first}
         size = int(np.prod(self.batch_shape))
         return [
             finding._replace(message=f"in {concerned[code]} of {size} members, {finding.message}")
@@ -273,12 +270,10 @@ class AbstractEstimate(Saved, eqx.Module):
         self, which: ArrayLike, numbers: ArrayLike, unit: str = ""
     ) -> tuple[tuple[str, ...], str]:
         """Names of some parameters, and a list of them with a number beside each."""
-        some = [
-            (n, x)
-            for n, x, of in zip(self.parameters, np.asarray(numbers), np.asarray(which))
-            if of
-        ]
-        return tuple(n for n, _ in some), ", ".join(f"{n} ({x:.2g}{unit})" for n, x in some)
+        chosen = np.flatnonzero(which)
+        names, values = [self.parameters[i] for i in chosen], np.asarray(numbers)[chosen]
+        listed = ", ".join(f"{n} ({x:.2g}{unit})" for n, x in zip(names, values))
+        return tuple(names), listed
 
     def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
         index = self._index(name)
@@ -355,7 +350,7 @@ class Estimate(AbstractEstimate):
     - `table`: what each parameter is, and the values of those that were not estimated.
     - `criterion`: what was made small.
     - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
-      length in seconds (rule: `block_length` in `uncertainty.block_statistics`).
+      length in seconds (rule: `block_length` in `uncertainty.covariances`).
     - `stage_names`, `equation_names`: of each stage, and of each equation in it.
     - `rows_offered`: for each stage, how many rows there would be without gaps and masks; NaN
       where that is not known.
@@ -364,15 +359,9 @@ class Estimate(AbstractEstimate):
       `jax.vmap`, where each member of a batch would carry its own.
     """
 
-    theta: Float[Array, "*batch p"]
-    uncertainty: Uncertainty
     naive: Float[Array, "*batch p"]
-    inflation: Float[Array, "*batch p"]
     stages: tuple[StageSolution, ...]
-    table: ParameterTable
     criterion: AbstractCriterion
-    block_count: Int[Array, "*batch"]
-    block_length: Float[Array, "*batch"]
     rows_offered: Float[Leaf, "*batch stages"]
     summary: Summary | None
     stage_names: tuple[str, ...] = eqx.field(static=True)

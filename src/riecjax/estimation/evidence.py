@@ -7,7 +7,6 @@ put it.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,10 +24,11 @@ from riecjax.estimation.hidden_modes import (
     ModeMap,
     ModeStage,
     Values,
+    find_modes,
     mode_map,
     polished,
+    search_band,
 )
-from riecjax.estimation.mode_windows import find_modes, search_band
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, on_host
 from riecjax.shows import Drawn
@@ -48,12 +48,8 @@ NEAR = 2**0.5
 """Ratio of frequencies up to which a mode is near another frequency: half an octave."""
 
 
-class Stray(NamedTuple):
-    """A mode that was `asked` for near a frequency, and `found` elsewhere, both in hertz."""
-
-    parameters: ModeParameters
-    asked: float
-    found: float
+Stray = tuple[ModeParameters, float, float]
+"""A mode, the frequency in hertz near which it was asked for, and that where it was found."""
 
 
 # It prints in words, which no named tuple can take from a base class.
@@ -149,48 +145,46 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
     model, summary = as_model(model), estimate.summary
     if summary is None or not model.modes:
         raise ModelError("evidence is of an estimate, made outside jax.jit, of hidden modes.")
-    values = {**estimate.known, **{name: estimate[name] for name in estimate.parameters}}
+    values = estimate.values
     given = {name: jnp.asarray(value) for name, value in estimate.known.items()}
     found = find_modes(model, summary, given)
-    evidence = []
-    known = dict(given)
+    evidence, known = [], dict(given)
     for i, equations in enumerate(model.expanded):
         stage = ModeStage.of(equations, summary.equations()[i], known)
-        own = [names for names in stage.sought if isinstance(names, ModeParameters)]
-        if own:
-            sums = summary.equations(found.bands[i])[i]
+        modes = [names for names in stage.sought if isinstance(names, ModeParameters)]
+        if modes:
+            sums, last = summary.equations(found.bands[i])[i], modes[-1]
             # Modes that lie far from the frequency asked for, and the band that shows the last one.
-            strays, (low, high) = [], search_band(model, summary, own[-1])
-            for names in own:
-                hz = model.hidden[names].hz
-                at_hz = float(mode_frequency(values, names)[0])
-                if hz is not None and not hz / NEAR <= at_hz <= hz * NEAR:
-                    strays.append(Stray(names, hz, at_hz))
-                    if names == own[-1]:
-                        low, high = np.minimum(low, at_hz / NEAR), np.maximum(high, at_hz * NEAR)
-            band = low, high
-            raw = on_host(_evidence(equations, sums, known, found.at[i], band))
-            label = model.plan(set(known))[i][0]
-            lengths = summary.lengths_of(found.bands[i] or summary.band)
-            mass, stiffness, damping = (float(values[name]) for name in own[-1])
-            positive = min(mass, stiffness, damping) > 0
-            oscillates = positive and damping**2 < 4 * mass * stiffness
-            on = model.hidden[own[-1]].on
+            places = ((m, model.hidden[m].hz, float(mode_frequency(values, m)[0])) for m in modes)
+            strays = [
+                (names, hz, at)
+                for names, hz, at in places
+                if hz is not None and not hz / NEAR <= at <= hz * NEAR
+            ]
+            low, high = search_band(model, summary, last)
+            for at in (at for names, _, at in strays if names == last):
+                low, high = np.minimum(low, at / NEAR), np.maximum(high, at * NEAR)
+            raw = on_host(_evidence(equations, sums, known, found.at[i], (low, high)))
+            mass, stiffness, damping = size = [float(values[name]) for name in last]
             # Frequency and damping ratio, with errors by their logarithms' slopes:
             # log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
-            carried = {name: jnp.asarray(estimate[name]) for name in own[-1]}
-            places = [estimate.parameters.index(name) for name in own[-1]]
-            size = np.array([float(carried[name]) for name in own[-1]])
-            relative = np.asarray(estimate.covariance)[np.ix_(places, places)] / np.outer(
-                size, size
-            )
+            own = [estimate.parameters.index(name) for name in last]
+            relative = np.asarray(estimate.covariance)[np.ix_(own, own)] / np.outer(size, size)
             slopes = np.array([[-0.5, 0.5, 0.0], [-0.5, -0.5, 1.0]])
             errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, relative, slopes))
-            pairs = zip(mode_frequency(carried, own[-1]), errors)
-            at, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in pairs)
+            pairs = zip(mode_frequency(values, last), errors)
+            frequency, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in pairs)
             evidence.append(
                 ModeEvidence(
-                    own[-1], label, on, at, ratio, oscillates, *raw, lengths, tuple(strays)
+                    last,
+                    model.plan(set(known))[i][0],
+                    model.hidden[last].on,
+                    frequency,
+                    ratio,
+                    min(size) > 0 and damping**2 < 4 * mass * stiffness,
+                    *raw,
+                    summary.lengths_of(found.bands[i] or summary.band),
+                    tuple(strays),
                 )
             )
         known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}

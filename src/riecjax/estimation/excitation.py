@@ -12,9 +12,8 @@ from jaxtyping import Array, Float
 from riecjax.compilation import kept_jit
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.estimate import combination, weighing
-from riecjax.estimation.noise_level import largest_share
 from riecjax.estimation.parameters import Parameter, ParameterTable
-from riecjax.estimation.stages import StageSolution, stages_over_records
+from riecjax.estimation.stages import StageSolution, largest_share, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
@@ -221,42 +220,23 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
         [with_surveyed_noise(i, j) for j, _ in enumerate(stage)]
         for i, stage in enumerate(equations)
     ]
-    found, by_stage = on_host(_excitations(of_records, table))
+    found, added = on_host(_excitations(of_records, table))
     if all(e.noise is None for stage in equations for e in stage):
         return found
-    # The source of noise that adds most to each stage's noisiest combination.
     names = [list(one.noise.sources) for one in summary.recordings]
-    stages = dict(zip((label for label, _ in table.stages), by_stage))
-    corrected = []
-    for one in found:
-        stage = stages[one.stage_name]
-        size = np.asarray(one.size)
-        direction = np.zeros(1 + len(stage.parameters))
-        place = [1 + stage.parameters.index(name) for name in one.parameters]
-        scale = np.where(size > 0, size, 1)
-        direction[place] = np.where(size > 0, one.noisiest_direction / scale, 0)
-        added = np.einsum("i,rsij,j->rs", direction, np.asarray(stage.noise_of_source), direction)
-        record, source = np.unravel_index(int(np.argmax(added)), added.shape)
-        noisiest = names[record][source]
-        corrected.append(dataclasses.replace(one, corrected=True, noisiest=noisiest))
-    return corrected
+    places = (np.unravel_index(int(np.argmax(of_stage)), of_stage.shape) for of_stage in added)
+    return [
+        dataclasses.replace(stage, corrected=True, noisiest=names[record][source])
+        for stage, (record, source) in zip(found, places)
+    ]
 
 
 @kept_jit
 def _excitations(
     equations: list[list[NormalEquations]], table: ParameterTable
-) -> tuple[list[Excitation], list[NormalEquations]]:
-    stages, _ = stages_over_records(equations, table)
-    found = []
-    for stage, (label, unknown) in zip(stages, table.stages):
-        if unknown:
-            rows = tuple(table[name] for name in unknown)
-            found.append(excitation_of(stage.total(), rows, label))
-    return found, stages
-
-
-def excitation_of(total: NormalEquations, rows: tuple[Parameter, ...], label: str) -> Excitation:
-    """How a stage's regressors are excited, by its normal equations.
+) -> tuple[list[Excitation], list[Float[Array, "records sources"]]]:
+    """Of each stage that finds something, and what each of the noise's sources adds to its noisiest
+    combination.
 
     With the regressors scaled to unit length their Gram matrix is G = V diag(s^2) V^T: s_1, the
     least singular value, is the size of the smallest combination of them (`weakest_share`), and
@@ -265,31 +245,42 @@ def excitation_of(total: NormalEquations, rows: tuple[Parameter, ...], label: st
     direction holds j. Noise that is a share n_j of each column adds sum_j v_1j^2 n_j^2 to s_1^2;
     `findings` compares the two.
 
-    **Arguments:** `total`, in one block, with its noise; `rows`, which of the parameters the stage
-    finds; `label`, its name.
+    **Arguments:** `equations`, in one block for each record, with their noise.
     """
-    index = np.array([total.parameters.index(row.name) for row in rows])
-    assert total.noise is not None
-    count = jnp.where(total.count > 0, total.count, 1.0)
-    mean, noise = (m[np.ix_(1 + index, 1 + index)] / count for m in (total.moments, total.noise))
-    size = jnp.sqrt(jnp.diagonal(mean))
-    scaled, scale = unit_diagonal(mean)
-    squares, directions = symmetric_eigen(scaled)
-    # Rounding of the Gram matrix hides shares below the root of eps.
-    squares = jnp.maximum(squares, 0.0)
-    floor = jnp.finfo(size.dtype).eps * len(rows)
-    dominance, noisiest = largest_share(noise, mean)
-    noisiest = noisiest * size
-    length = jnp.sqrt(jnp.sum(noisiest**2))
-    inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
-    return Excitation(
-        size=size,
-        own_share=jnp.where(size > 0, 1 / jnp.sqrt(inverse), 0.0),
-        noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)) * scale, 0.0),
-        weakest_direction=directions[:, 0],
-        weakest_share=jnp.sqrt(squares[0]),
-        noisiest_direction=noisiest / jnp.where(length > 0, length, 1.0),
-        noisiest_share=dominance,
-        rows=rows,
-        stage_name=label,
-    )
+    stages, _ = stages_over_records(equations, table)
+    found, added = [], []
+    for stage, (label, unknown) in zip(stages, table.stages):
+        if not unknown:
+            continue
+        total, of_source = stage.total(), stage.noise_of_source
+        assert total.noise is not None
+        assert of_source is not None
+        index = 1 + np.array([total.parameters.index(name) for name in unknown])
+        count = jnp.where(total.count > 0, total.count, 1.0)
+        mean, noise = (m[np.ix_(index, index)] / count for m in (total.moments, total.noise))
+        size = jnp.sqrt(jnp.diagonal(mean))
+        scaled, scale = unit_diagonal(mean)
+        squares, directions = symmetric_eigen(scaled)
+        # Rounding of the Gram matrix hides shares below the root of eps.
+        squares = jnp.maximum(squares, 0.0)
+        floor = jnp.finfo(size.dtype).eps * len(unknown)
+        dominance, noisiest = largest_share(noise, mean)
+        of_source = of_source[..., index, :][..., index]
+        added.append(jnp.einsum("i,rsij,j->rs", noisiest, of_source, noisiest))
+        noisiest = noisiest * size
+        length = jnp.sqrt(jnp.sum(noisiest**2))
+        inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
+        found.append(
+            Excitation(
+                size=size,
+                own_share=jnp.where(size > 0, 1 / jnp.sqrt(inverse), 0.0),
+                noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)) * scale, 0.0),
+                weakest_direction=directions[:, 0],
+                weakest_share=jnp.sqrt(squares[0]),
+                noisiest_direction=noisiest / jnp.where(length > 0, length, 1.0),
+                noisiest_share=dominance,
+                rows=tuple(table[name] for name in unknown),
+                stage_name=label,
+            )
+        )
+    return found, added

@@ -16,11 +16,12 @@ from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
-from riecjax.estimation.noise_level import borne_out, level_covariance
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
     StageSolution,
+    borne_out,
+    level_covariance,
     solve_stages,
     stages_over_records,
 )
@@ -143,26 +144,20 @@ def estimated(
     intervals: AbstractIntervals,
 ) -> Estimate:
     """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
-    equations = summary.equations()
-    modes, short = None, summary.short_blocks
-    if model.has_hidden:
-        if table.per_record:
-            raise ModelError("per_record has no meaning yet for a model with hidden elements.")
-        from riecjax.estimation.mode_windows import find_modes
-
-        modes = find_modes(model, summary, table.known)
-        equations = modes.equations
+    equations, short = summary.equations(), summary.short_blocks
     window = jnp.asarray(summary.criterion.block_length)
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = intervals.drawn(short.number.shape[0])
-    settings = table, drawn
-    sums = _Sums(equations, summary.noise_freedom, short, window)
-    fit = _solve(sums, *settings, None)
-    if modes is not None:
-        from riecjax.estimation.mode_windows import find_modes
+    given, modes = (summary.noise_freedom, short, window, table, drawn), None
+    if not model.has_hidden:
+        fit = _solve(equations, *given)
+    elif table.per_record:
+        raise ModelError("per_record has no meaning yet for a model with hidden elements.")
+    else:
+        from riecjax.estimation.hidden_modes import find_modes
 
-        other = find_modes(model, summary, table.known, rank=1)
-        beside = _solve(sums._replace(equations=other.equations), *settings, None)
+        modes, other = (find_modes(model, summary, table.known, rank) for rank in (0, 1))
+        fit, beside = (_solve(found.equations, *given) for found in (modes, other))
         # Which lengths tell most of hidden elements is a choice among nearly equals, and what the
         # model and its integrals leave out weighs differently in each. As in an average over models
         # (Buckland, Burnham and Augustin 1997), what the choice moves is part of the variance. It
@@ -185,7 +180,7 @@ def estimated(
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
         poor = modes is None and condition > gram_condition_limit(window.dtype)
         if poor and (rows := _rows(summary, equations, table)):
-            fit = _solve(sums, *settings, rows)
+            fit = _solve(equations, *given, rows)
         raise_if_unidentifiable(fit.stages, table)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
@@ -224,27 +219,22 @@ class _Fit(NamedTuple):
     totals: list[NormalEquations]
 
 
-class _Sums(NamedTuple):
-    """What a fit is solved from.
-
-    **Fields:** `equations` of each stage; `freedom` of the variances of the noise's sources; the
-    `short` blocks of time, and seconds of the `longest_window`.
-    """
-
-    equations: list[list[NormalEquations]]
-    freedom: Float[Leaf, "records sources"]
-    short: ShortBlocks
-    longest_window: Float[Array, ""]
-
-
 @kept_jit
 def _solve(
-    sums: _Sums,
+    equations: list[list[NormalEquations]],
+    freedom: Float[Leaf, "records sources"],
+    short: ShortBlocks,
+    longest_window: Float[Array, ""],
     table: ParameterTable,
     intervals: AbstractIntervals,
-    rows: list[Rows] | None,
+    rows: list[Rows] | None = None,
 ) -> _Fit:
-    equations = [[borne_out(equation) for equation in stage] for stage in sums.equations]
+    """The fit of sums of each stage's equations.
+
+    **Arguments:** `freedom` of the variances of the noise's sources; `short` blocks of time, and
+    the longest window in seconds.
+    """
+    equations = [[borne_out(equation) for equation in stage] for stage in equations]
     known = table.known
     stages, shared = stages_over_records(equations, table)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
@@ -252,9 +242,9 @@ def _solve(
     # What belongs to one recording cannot differ between recordings.
     common = np.array([table[n].recording is None for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
-        stages, known, values, sums.short, sums.longest_window, common, intervals
+        stages, known, values, short, longest_window, common, intervals
     )
-    uncertainty = uncertainty.widened(level_covariance(statistics, sums.freedom))
+    uncertainty = uncertainty.widened(level_covariance(statistics, freedom))
     block_count = jnp.sum(statistics.used)
     return _Fit(
         jnp.concatenate([stage.solution.theta for stage in solutions]),
@@ -263,7 +253,7 @@ def _solve(
         jnp.sqrt(jnp.diagonal(naive_covariance(statistics))),
         inflation,
         block_count,
-        jnp.sum(sums.short.durations) / block_count,
+        jnp.sum(short.durations) / block_count,
         [stage.flattened().total() for stage in stages],
     )
 

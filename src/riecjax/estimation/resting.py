@@ -31,38 +31,36 @@ def at_rest_findings(
     if not names:
         return []
     count = sum(record.sample_count for record in records)
-    rested = sum(
-        max((rest.share for rest in of.values()), default=0.0) * record.sample_count
-        for of, record in zip(rests, records)
-    )
+    shares = (max((rest.share for rest in of.values()), default=0.0) for of in rests)
+    rested = sum(share * record.sample_count for share, record in zip(shares, records))
     masked = any(in_motion(model, record) is not model for record in records)
-    other = with_rests(model, "keep" if model.at_rest == "mask" else "mask")
     # Parameters that the other treatment moves, with both values.
     moved: dict[str, tuple[float, float]] = {}
     if masked or model.at_rest == "keep":
         with contextlib.suppress(RiecjaxError):
-            beside = otherwise(other)
+            beside = otherwise(with_rests(model, "keep" if model.at_rest == "mask" else "mask"))
             errors = np.minimum(*(np.asarray(one.standard_errors) for one in (found, beside)))
-            for name, error in zip(found.parameters, errors):
-                pair = float(found[name]), float(beside[name])
-                if abs(pair[1] - pair[0]) > MOVED * error:
-                    moved[name] = pair
+            pairs = {name: (float(found[name]), float(beside[name])) for name in found.parameters}
+            moved = {
+                name: (value, other)
+                for (name, (value, other)), error in zip(pairs.items(), errors)
+                if abs(other - value) > MOVED * error
+            }
     width = max(rest.width for of in rests for rest in of.values())
     which = " and ".join(f"'{name}'" for name in names)
     if masked:
         done = f"weights that vanish there, over {width:.2g} to each side of zero, leave it out"
-        change = "; with it" if moved else ""
-        step = ""
+        change, step = "; with it", ""
     elif model.at_rest == "keep":
-        done, step = "it was kept", "Leave it out: at_rest='mask' (--at-rest mask)"
-        change = "; without it" if moved else ""
+        done, change = "it was kept", "; without it"
+        step = "Leave it out: at_rest='mask' (--at-rest mask)"
     else:
         done = "it was kept, since the equation holds derivatives of other motions than this one"
         change, step = "", "Mask it in the equation: where=rx.equations.faster_than(...)"
     listed = ", ".join(f"{n} {a:.4g} would be {b:.4g}" for n, (a, b) in moved.items())
     message = (
         f"{which} is at rest {100 * rested / count:.2g} % of the time, where friction is whatever "
-        f"balances the other forces; {done}{change}{' ' if listed else ''}{listed}."
+        f"balances the other forces; {done}{change + ' ' if moved else ''}{listed}."
     )
     doubts = {} if masked else {n: abs(b - a) / max(abs(a), 1e-300) for n, (a, b) in moved.items()}
     if step:

@@ -136,8 +136,7 @@ def _joined(every: Sequence[Summary]) -> Summary:
 
 def estimated(order: bytes, groups: Sequence[Group]) -> list[list[Entry]]:
     """The entries of each of some groups; of one without an answer one that says why."""
-    asked = unpacked(order)
-    return [[*_entries(asked, group)] for group in groups]
+    return [[*_entries(unpacked(order), group)] for group in groups]
 
 
 def _entries(order: Order, group: Group) -> Iterator[Entry]:

@@ -10,7 +10,7 @@ import time
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
 from riecjax.fleets.engine import batches
@@ -26,6 +26,8 @@ MOST_WAITING, LONGEST_WAIT = 256, 5.0
 """Rows, and seconds, that are lost at most when a run is killed."""
 ROWS, HELD = 256, 16
 """Rows of a batch, which are read together, at most; and batches that are held."""
+
+Batch = TypeVar("Batch", bound=Sequence[tuple[Any, ...]])
 
 
 def is_result(folder: Path, path: str) -> bool:
@@ -69,10 +71,9 @@ def write_batches(
         with parquet.ParquetWriter(
             temporary, schema, compression="zstd", write_page_checksum=True, use_dictionary=False
         ) as writer:
-            for batch in written:
+            for batch in _digested(written, digest):
                 columns = [pa.array(each, field.type) for each, field in zip(zip(*batch), schema)]
                 writer.write_batch(pa.record_batch(columns, schema=schema))
-                _add(digest, batch)
             writer.add_key_value_metadata({**metadata, DIGEST: digest.hexdigest().encode()})
 
     write_file(file, fill)
@@ -83,10 +84,12 @@ def _digest_of(metadata: Mapping[bytes, bytes]) -> Any:
     return hashlib.sha256(repr(ours).encode())
 
 
-def _add(digest: Any, batch: Iterable[tuple[Any, ...]]) -> None:
-    for row in batch:
-        for value in row:
+def _digested(batches: Iterable[Batch], digest: Any) -> Iterator[Batch]:
+    """The batches, each once all that it holds is in the digest."""
+    for batch in batches:
+        for value in itertools.chain.from_iterable(batch):
             digest.update(value if isinstance(value, bytes) else repr(value).encode())
+        yield batch
 
 
 @contextlib.contextmanager
@@ -120,10 +123,8 @@ def _opened(file: str | os.PathLike[str]) -> Iterator[tuple[Any, dict[bytes, byt
 def _sound(source: Any, metadata: Mapping[bytes, bytes]) -> Iterator[list[Row]]:
     """Rows of an opened file, some at a time; whether they are sound is known at the end."""
     digest = _digest_of(metadata)
-    for number in range(source.num_row_groups):
-        batch = _batch(source, number)
-        _add(digest, batch)
-        yield batch
+    numbers = range(source.num_row_groups)
+    yield from _digested((_batch(source, number) for number in numbers), digest)
     # Earlier versions wrote none.
     if metadata.get(DIGEST, b"") not in (b"", digest.hexdigest().encode()):
         raise ValueError("its checksum differs")

@@ -144,9 +144,8 @@ class Order:
                 "command line: without --windows)."
             )
         edges, step = None, float(first.record.time_step)
-        if criterion.in_closed_form and not self.model.has_hidden:
-            windows = criterion.windows
-            assert windows is not None
+        windows = criterion.all_windows
+        if windows is not None and not self.model.has_hidden:
             with contextlib.suppress(DataError):  # too short for any sweep
                 longest = LONGER * float(windows.beta)
                 edges = sweep_edges([first.record], criterion, longest=longest, bands=BANDS)
@@ -274,8 +273,7 @@ class Row(NamedTuple):
 
 def sum_up(order: bytes, pieces: Sequence[Piece]) -> list[Row]:
     """The rows of some pieces, one of each at least."""
-    asked = unpacked(order)
-    return [row for piece in pieces for row in rows_of(asked, piece)]
+    return [row for piece in pieces for row in rows_of(unpacked(order), piece)]
 
 
 def rows_of(order: Order, piece: Piece) -> list[Row]:

@@ -236,26 +236,6 @@ def tables_of(document: Document, most: int) -> dict[str, Table]:
     def further(whole: int, rows: Sequence[object]) -> str:
         return f" {whole - len(rows)} more: estimates.parquet." if whole > len(rows) else ""
 
-    estimates = [
-        [
-            *texts(entry, "group", "parameter", "unit"),
-            *numbers(entry, "value", "low95", "high95"),
-            entry["verdict"],
-        ]
-        for entry in document["estimates"]
-    ]
-    over_groups = [
-        [
-            name,
-            *texts(spread, "unit", "groups"),
-            number(spread["mean"]),
-            *numbers(spread, "std_error", "between", "within", digits=2),
-            f"{100 * spread['share']:.0f} %",
-            probability(spread["p_value"]),
-            str(spread["differing_count"]),
-        ]
-        for name, spread in spreads.items()
-    ]
     differing = [
         [
             group["group"],
@@ -277,21 +257,19 @@ def tables_of(document: Document, most: int) -> dict[str, Table]:
     ]
     left_out = [texts(each, "recording", "why") for each in document["left_out"][:most]]
     left_out += [texts(each, "group", "why") for each in document["unanswered"][:most]]
-    worst = [
-        [
-            each["recording"],
-            ", ".join(each["codes"]),
-            f"{100 * each['doubt']:.2g} %" if each["doubt"] else "",
-            each["message"],
-        ]
-        for each in document["worst"][:most]
-    ]
     counts = document["findings"], document["group_findings"]
-    findings = [[c, *(str(of.get(c, 0)) for of in counts)] for c in {**counts[0], **counts[1]}]
     return {
         "estimates": Table(
             ("group", "parameter", "unit", "value", "low 95 %", "high 95 %", "verdict"),
-            estimates if len(estimates) <= LISTED else [],
+            [
+                [
+                    *texts(entry, "group", "parameter", "unit"),
+                    *numbers(entry, "value", "low95", "high95"),
+                    entry["verdict"],
+                ]
+                for entry in document["estimates"]
+                if len(document["estimates"]) <= LISTED
+            ],
             "Parameters of each group",
         ),
         "spreads": Table(
@@ -299,7 +277,18 @@ def tables_of(document: Document, most: int) -> dict[str, Table]:
                 *("parameter", "unit", "groups", "mean", "std error", "between", "within"),
                 *("share between", "p", "differ"),
             ),
-            over_groups,
+            [
+                [
+                    name,
+                    *texts(spread, "unit", "groups"),
+                    number(spread["mean"]),
+                    *numbers(spread, "std_error", "between", "within", digits=2),
+                    f"{100 * spread['share']:.0f} %",
+                    probability(spread["p_value"]),
+                    str(spread["differing_count"]),
+                ]
+                for name, spread in spreads.items()
+            ],
             "Parameters over groups",
             "Between: standard deviation of groups beyond chance; within: the typical standard "
             "error of a group; share between: of all variance; p: of so much spread by chance.",
@@ -324,12 +313,22 @@ def tables_of(document: Document, most: int) -> dict[str, Table]:
         ),
         "worst": Table(
             ("recording", "findings", "doubt", "the worst of them"),
-            worst,
+            [
+                [
+                    each["recording"],
+                    ", ".join(each["codes"]),
+                    f"{100 * each['doubt']:.2g} %" if each["doubt"] else "",
+                    each["message"],
+                ]
+                for each in document["worst"][:most]
+            ],
             "Recordings with something amiss",
             numeric=False,
         ),
         "findings": Table(
-            ("finding", "recordings", "groups"), findings, "What is amiss, and how often"
+            ("finding", "recordings", "groups"),
+            [[c, *(str(of.get(c, 0)) for of in counts)] for c in counts[0] | counts[1]],
+            "What is amiss, and how often",
         ),
     }
 
@@ -377,16 +376,10 @@ def fleet_figures(found: Fleet) -> dict[str, Chart]:
 
 
 def _over_groups(spread: Spread, entries: Sequence[Entry]) -> Panel:
-    some = [
-        e
-        for e in entries
-        if e.parameter == spread.parameter and e.status == DONE and e.verdict != "do not use"
-    ]
+    some = [e for e in entries if e.parameter == spread.parameter and e.status == DONE]
     ordered = sorted(some, key=lambda e: e.value or 0.0)
-    values, low, high = (
-        np.array([getattr(e, name) for e in ordered], float)
-        for name in ("value", "low95", "high95")
-    )
+    ordered = [e for e in ordered if e.verdict != "do not use"]
+    values, low, high = np.array([(e.value, e.low95, e.high95) for e in ordered], float).T
     rank = np.arange(1, len(ordered) + 1)
     standing = {group.group for group in spread.differing}
     out = np.array([e.group in standing for e in ordered], bool)
@@ -405,9 +398,8 @@ def _over_time(found: Fleet, parameter: str, names: Sequence[str]) -> Panel:
         some = [e for e in found.over_time if (e.group, e.parameter) == (name, parameter)]
         unit = next((e.unit for e in some if e.unit), unit)
         middle = [0.5 * (e.start + e.end) for e in some]
-        values, errors = (
-            np.array([getattr(e, n) for e in some], float) for n in ("value", "std_error")
-        )
+        values = np.array([e.value for e in some], float)
+        errors = np.array([e.std_error for e in some], float)
         marks.append(Line(middle, values, name, color, markers=True, width=1.0, error=errors))
         marks += [
             Level(change.time, "x", color=color)

@@ -267,17 +267,9 @@ def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> 
     import fsspec
     from pyarrow import concat_tables, parquet
 
-    if not piece.stop:
-        (url,) = piece.source.urls
-        if "://" not in url:
-            yield Path(url)
-            return
-        with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
-            here = Path(folder) / posixpath.basename(url)
-            with _in_words(f"'{url}' cannot be read"):
-                fs, path = fsspec.core.url_to_fs(url, **storage)
-                fs.get_file(path, str(here))
-            yield here
+    whole = "" if piece.stop else piece.source.urls[0]
+    if whole and "://" not in whole:
+        yield Path(whole)
         return
     low, high = rows
     tables: list[Any] = []
@@ -293,8 +285,14 @@ def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> 
             length = high - int(edges[wanted[0]]) - first
             tables.append(file.read_row_groups(wanted.tolist()).slice(first, length))
     with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
-        here = (Path(folder) / Path(piece.source.name).name).with_suffix(".parquet")
-        parquet.write_table(concat_tables(tables), here, compression="none", use_dictionary=False)
+        here = Path(folder) / posixpath.basename(whole or piece.source.name)
+        if whole:
+            with _in_words(f"'{whole}' cannot be read"):
+                fs, path = fsspec.core.url_to_fs(whole, **storage)
+                fs.get_file(path, str(here))
+        else:
+            table, here = concat_tables(tables), here.with_suffix(".parquet")
+            parquet.write_table(table, here, compression="none", use_dictionary=False)
         yield here
 
 

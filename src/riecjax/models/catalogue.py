@@ -2,17 +2,17 @@
 
 import contextlib
 import functools
-import importlib
 import importlib.util
 import inspect
+import pkgutil
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from riecjax.equations.quantity import BY_EQUATIONS, Machine, Quantity
+from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.errors import ModelError, require, users_code
 from riecjax.whole_files import no_file
 
@@ -20,26 +20,7 @@ if TYPE_CHECKING:
     from riecjax.criteria.test_functions import AbstractTestFunction
     from riecjax.equations.model import Model
 
-_QUARTER_CAR_SIGNALS = (
-    Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
-    Quantity("x2", "m", "suspension deflection: wheel minus body"),
-    Quantity("x3", "m/s", "wheel velocity"),
-    Quantity("x4", "m/s", "body velocity"),
-    Quantity("F_t", "N", "tyre force"),
-    Quantity("dx3", "m/s^2", "wheel acceleration (DOLS only)"),
-    Quantity("dx4", "m/s^2", "body acceleration (DOLS only)"),
-)
 _ROAD = (Quantity("v_r", "m/s", "road velocity, downwards positive"),)
-_QUARTER_CAR_PARAMETERS = (
-    Quantity("K_t", "N/m", "tyre stiffness", 177.8e3),
-    Quantity("M_us", "kg", "unsprung mass", 23.3),
-    Quantity("M_s", "kg", "sprung mass", 302.7),
-    Quantity("K_s", "N/m", "suspension stiffness", 20.9e3),
-    Quantity("F_1", "N", "damper force at -0.8 m/s", -1200.0),
-    Quantity("F_2", "N", "damper force at -0.3 m/s", -750.0),
-    Quantity("F_3", "N", "damper force at 0.3 m/s", 750.0),
-    Quantity("F_4", "N", "damper force at 0.8 m/s", 1100.0),
-)
 _QUARTER_CAR_COLUMNS = ("v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t")
 _AXIS_SIGNALS = (
     Quantity("q", "m", "position"),
@@ -50,57 +31,47 @@ _AXIS_SIGNALS = (
 _AXIS_INPUT = (Quantity("force", "N", "driving force"),)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Listing:
-    """A built-in model before it is built: what it is and what builds it, `module:function`.
+class Listing(SimpleNamespace):
+    """A built-in model before it is built: the fields of a [`Model`][riecjax.Model].
 
-    Fields are those of [`Model`][riecjax.Model].
+    Where that has a function, this has its name, `module:function`.
     """
 
-    name: str
-    summary: str
-    stages: str = ""
-    signals: tuple[Quantity, ...] = ()
-    derived: Mapping[str, str] = field(default_factory=dict)
-    parameters: tuple[Quantity, ...] = ()
-    inputs: tuple[Quantity, ...] = ()
-    rates: Mapping[str, str] = field(default_factory=dict)
-    system: Machine = BY_EQUATIONS
-    band: tuple[float, float] | None = None
-    written: tuple[str, ...] = ()
-
-    @property
-    def simulation_parameters(self) -> tuple[Quantity, ...]:
-        """Parameters of the simulated system, with defaults."""
-        return self.system.parameters or self.parameters
-
-    def build(self) -> "Model":
-        """The model."""
-        from riecjax.equations.model import Model
-
-        built = {
-            "stages": build() if (build := _named(self.stages)) else (),
-            "rates": {name: _named(rate) for name, rate in self.rates.items()},
-            "system": self.system._replace(build=_named(self.system.build)),
-        }
-        return Model(**{**vars(self), **built})
+    stages = ""
+    signals = parameters = inputs = ()
+    rates = FrozenDict()
+    system = BY_EQUATIONS
 
 
 def _named(reference: Any) -> Any:
     """What `module:function` names, of no name nothing."""
-    if not reference:
-        return None
-    module, _, attribute = reference.partition(":")
-    return getattr(importlib.import_module(module), attribute)
+    return pkgutil.resolve_name(reference) if reference else None
 
 
 def _quarter_car(name: str, equation: str, builder: str) -> Listing:
     return Listing(
         name=name,
         summary=f"two masses with a damper map; K_s and F_i from the motion of the {equation}",
-        signals=_QUARTER_CAR_SIGNALS,
+        signals=(
+            Quantity("x1", "m", "tyre extension: road minus wheel, downwards positive"),
+            Quantity("x2", "m", "suspension deflection: wheel minus body"),
+            Quantity("x3", "m/s", "wheel velocity"),
+            Quantity("x4", "m/s", "body velocity"),
+            Quantity("F_t", "N", "tyre force"),
+            Quantity("dx3", "m/s^2", "wheel acceleration (DOLS only)"),
+            Quantity("dx4", "m/s^2", "body acceleration (DOLS only)"),
+        ),
         stages=f"riecjax.models.quarter_car.identification:{builder}",
-        parameters=_QUARTER_CAR_PARAMETERS,
+        parameters=(
+            Quantity("K_t", "N/m", "tyre stiffness", 177.8e3),
+            Quantity("M_us", "kg", "unsprung mass", 23.3),
+            Quantity("M_s", "kg", "sprung mass", 302.7),
+            Quantity("K_s", "N/m", "suspension stiffness", 20.9e3),
+            Quantity("F_1", "N", "damper force at -0.8 m/s", -1200.0),
+            Quantity("F_2", "N", "damper force at -0.3 m/s", -750.0),
+            Quantity("F_3", "N", "damper force at 0.3 m/s", 750.0),
+            Quantity("F_4", "N", "damper force at 0.8 m/s", 1100.0),
+        ),
         inputs=_ROAD,
         rates={
             "x1": "riecjax.models.quarter_car.identification:tyre_velocity",
@@ -110,6 +81,21 @@ def _quarter_car(name: str, equation: str, builder: str) -> Listing:
         band=(1.0, 10.0),
         written=_QUARTER_CAR_COLUMNS,
     )
+
+
+def _mass(x: str, force: str, of: str = "", on: str = "") -> dict[str, Any]:
+    """What is recorded of a mass under a force, which drives it."""
+    driving = Quantity(force, "N", f"force{on}")
+    return {
+        "signals": (
+            Quantity(x, "m", f"displacement{of}"),
+            driving,
+            Quantity(f"d{x}", "m/s", f"velocity (central differences of {x} if absent)"),
+            Quantity(f"dd{x}", "m/s^2", f"acceleration (DOLS; differences of d{x} if absent)"),
+        ),
+        "derived": {f"d{x}": x, f"dd{x}": f"d{x}"},
+        "inputs": (driving,),
+    }
 
 
 LISTED = {
@@ -138,13 +124,7 @@ LISTED = {
         Listing(
             name="two-mass",
             summary="M z'' = F, while a second mass on a spring and damper moves unmodelled",
-            signals=(
-                Quantity("z", "m", "displacement of the first mass"),
-                Quantity("F", "N", "force on the first mass"),
-                Quantity("dz", "m/s", "velocity (central differences of z if absent)"),
-                Quantity("ddz", "m/s^2", "acceleration (DOLS; differences of dz if absent)"),
-            ),
-            derived={"dz": "z", "ddz": "dz"},
+            **_mass("z", "F", " of the first mass", " on the first mass"),
             stages="riecjax.models.oscillators:two_mass_equation",
             parameters=(Quantity("M", "kg", "total mass"),),
             system=Machine(
@@ -156,7 +136,6 @@ LISTED = {
                     Quantity("zeta", "", "damping ratio of the coupling", 0.5),
                 ),
             ),
-            inputs=(Quantity("F", "N", "force on the first mass"),),
         ),
         Listing(
             name="emps",
@@ -190,13 +169,7 @@ LISTED = {
         Listing(
             name="duffing",
             summary="m y'' + d y' + k1 y + k2 y^2 + k3 y^3 = u",
-            signals=(
-                Quantity("y", "m", "displacement"),
-                Quantity("u", "N", "force"),
-                Quantity("dy", "m/s", "velocity (central differences of y if absent)"),
-                Quantity("ddy", "m/s^2", "acceleration (DOLS; differences of dy if absent)"),
-            ),
-            derived={"dy": "y", "ddy": "dy"},
+            **_mass("y", "u"),
             stages="riecjax.models.oscillators:duffing_equation",
             parameters=(
                 Quantity("m", "kg", "mass", 1.0),
@@ -205,18 +178,11 @@ LISTED = {
                 Quantity("k2", "N/m^2", "quadratic stiffness", 0.0),
                 Quantity("k3", "N/m^3", "cubic stiffness", 1000.0),
             ),
-            inputs=(Quantity("u", "N", "force"),),
         ),
         Listing(
             name="drag-oscillator",
             summary="m x'' + r x' + r2 x'|x'| + k x = u",
-            signals=(
-                Quantity("x", "m", "displacement"),
-                Quantity("u", "N", "force"),
-                Quantity("dx", "m/s", "velocity (central differences of x if absent)"),
-                Quantity("ddx", "m/s^2", "acceleration (DOLS; differences of dx if absent)"),
-            ),
-            derived={"dx": "x", "ddx": "dx"},
+            **_mass("x", "u"),
             stages="riecjax.models.oscillators:drag_oscillator_equation",
             parameters=(
                 Quantity("m", "kg", "mass", 1.5),
@@ -224,7 +190,6 @@ LISTED = {
                 Quantity("r2", "N s^2/m^2", "quadratic drag", 0.5),
                 Quantity("k", "N/m", "stiffness", 20.0),
             ),
-            inputs=(Quantity("u", "N", "force"),),
         ),
         Listing(
             name="pendulum",
@@ -248,37 +213,25 @@ LISTED = {
 
 
 @functools.cache
-def _built(name: str) -> "Model":
-    return LISTED[name].build()
-
-
-class _Built(Mapping[str, "Model"]):
-    """The built-in models by name, each built once, when it is first asked for."""
-
-    def __getitem__(self, name: str) -> "Model":
-        return _built(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(LISTED)
-
-    def __len__(self) -> int:
-        return len(LISTED)
-
-
-MODELS = _Built()
-
-
 def built_in_model(name: str) -> "Model":
-    """The built-in model of this name.
+    """The built-in model of this name, built when it is first asked for.
 
     **Raises:** `ModelError` for a name that is not built in.
     """
-    if name not in MODELS:
+    from riecjax.equations.model import Model
+
+    if name not in LISTED:
         raise ModelError(
-            f"unknown model '{name}'; built in are: {', '.join(MODELS)}. Name a model of your own "
+            f"unknown model '{name}'; built in are: {', '.join(LISTED)}. Name a model of your own "
             f"by its file: path/to/file.py:object, or path/to/file.py where that holds one."
         )
-    return MODELS[name]
+    listing = LISTED[name]
+    functions = {
+        "stages": build() if (build := _named(listing.stages)) else (),
+        "rates": {signal: _named(rate) for signal, rate in listing.rates.items()},
+        "system": listing.system._replace(build=_named(listing.system.build)),
+    }
+    return Model(**vars(listing) | functions)
 
 
 def find_model(reference: str) -> "Model":
@@ -295,16 +248,14 @@ def find_model(reference: str) -> "Model":
     from riecjax.equations.model import OWN, Model, names_of, staged
 
     require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
-    path, separator, attribute = reference.rpartition(":")
+    path, _, attribute = reference.rpartition(":")
     if reference.endswith(".py"):
         path = reference
-        module = _load(Path(path))
-        attribute = _only_model(path, vars(module))
-        found = getattr(module, attribute)
-    elif not separator or not path.endswith(".py"):
-        return built_in_model(reference)
-    else:
+        attribute, found = _only_model(path)
+    elif path.endswith(".py"):
         found = object_of_file(reference)
+    else:
+        return built_in_model(reference)
     if not isinstance(found, Model | Equation) and callable(found):
         with users_code(path), _neighbours(Path(path)):
             found = found()
@@ -318,29 +269,29 @@ def find_model(reference: str) -> "Model":
     return found if is_named else replace(found, name=attribute)
 
 
-def _only_model(path: str, objects: Mapping[str, object]) -> str:
-    """The name of the one model in a file."""
+def _only_model(path: str) -> tuple[str, Any]:
+    """The one model in a file, by its name there."""
     from riecjax.equations.equation import Equation
     from riecjax.equations.model import OWN, Model
 
-    public = {name: thing for name, thing in objects.items() if not name.startswith("_")}
-    models = [thing for thing in public.values() if isinstance(thing, Model)]
-    parts = {id(equation) for model in models for equation in model.equations}
-    equations = [thing for thing in public.values() if isinstance(thing, Equation)]
-    described = [model for model in models if model.summary != OWN]
-    whole = described or [*models, *(thing for thing in equations if id(thing) not in parts)]
-    # One object may have two names.
-    names = {id(thing): name for name, thing in public.items()}
-    found = list(dict.fromkeys(names[id(thing)] for thing in whole))
-    if len(found) == 1:
-        return found[0]
-    if not found:
+    objects = vars(_load(Path(path))).items()
+    # One object may have two names, of which the last counts.
+    public = {id(thing): (name, thing) for name, thing in objects if not name.startswith("_")}
+    models = {key: thing for key, (_, thing) in public.items() if isinstance(thing, Model)}
+    parts = {id(equation) for model in models.values() for equation in model.equations}
+    equations = [key for key, (_, thing) in public.items() if isinstance(thing, Equation)]
+    described = [key for key, model in models.items() if model.summary != OWN]
+    whole = described or [*models, *(key for key in equations if key not in parts)]
+    if len(whole) == 1:
+        return public[whole[0]]
+    if not whole:
         raise ModelError(
             f"{path} holds no Model or Equation. Give one a name there, or name the "
             f"function that returns one: {path}:NAME."
         )
+    names = [public[key][0] for key in whole]
     raise ModelError(
-        f"{path} holds {len(found)} models: {', '.join(found)}. Say which: {path}:{found[0]}."
+        f"{path} holds {len(whole)} models: {', '.join(names)}. Say which: {path}:{names[0]}."
     )
 
 
@@ -349,8 +300,8 @@ def object_of_file(reference: str) -> object:
 
     **Raises:** `ModelError` if there is no such file or object.
     """
-    path, separator, attribute = reference.rpartition(":")
-    if not separator or not path.endswith(".py"):
+    path, _, attribute = reference.rpartition(":")
+    if not path.endswith(".py"):
         raise ModelError(f"name a file and an object of it, FILE.py:OBJECT; got '{reference}'.")
     module = _load(Path(path))
     if not hasattr(module, attribute):
@@ -387,8 +338,8 @@ def _load(path: Path) -> ModuleType:
     if not path.is_file():
         raise ModelError(no_file(path))
     spec = importlib.util.spec_from_file_location(f"riecjax_user_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise ModelError(f"'{path}' is not a Python file.")
+    assert spec is not None, "its name ends in .py"
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     with users_code(path), _neighbours(path):
@@ -411,12 +362,14 @@ def _neighbours(path: Path) -> Iterator[None]:
     finally:
         with contextlib.suppress(ValueError):  # the file may have removed it
             sys.path.remove(str(folder))
-        new = [name for name in sys.modules if name not in before]
-        beside = set()  # whose file, or a package's folder, lies directly in this folder
-        for name, module in ((name, sys.modules[name]) for name in new):
-            places = [*getattr(module, "__path__", ()), getattr(module, "__file__", None)]
-            if any(Path(place).parent == folder for place in places if place):
-                beside.add(name)
+        new = {name: module for name, module in sys.modules.items() if name not in before}
+
+        def lies_beside(module: ModuleType) -> bool:
+            """Whether its file, or the folder of a package, lies directly in this folder."""
+            places = (*getattr(module, "__path__", ()), getattr(module, "__file__", None))
+            return any(Path(place).parent == folder for place in places if place)
+
+        beside = {name for name, module in new.items() if lies_beside(module)}
         for name in new:
             if name.partition(".")[0] in beside:
                 del sys.modules[name]

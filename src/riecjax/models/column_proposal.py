@@ -34,17 +34,15 @@ def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterat
     names = dict.fromkeys(name for of in every for name in signals_read(of))
     signals = model.signals or tuple(Quantity(name, "", "") for name in names)
     wanted = [s for s in signals if s.name not in given]
-    lacking = []
+    of_name = {}
     for signal in wanted:
-        try:
-            column = column_named(channels, signal.name)
-        except DataError:
-            lacking.append(signal)
-            continue
-        taken.add(column)
+        with contextlib.suppress(DataError):
+            of_name[signal] = column_named(channels, signal.name)
+    for signal, column in of_name.items():
         read[column] = signal.unit
         yield _commented(f"# map.{quoted_key(signal.name)} = {toml_value(column)}  # by its name")
-    for signal in lacking:
+    taken |= {*read}
+    for signal in (s for s in wanted if s not in of_name):
         rest = [column for column in channels.columns if column not in taken]
         found, why = _guess(signal, rest, channels)
         name = f"map.{quoted_key(signal.name)}"

@@ -1,5 +1,6 @@
 """What drives a simulated model: noise or a road of a kind, or a recording of its inputs."""
 
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -63,16 +64,14 @@ def drive(
             f"a bandwidth of {bandwidth:g} Hz needs a rate above {2 * bandwidth:g} Hz; "
             f"it is {rate:g} Hz."
         )
-    signals = {}
-    for name, key in zip(input_names, jax.random.split(jax.random.key(seed), len(input_names))):
-        if source == "white-noise":
-            signals[name] = band_limited_noise(key, count, step, bandwidth=bandwidth, rms=rms)
-        elif source == "robson":
-            signals[name] = robson_road(key, count, step, roughness=ROUGHNESS, bandwidth=bandwidth)
-        else:
-            hole = jax.tree.map(jnp.asarray, reconstructed().pothole)
-            shape = {"depth": hole.depth, "length": hole.length, "ramp": hole.ramp}
-            signals[name] = pothole(count, step, **shape)
+    hole = vars(jax.tree.map(jnp.asarray, reconstructed().pothole))
+    of_kind = {
+        "white-noise": partial(band_limited_noise, bandwidth=bandwidth, rms=rms),
+        "robson": partial(robson_road, roughness=ROUGHNESS, bandwidth=bandwidth),
+        "pothole": lambda _, *sampling: pothole(*sampling, **hole),
+    }
+    keys = jax.random.split(jax.random.key(seed), len(input_names))
+    signals = {name: of_kind[source](key, count, step) for name, key in zip(input_names, keys)}
     if not all(bool(jnp.any(values != 0)) for values in signals.values()):
         widen = "" if source == "pothole" else " or widen --bandwidth"
         raise ModelError(f"the input is zero throughout: lengthen --duration{widen}.")

@@ -29,14 +29,13 @@ def _backward(signals: Signals) -> Array:
     return jnp.where(signals["dq"] < 0, -1.0, 0.0)
 
 
-def _inertia() -> Term:
-    return Term("M", "q", derivative=2, measured=("dq", "ddq"), unit="kg")
+INERTIA = Term("M", "q", derivative=2, measured=("dq", "ddq"), unit="kg")
 
 
 def emps_equation() -> Equation:
     """M q'' + Fv q' + Fc sign(q') + offset = force."""
     return Equation(
-        _inertia(),
+        INERTIA,
         Term("Fv", "q", derivative=1, measured=("dq",), unit="N s/m"),
         Term("Fc", odd("dq", 0), unit="N"),
         Term("offset", constant, unit="N"),
@@ -49,7 +48,7 @@ def emps_equation() -> Equation:
 def emps_asymmetric_equation() -> Equation:
     """M q'' + friction = force, with different viscous and Coulomb friction in each direction."""
     return Equation(
-        _inertia(),
+        INERTIA,
         Term("Fv_pos", _forward_speed, unit="N s/m"),
         Term("Fc_pos", _forward, unit="N"),
         Term("Fv_neg", _backward_speed, unit="N s/m"),

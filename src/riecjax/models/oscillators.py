@@ -6,13 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
+from riecjax.equations.equation_system import EquationSystem
 from riecjax.equations.expressions import even, odd
-from riecjax.equations.model import simultaneous
+from riecjax.equations.model import equation_system, simultaneous
 from riecjax.equations.term import Term
 from riecjax.records.record import Signals
-from riecjax.simulation.equation_system import EquationSystem, equation_system
-
-PENDULUM_UNITS = {"theta": "rad", "dtheta": "rad/s", "torque": "1/s^2"}
 
 
 def _sine(signals: Signals) -> Array:
@@ -61,7 +59,8 @@ def pendulum_system(parameters: Mapping[str, Array]) -> EquationSystem:
     """The pendulum under a torque over its inertia, which a free swing has none of."""
     swinging = pendulum_equation()
     driven = swinging.of_terms(*swinging.terms, -Term(1.0, "torque"))
-    return equation_system(driven, parameters, units=PENDULUM_UNITS)
+    units = {"theta": "rad", "dtheta": "rad/s", "torque": "1/s^2"}
+    return equation_system(driven, parameters, units=units)
 
 
 def two_mass_equation() -> Equation:

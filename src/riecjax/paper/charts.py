@@ -284,15 +284,16 @@ def validation_figure(
 
     **Arguments:** `stretch` that is drawn, in seconds.
     """
-    time, predicted = np.asarray(motion.time), np.asarray(motion.predicted)
+    predicted = np.asarray(motion.predicted)
+    time = reproduction.STEP * np.arange(predicted.shape[-1])
     drawn = (time >= stretch[0]) & (time <= stretch[1])
     rows = []
     for i, (title, label, factor) in enumerate(QUANTITIES):
         # Behind the predictions, and wide: where they agree with it they would hide a thin line.
-        source = factor * np.asarray(motion.source)[drawn, i]
+        source = factor * np.asarray(motion.source)[i, drawn]
         marks = [Line(time[drawn], source, "source", charts.PALE, width=charts.WIDE)]
         for method in reversed(CRITERIA):
-            values = factor * predicted[:, CRITERIA.index(method), drawn, i]
+            values = factor * predicted[:, CRITERIA.index(method), i, drawn]
             marks.append(banded(time[drawn], values, method, METHOD_STYLE[method]))
         x = Axis("time / s" if title == QUANTITIES[-1][0] else "")
         rows.append([Panel(marks, x, Axis(label), title=title)])

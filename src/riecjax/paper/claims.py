@@ -25,13 +25,13 @@ SEED = 1999
 class Evidence(NamedTuple):
     """A number that supports a statement or refutes it.
 
-    **Fields:** `what` it is; `value`; `interval`, 95 % over resampled roads (`None`: the number is
-    not random); `at_least` and `at_most`, between which it must lie.
+    **Fields:** `what` it is; `value`; `interval95`, over resampled roads (`None`: the number is not
+    random); `at_least` and `at_most`, between which it must lie.
     """
 
     what: str
     value: float
-    interval: tuple[float, float] | None = None
+    interval95: tuple[float, float] | None = None
     at_least: float | None = None
     at_most: float | None = None
 

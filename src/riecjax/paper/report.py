@@ -23,6 +23,7 @@ from riecjax.reporting import (
     number,
     print_table,
     say,
+    told,
     versions,
 )
 
@@ -72,17 +73,9 @@ def reproduction_document(study: PaperStudy, claims: Sequence[Claim], *, seed: i
     ]
     statements = [
         {
-            "id": claim.id,
-            "statement": claim.statement,
-            "holds": claim.holds,
+            **told(claim, "id", "statement", "holds"),
             "evidence": {
-                evidence.what: {
-                    "value": finite(evidence.value),
-                    "interval95": evidence.interval and finite(evidence.interval),
-                    "at_least": evidence.at_least,
-                    "at_most": evidence.at_most,
-                    "holds": evidence.holds,
-                }
+                evidence.what: told(evidence, "value", "interval95", "at_least", "at_most", "holds")
                 for evidence in claim.evidence
             },
             "note": claim.note,
@@ -135,9 +128,7 @@ def reconstruction_document() -> Document:
         },
         "reconstructed": {
             **{f"damper_{name}": finite(value) for name, value in vars(shapes.damper).items()},
-            "stop_gaps": finite(shapes.stop_gaps),
-            "stop_rates": finite(shapes.stop_rates),
-            "mount_cubic": finite(shapes.mount_cubic),
+            **told(shapes, "stop_gaps", "stop_rates", "mount_cubic"),
             "pothole_depth_length_ramp": [*map(finite, (hole.depth, hole.length, hole.ramp))],
             "roughness": finite(shapes.roughness),
         },

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Array, Bool, Float, Key
 
 import riecjax as rx
-from riecjax.estimation import solve
+from riecjax.estimation import solve_stages
 from riecjax.models.quarter_car import (
     Pothole,
     QuarterCarSource,
@@ -53,8 +53,9 @@ TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 VALIDATED_STATES = ("x1", "x2", "x3", "x4")
 POTHOLE_DURATION = 3.0
 """Seconds of the pot-hole's validation, enough for the body to come to rest."""
-FORCES = ("F_1", "F_2", "F_3", "F_4")
-PARAMETERS: tuple[str, ...] = ("K_t", "M_us", "M_s", "K_s", *FORCES)
+UNITS = {quantity.name: quantity.unit for quantity in rx.find_model("quarter-car").parameters}
+PARAMETERS = tuple(UNITS)
+FORCES = PARAMETERS[4:]
 STEP = 1 / TABLE_2.rate
 """Seconds from sample to sample."""
 
@@ -155,11 +156,8 @@ def _solved_in_turn(
     stages: list[NormalEquations], known: dict[str, float]
 ) -> Float[Array, " parameters"]:
     """The paper's stages: each stage takes as known what those before it found."""
-    values = {name: jnp.asarray(value) for name, value in known.items()}
-    for stage in stages:
-        equations = stage.total().fix(values)
-        if equations.parameters:
-            values |= dict(zip(equations.parameters, solve(equations).theta))
+    held = {name: jnp.asarray(value) for name, value in known.items()}
+    _, values = solve_stages(stages, held)
     return jnp.stack([values[name] for name in PARAMETERS])
 
 
@@ -183,6 +181,27 @@ def run_road(
     return RoadResult(parameters, errors, contact, training.successful & jnp.all(predicted))
 
 
+def motion(
+    system: AbstractSystem, velocity: Float[Array, " n"], method: rx.FixedStep | None = None
+) -> tuple[Float[Array, "4 n"], Bool[Array, ""]]:
+    """x1 to x4 on a road, and whether the simulation kept its solution."""
+    run = rx.simulate(system, rx.Record({"v_r": velocity}, STEP), method=method)
+    return jnp.stack([run.record[name] for name in VALIDATED_STATES]), run.successful
+
+
+def predictions(
+    models: Float[Array, "*models parameters"],
+    velocity: Float[Array, " n"],
+    method: rx.FixedStep | None = None,
+) -> tuple[Float[Array, "*models 4 n"], Bool[Array, "*models"]]:
+    """The [`motion`][] of identified models."""
+
+    def predicted(model: Float[Array, " parameters"]) -> tuple[Array, Array]:
+        return motion(quarter_car_system(dict(zip(PARAMETERS, model))), velocity, method)
+
+    return jnp.vectorize(predicted, signature="(p)->(s,n),()")(models)
+
+
 def validation_errors(
     models: Float[Array, "*models parameters"],
     source: QuarterCarSource,
@@ -192,22 +211,11 @@ def validation_errors(
     """p_i of x1 to x4 in percent on each input, and whether all simulations of a model held."""
     errors, successful = [], []
     for velocity in inputs.values():
-        road = rx.Record({"v_r": velocity}, STEP)
-        truth = rx.simulate(source, road, method=method)
-
-        def error(model: Array, road: rx.Record = road, truth: Simulation = truth) -> tuple:
-            run = rx.simulate(quarter_car_system(_named(model)), road, method=method)
-            by_state = [percentage_error(run.record[s], truth.record[s]) for s in VALIDATED_STATES]
-            return jnp.stack(by_state), run.successful & truth.successful
-
-        percent, kept = jnp.vectorize(error, signature="(p)->(s),()")(models)
-        errors.append(percent)
-        successful.append(kept)
+        truth, held = motion(source, velocity, method)
+        predicted, kept = predictions(models, velocity, method)
+        errors.append(percentage_error(predicted, jnp.broadcast_to(truth, predicted.shape)))
+        successful.append(kept & held)
     return jnp.stack(errors, axis=-2), jnp.all(jnp.stack(successful), axis=0)
-
-
-def _named(parameters: Float[Array, " parameters"]) -> dict[str, Float[Array, ""]]:
-    return {name: parameters[i] for i, name in enumerate(PARAMETERS)}
 
 
 class Trajectories(eqx.Module):
@@ -215,12 +223,11 @@ class Trajectories(eqx.Module):
 
     Figures 9 and 10 show one model each; many on one motion show how far they scatter.
 
-    **Fields:** `time` in s; `source`, x1 to x4; `predicted` by each criterion.
+    **Fields:** `source`, x1 to x4; `predicted` by each criterion.
     """
 
-    time: Float[Array, " n"]
-    source: Float[Array, "n 4"]
-    predicted: Float[Array, "roads criteria n 4"]
+    source: Float[Array, "4 n"]
+    predicted: Float[Array, "roads criteria 4 n"]
 
 
 @eqx.filter_jit
@@ -228,20 +235,12 @@ def validation_trajectories(
     roads: RoadResult, key: Key[Array, ""], source: QuarterCarSource, shapes: Reconstruction
 ) -> dict[str, Trajectories]:
     """Of the variant B_id on the `road` that belongs to `key`, and on the `pothole`."""
-
-    def motion(system: AbstractSystem, road: rx.Record) -> Float[Array, "n 4"]:
-        record = rx.simulate(system, road).record
-        return jnp.stack([record[name] for name in VALIDATED_STATES], axis=-1)
-
-    trajectories = {}
-    for where, velocity in validation_inputs(road_keys(key).validation, shapes).items():
-        road = rx.Record({"v_r": velocity}, STEP)
-        predict = jax.vmap(
-            jax.vmap(lambda model, road=road: motion(quarter_car_system(_named(model)), road))
-        )
-        predicted = predict(roads.parameters[:, :, VARIANTS.index("B_id")])
-        trajectories[where] = Trajectories(road.time, motion(source, road), predicted)
-    return trajectories
+    models = roads.parameters[:, :, VARIANTS.index("B_id")]
+    inputs = validation_inputs(road_keys(key).validation, shapes)
+    return {
+        where: Trajectories(motion(source, velocity)[0], predictions(models, velocity)[0])
+        for where, velocity in inputs.items()
+    }
 
 
 RAMPS = (0.3, 0.6, 0.9, 1.2, 1.5, 1.8)
@@ -360,7 +359,7 @@ def window_error_moments(
     """
 
     def moments(road: tuple[Key[Array, ""], Float[Array, " parameters"]]) -> WindowErrorMoments:
-        keys, parameters = road_keys(road[0]), _named(road[1])
+        keys, parameters = road_keys(road[0]), dict(zip(PARAMETERS, road[1]))
         record = identification_record(source, keys.training).record
         rows = paper_criteria()["RIEC"].rows(body_equation(), record, keys.windows)
         theta = jnp.stack([parameters[name] for name in rows.parameters])
@@ -521,9 +520,6 @@ def run_variations(
     return VariedStudy(np.array(bandwidths), cases)
 
 
-UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | dict.fromkeys(FORCES, "N")
-
-
 def variations_table(study: VariedStudy) -> pa.Table:
     """A row for each case, road, bandwidth, method and draw of windows.
 
@@ -648,18 +644,18 @@ class Further(NamedTuple):
     """What a whole study has beyond Tables 3 to 5.
 
     **Fields:** its `scale`; `variations` of Section 6; `demonstrations` of Section 2;
-    `window_errors`, for eq. (18); `lengths`, parameters over the `PAIRS` of alpha and beta;
-    `trajectories` of Figs 9 and 10; the `damper`'s hysteresis; `ramps`, errors on pot-holes of
-    other shapes.
+    `window_errors`, for eq. (18); the `damper`'s hysteresis; `lengths`, parameters over the `PAIRS`
+    of alpha and beta; `trajectories` of Figs 9 and 10; `ramps`, errors on pot-holes of other
+    shapes.
     """
 
     scale: Scale
     variations: VariedStudy
     demonstrations: Demonstration
     window_errors: WindowErrorMoments
+    damper: Hysteresis
     lengths: Float[Array, "roads pairs parameters"]
     trajectories: dict[str, Trajectories]
-    damper: Hysteresis
     ramps: Float[Array, "ramps roads criteria variants 4"]
 
 
@@ -699,25 +695,26 @@ def run_study(
             experiment, key, count, *args, progress=lambda done: progress(what, done, count)
         )
 
+    def once(what: str, compute: Callable[..., Any], *args: Any, **settings: Any) -> Any:
+        progress(what, 0, 1)
+        return compute(*args, **settings)
+
     if isinstance(scale, int):
         return PaperStudy(over("roads", run_road, scale, source, shapes))
-    what = "bandwidths and engine mounts"
-    progress(what, 0, 1)
-    report = functools.partial(progress, what)
-    plan = (scale.bandwidths, scale.studied, scale.draws)
-    variations = run_variations(key, shapes, *plan, folder=folder, progress=report)
+    what, plan = "bandwidths and engine mounts", (scale.bandwidths, scale.studied, scale.draws)
+    settings = {"folder": folder, "progress": functools.partial(progress, what)}
+    variations = once(what, run_variations, key, shapes, *plan, **settings)
     roads = over("roads", run_road, scale.roads, source, shapes)
-    few = jax.tree.map(lambda leaf: leaf[: scale.studied], roads)
-    demonstrations = over("demonstrations of Section 2", demonstrate, scale.demonstrations)
-    progress("errors of windows", 0, 1)
-    errors = window_error_moments(key, few, source)
-    damper = over("hysteresis of the damper", hysteresis, scale.studied, source)
-    pairs = jnp.asarray(PAIRS)
-    lengths = over("window lengths", estimates_over_lengths, scale.studied, source, pairs)
-    progress("trajectories", 0, 1)
-    trajectories = validation_trajectories(few, key, source, shapes)
-    ramps = errors_over_ramps(few, source, shapes)
-    computed = (roads, demonstrations, errors, lengths, trajectories, damper, ramps)
+    few, pairs = jax.tree.map(lambda leaf: leaf[: scale.studied], roads), jnp.asarray(PAIRS)
+    computed = (
+        roads,
+        over("demonstrations of Section 2", demonstrate, scale.demonstrations),
+        once("errors of windows", window_error_moments, key, few, source),
+        over("hysteresis of the damper", hysteresis, scale.studied, source),
+        over("window lengths", estimates_over_lengths, scale.studied, source, pairs),
+        once("trajectories", validation_trajectories, few, key, source, shapes),
+        errors_over_ramps(few, source, shapes),
+    )
     # NumPy's arrays: JAX would compile a slice for each number that a figure reads.
     roads, *others = jax.tree.map(np.asarray, computed)
     return PaperStudy(roads, Further(scale, variations, *others))

@@ -101,23 +101,17 @@ def table_1() -> list[tuple[PublishedMode, PublishedMode]]:
 
     Shapes are scaled so that the larger of the velocities of wheel and body is 1.
     """
-
-    def rounded(value: complex, digits: int) -> complex:
-        # Adding zero turns -0.0 into 0.0.
-        return complex(round(value.real, digits) + 0.0, round(value.imag, digits) + 0.0)
-
     rows = []
     for published, mode in zip(TABLE_1, modes(linearise(linear_source())[0]), strict=True):
         wheel, body, engine = mode.shape[[WHEEL, BODY, ENGINE]]
-        parts = np.array([wheel, body, engine - body]) / (
-            wheel if abs(wheel) >= abs(body) else body
-        )
+        larger = wheel if abs(wheel) >= abs(body) else body
+        # Adding zero turns -0.0 into 0.0.
+        shape = (np.round(np.array([wheel, body, engine - body]) / larger, 2) + 0.0).tolist()
+        eigenvalue = complex(np.round(mode.eigenvalue, published.digits) + 0.0)
         frequency, ratio = (
             None if value is None else round(float(value), 2)
             for value in (mode.frequency, mode.damping_ratio)
         )
-        eigenvalue = rounded(mode.eigenvalue, published.digits)
-        shape = (rounded(complex(part), 2) for part in parts)
         reproduced = PublishedMode(eigenvalue, frequency, ratio, *shape, digits=published.digits)
         rows.append((published, reproduced))
     return rows

@@ -41,24 +41,22 @@ def _read(file: Path) -> reading.Channels:
     units: dict[str, str] = {}
     left_out: dict[str, str] = {}
     notes: list[str] = []
-    with reading.foreign_reader("HDF5"):
-        import h5py
+    import h5py
 
-        with h5py.File(file, "r") as source:
-            found = []
-            for name, dataset in walk(source):
-                if sum(side > 1 for side in dataset.shape) > 2:
-                    left_out[name] = f"its shape {dataset.shape} is not that of channels over time"
-                else:
-                    found.append((name, dataset))
-            check_size([dataset for _, dataset in found], file)
-            for name, dataset in found:
-                columns, note = _columns(name, dataset)
-                notes += note
-                reading.check_names([*arrays, *columns])
-                arrays |= columns
-                reading.check_column_count(len(arrays))
-                units |= _units(columns, dataset)
+    with h5py.File(file, "r") as source:
+        datasets = dict(walk(source))
+        for name, dataset in [*datasets.items()]:
+            if sum(side > 1 for side in dataset.shape) > 2:
+                left_out[name] = f"its shape {dataset.shape} is not that of channels over time"
+                del datasets[name]
+        check_size([*datasets.values()], file)
+        for name, dataset in datasets.items():
+            columns, note = _columns(name, dataset)
+            notes += note
+            reading.check_names([*arrays, *columns])
+            arrays |= columns
+            reading.check_column_count(len(arrays))
+            units |= _units(columns, dataset)
     read = reading.vectors(arrays)
     notes += [f"dataset '{name}' left out: {why}" for name, why in left_out.items()]
     units = {c: unit for c in read.columns if (unit := units.get(c) or units.get(c.split("[")[0]))}

@@ -42,7 +42,7 @@ def read_mat(file: Path) -> reading.Channels:
     if start.startswith(V73) or HDF5 in (start[: len(HDF5)], start[HEADER:]):
         require_packages("HDF5")
         return reading.read_apart(_read_v73, file, "MAT (v7.3)")
-    return reading.read_apart(_channels_v5, file, "MAT")
+    return reading.read_apart(_channels_v5, file, "MAT", is_trusted=False)
 
 
 def _channels(arrays: Arrays, objects: Objects) -> reading.Channels:
@@ -61,27 +61,26 @@ def _is_word(array: np.ndarray) -> bool:
 
 
 def _channels_v5(file: Path) -> reading.Channels:
-    with reading.foreign_reader("MAT", is_trusted=False):
-        import scipy.io
+    import scipy.io
 
-        with file.open("rb") as stream:
-            declared = [(name, shape) for name, shape, _ in scipy.io.whosmat(stream) if name]
-        reading.check_names(name for name, _ in declared)
-        reading.check_unpacked(8 * sum(math.prod(shape) for _, shape in declared))
-        if not all(name.isprintable() for name, _ in declared):
-            raise ValueError("a variable's name is not text.")
-        with file.open("rb") as stream:
-            variables = scipy.io.loadmat(stream)
-        arrays: Arrays = {}
-        objects: Objects = {}
-        for name, value in variables.items():
-            if type(value).__name__ == "MatlabOpaque":
-                described = np.asarray(value).flat[0]
-                objects[_word(described["s0"])] = _word(described["s2"])
-            elif not name.startswith("__"):
-                for inner, array in _parts(name, value):
-                    arrays[inner] = array
-                    reading.check_column_count(len(arrays))
+    with file.open("rb") as stream:
+        declared = [(name, shape) for name, shape, _ in scipy.io.whosmat(stream) if name]
+    reading.check_names(name for name, _ in declared)
+    reading.check_unpacked(8 * sum(math.prod(shape) for _, shape in declared))
+    if not all(name.isprintable() for name, _ in declared):
+        raise ValueError("a variable's name is not text.")
+    with file.open("rb") as stream:
+        variables = scipy.io.loadmat(stream)
+    arrays: Arrays = {}
+    objects: Objects = {}
+    for name, value in variables.items():
+        if type(value).__name__ == "MatlabOpaque":
+            described = np.asarray(value).flat[0]
+            objects[_word(described["s0"])] = _word(described["s2"])
+        elif not name.startswith("__"):
+            for inner, array in _parts(name, value):
+                arrays[inner] = array
+                reading.check_column_count(len(arrays))
     return _channels(arrays, objects)
 
 
@@ -89,14 +88,11 @@ def _word(text: object) -> str:
     return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
 
 
-def _parts(name: str, value: object, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
+def _parts(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
     """The arrays of a variable of SciPy's, those in structures and cells included."""
-    import scipy.sparse
-
-    if scipy.sparse.issparse(value):
-        sparse: Any = value
-        reading.check_unpacked(8 * math.prod(sparse.shape))
-        value = sparse.toarray()
+    if hasattr(value, "toarray"):  # it is sparse
+        reading.check_unpacked(8 * math.prod(value.shape))
+        value = value.toarray()
     array = np.asarray(value)
     if depth > DEEPEST or type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
         return
@@ -115,19 +111,18 @@ def _parts(name: str, value: object, depth: int = 0) -> Iterator[tuple[str, np.n
 
 
 def _read_v73(file: Path) -> reading.Channels:
-    with reading.foreign_reader("MAT (v7.3)"):
-        import h5py
+    import h5py
 
-        with h5py.File(file, "r") as source:
-            datasets = list(walk(source, ".", _elements))
-            check_size([dataset for _, dataset in datasets], file)
-            objects = {
-                name: _word(dataset.attrs.get("MATLAB_class", "object"))
-                for name, dataset in datasets
-                if "MATLAB_object_decode" in dataset.attrs
-            }
-            plain = {name: _array(d) for name, d in datasets if name not in objects}
-            return _channels(plain, objects)
+    with h5py.File(file, "r") as source:
+        datasets = list(walk(source, ".", _elements))
+        check_size([dataset for _, dataset in datasets], file)
+        objects = {
+            name: _word(dataset.attrs.get("MATLAB_class", "object"))
+            for name, dataset in datasets
+            if "MATLAB_object_decode" in dataset.attrs
+        }
+        plain = {name: _array(d) for name, d in datasets if name not in objects}
+        return _channels(plain, objects)
 
 
 def _array(dataset: Any) -> np.ndarray:

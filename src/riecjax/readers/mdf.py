@@ -32,7 +32,7 @@ def read_mdf(file: Path) -> reading.Channels:
 def _read(file: Path) -> reading.Channels:
     import asammdf
 
-    with reading.foreign_reader("MDF"), file.open("rb") as stream, asammdf.MDF(stream) as source:
+    with file.open("rb") as stream, asammdf.MDF(stream) as source:
         reading.check_column_count(sum(len(group.channels) for group in source.groups))
         count = sum(g.channel_group.cycles_nr * len(g.channels) for g in source.groups)
         reading.check_unpacked(8 * count)

@@ -26,41 +26,37 @@ def read_ros_bag(file: Path) -> reading.Channels:
     **Raises:** `DataError` for a damaged bag, or where rosbags is not installed; `MemoryError`.
     """
     require_packages("ROS")
-    return reading.read_apart(_read, file, "ROS bag")
+    return reading.read_apart(_read, file, "ROS bag", is_trusted=False)
 
 
 def _read(file: Path) -> reading.Channels:
-    with reading.foreign_reader("ROS bag", is_trusted=False):
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
 
-        rows: dict[str, list[dict[str, Any]]] = {}
-        logged: dict[str, list[int]] = {}
-        # Bags of ROS 2 before 2023 don't hold the types of their messages.
-        with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as source:
-            for connection, stamp, raw in source.messages():
-                message = _plain(source.deserialize(raw, connection.msgtype))
-                rows.setdefault(connection.topic, []).append(message)
-                logged.setdefault(connection.topic, []).append(stamp)
-        times = {topic: _stamps(rows[topic], logged[topic]) for topic in rows}
-        earliest = min((int(stamps[0]) for stamps in times.values()), default=0)
-        whole = reading.Channels({})
-        for topic, messages in rows.items():
-            columns = reading.gathered(topic, messages)
-            reading.check_column_count(len(whole.columns) + len(columns))
-            time = f"{topic}.log_time" if f"{topic}.time" in columns else f"{topic}.time"
-            whole.columns[time] = (times[topic] - earliest) * 1e-9
-            whole.units[time] = "s"
-            for name, values in columns.items():
-                numbers, why = reading.numbers_of(values)
-                if numbers is None:
-                    whole.left_out[name] = why
-                else:
-                    whole.columns[name] = numbers
-                    whole.time_of[name] = time
-            if times[topic].tolist() != logged[topic]:
-                whole.notes.append(f"topic '{topic}': time by its headers")
-        return reading.without_common_group(whole, ".")
+    rows: dict[str, list[dict[str, Any]]] = {}
+    logged: dict[str, list[int]] = {}
+    # Bags of ROS 2 before 2023 don't hold the types of their messages.
+    with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as source:
+        for connection, stamp, raw in source.messages():
+            message = _plain(source.deserialize(raw, connection.msgtype))
+            rows.setdefault(connection.topic, []).append(message)
+            logged.setdefault(connection.topic, []).append(stamp)
+    times = {topic: _stamps(rows[topic], logged[topic]) for topic in rows}
+    earliest = min((int(stamps[0]) for stamps in times.values()), default=0)
+    whole = reading.Channels({})
+    for topic, messages in rows.items():
+        fields = reading.gathered(topic, messages)
+        reading.check_column_count(len(whole.columns) + len(fields.columns))
+        is_taken = f"{topic}.time" in {*fields.columns, *fields.left_out}
+        time = f"{topic}.log_time" if is_taken else f"{topic}.time"
+        whole.columns[time] = (times[topic] - earliest) * 1e-9
+        whole.units[time] = "s"
+        whole.columns.update(fields.columns)
+        whole.left_out.update(fields.left_out)
+        whole.time_of.update(dict.fromkeys(fields.columns, time))
+        if times[topic].tolist() != logged[topic]:
+            whole.notes.append(f"topic '{topic}': time by its headers")
+    return reading.without_common_group(whole, ".")
 
 
 def _plain(message: Any) -> Any:

@@ -43,31 +43,30 @@ def read_spreadsheet(
 
 
 def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> reading.Channels:
-    with reading.foreign_reader("Excel"):
-        import python_calamine
+    import python_calamine
 
-        with zipfile.ZipFile(file) as archive:
-            sizes = [member.file_size for member in archive.infolist()]
-        reading.check_unpacked(sum(sizes), file.stat().st_size)
-        book = python_calamine.load_workbook(str(file))
-        worksheet = python_calamine.SheetTypeEnum.WorkSheet
-        sheets = [sheet for sheet in book.sheets_metadata if sheet.typ == worksheet]
-        shown = [one for one in sheets if one.visible == python_calamine.SheetVisibleEnum.Visible]
-        names = [sheet.name for sheet in shown or sheets]
-        tables: dict[str, reading.Channels] = {}
-        refused: dict[str, str] = {}
-        for name in names:
-            sheet = book.get_sheet_by_name(name)
-            reading.check_column_count(sheet.width)
-            reading.check_unpacked(8 * sheet.width * sheet.height)
-            try:
-                text = as_text(sheet.to_python(), decimal)
-                table = reading.read_table(text.encode(), "\t", decimal, columns)
-                if not table.columns:
-                    raise DataError("it has no column of numbers.")
-                tables[name] = table
-            except DataError as error:
-                refused[name] = str(error)
+    with zipfile.ZipFile(file) as archive:
+        sizes = [member.file_size for member in archive.infolist()]
+    reading.check_unpacked(sum(sizes), file.stat().st_size)
+    book = python_calamine.load_workbook(str(file))
+    worksheet = python_calamine.SheetTypeEnum.WorkSheet
+    sheets = [sheet for sheet in book.sheets_metadata if sheet.typ == worksheet]
+    shown = [one for one in sheets if one.visible == python_calamine.SheetVisibleEnum.Visible]
+    names = [sheet.name for sheet in shown or sheets]
+    tables: dict[str, reading.Channels] = {}
+    refused: dict[str, str] = {}
+    for name in names:
+        sheet = book.get_sheet_by_name(name)
+        reading.check_column_count(sheet.width)
+        reading.check_unpacked(8 * sheet.width * sheet.height)
+        try:
+            text = as_text(sheet.to_python(), decimal)
+            table = reading.read_table(text.encode(), "\t", decimal, columns)
+            if not table.columns:
+                raise DataError("it has no column of numbers.")
+            tables[name] = table
+        except DataError as error:
+            refused[name] = str(error)
     hidden = [sheet.name for sheet in sheets if sheet.name not in names]
     chosen = _chosen(tables, refused)
     chosen.notes.extend(f"hidden sheet '{name}' left out" for name in hidden)

@@ -28,7 +28,7 @@ def read_tdms(file: Path) -> reading.Channels:
 
 
 def _read(file: Path) -> reading.Channels:
-    with reading.foreign_reader("TDMS"), file.open("rb") as stream:
+    with file.open("rb") as stream:
         from nptdms import TdmsFile
 
         source = TdmsFile.read_metadata(stream)

@@ -1,13 +1,22 @@
 """Whether a recorded derivative fits its signal, and what puts it right if not: wrong units, signs
-and channels show in increments, what is less than that in a fit over frequencies."""
+and channels show in increments, what is less than that in a fit over frequencies.
+
+It may be no sensor's, but computed from the signal: differences, slopes of polynomials, or any
+other filter of some dozens of samples. Such a derivative has the position's noise, many times as
+large and of one source with it. Taken for a sensor's own, white and independent, it biases every
+estimate.
+"""
 
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
+from riecjax.errors import DataError
 from riecjax.findings import Finding, line_taken_off, option_for
+from riecjax.leaves import is_concrete
 from riecjax.records.faults.derivative_pairs import (
     GROSS,
     PPM,
@@ -19,10 +28,12 @@ from riecjax.records.faults.derivative_pairs import (
     with_sum,
 )
 from riecjax.records.faults.rows import cut_rows
-from riecjax.records.noise import noise_level
+from riecjax.records.faults.sampled_signal import ENOUGH
+from riecjax.records.preparation import with_local_derivative
 from riecjax.records.reading.units import readings
-from riecjax.records.record import Record
+from riecjax.records.record import Record, runs
 from riecjax.records.remembered import remembered
+from riecjax.records.signal import Noise, noise_level
 
 SHORTEST, LONGEST_SHARE = 4, 8
 """Lags: from this many samples to this part of the record, each four times the one before."""
@@ -59,14 +70,15 @@ def check_derivatives(record: Record, pairs: Pairs) -> list[Finding]:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    found: list[Finding] = []
+    findings: dict[tuple[str, tuple[str, ...]], Finding] = {}
     for relation in relations(pairs):
-        if any(record.noise.is_made_of(name, relation.signal) for name in relation.terms):
-            continue
-        wrong, pair = compared(record, relation)
-        found += [wrong] if wrong is not None else []
-        found += [] if pair is None else pair_findings(record, pair)
-    return list({(one.code, one.signals): one for one in reversed(found)}.values())[::-1]
+        if not any(record.noise.is_made_of(name, relation.signal) for name in relation.terms):
+            wrong, pair = compared(record, relation)
+            every = [wrong] if wrong else [] if pair is None else pair_findings(record, pair)
+            for finding in every:
+                key = finding.code, finding.signals
+                findings[key] = findings.pop(key, finding)
+    return list(findings.values())
 
 
 def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair | None]:
@@ -101,8 +113,7 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
     best = _best_lag(values, rates, float(record.time_step))
     if best is None:
         return None
-    correlation, gain = best
-    units, likely = [], ""
+    (correlation, gain), units, likely = best, [], ""
     # No share of noise in either signal explains every gain that is not 1. Noise in the integrals
     # lowers the slope of increments on integrals, cov / var(integrals) = gain x correlation, below
     # the true gain; noise in the increments raises the inverse of the other regression's slope,
@@ -219,12 +230,10 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
     if pair.course.kind != "steady":
         yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0), or_else)
     if pair.is_late:
-        by = fit.delay + fit.lag
-        names, late, other = _sides(pair, by > 0)
-        samples, seconds = abs(by), abs(by) * step
+        names, late, other = _sides(pair, fit.delay > 0)
+        samples, seconds = abs(fit.delay), abs(fit.delay) * step
         size = f"{samples:.3g} \u00b1 {fit.errors[0]:.1g} samples ({1e3 * seconds:.3g} ms)"
-        option = "--unfilter" if pair.lagged else "--shift"
-        remedy = option_for(option, names, f"{seconds:.4g}")
+        remedy = option_for("--unfilter" if fit.lagged else "--shift", names, f"{seconds:.4g}")
         how = shlex.join(remedy)
         said, next_step = (
             (
@@ -233,7 +242,7 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
                 f"and loses what is fast. Record both alike, or undo it ({how}).{or_else}",
                 f"Undo the low-pass of {late}",
             )
-            if pair.lagged
+            if fit.lagged
             else (
                 f"{late} {'are' if len(names) > 1 else 'is'} {size} late against {other}.{or_else} "
                 f"{how} brings it forward, as --align auto does when the file is read. Whether "
@@ -242,7 +251,7 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
             )
         )
         yield Finding(
-            "low_passed" if pair.lagged else "late_signal",
+            "low_passed" if fit.lagged else "late_signal",
             said,
             names,
             doubt=min(turn * samples, 1.0),
@@ -263,35 +272,29 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
             f"{'sign or unit' if gross else 'unit'}: scale it ({how}).{or_else}"
             if several
             else f"{size} Which of the two is calibrated wrongly they cannot tell: scale that one "
-            f"({how}, or --scale {pair.signal}={gain:.5g}).",
-            (pair.suspect,) if several else (derivative, pair.signal),
+            f"({how}, or --scale {relation.signal}={gain:.5g}).",
+            (pair.suspect,) if several else (derivative, relation.signal),
             # A term may hold the signal squared, as drag does.
             doubt=min(max(gain**2, gain**-2) - 1, 1.0),
             remedy=remedy,
             step=f"Scale {pair.suspect}"
             if several
-            else f"Scale {derivative} or {pair.signal}, whichever sensor is off",
+            else f"Scale {derivative} or {relation.signal}, whichever sensor is off",
         )
     if not (value := pair.drift or pair.offset):
         return
-    names = relation.names
-    time = np.asarray(record.time)
+    names, time = relation.names, np.asarray(record.time)
     derivative, factor = pair.zeroed
-    signal = pair.signal if len(names) == 2 else relation.words(derivative)[1]
-    share = abs(value) * step / pair.scale / pair.rms
+    signal = relation.signal if len(names) == 2 else relation.words(derivative)[1]
+    share = abs(value) / pair.rms
     size = f"{value * factor:.3g} {record.signal(derivative).unit}".rstrip()
-    per = factor * pair.scale / step
-    what = f"has an offset of {size}"
-    change = 0.0
-    whose = f" Or {signal} drifts by that per second."
-    if pair.drift:
-        what = f"drifts by {size} over {time[-1] - time[0]:.4g} s"
-        change = fit.drift * per
-        whose = ""
+    lasts, change = f"over {time[-1] - time[0]:.4g} s", fit.drift * factor if pair.drift else 0.0
+    what = f"drifts by {size} {lasts}" if pair.drift else f"has an offset of {size}"
+    whose = "" if pair.drift else f" Or {signal} drifts by that per second."
     # Whose it is one relation cannot tell.
-    if others := " or ".join(n for n in names if n not in (derivative, pair.signal)):
-        whose = f" Or {others} has it, or {pair.signal} drifts."
-    remedy = line_taken_off(derivative, time, fit.offset * per, change)
+    if others := " or ".join(n for n in names if n not in (derivative, relation.signal)):
+        whose = f" Or {others} has it, or {relation.signal} drifts."
+    remedy = line_taken_off(derivative, time, fit.offset * factor, change)
     yield Finding(
         "drifting_signal" if pair.drift else "velocity_offset",
         f"{derivative} {what} against {signal}, {100 * share:.2g} % of its rms. Take it off (on "
@@ -317,7 +320,7 @@ def _uneven(record: Record, pair: Pair, doubt: float, or_else: str) -> Finding:
     course, step, time = pair.course, pair.step, np.asarray(record.elapsed)
     lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
     names, mine, others = _sides(pair, True)
-    both = (*names, *(name for name in pair.relation.names if name not in names))
+    both = tuple(dict.fromkeys((*names, *pair.relation.names)))
     if course.kind == "clocks":
         per = step / PPM / float(time[-1] - time[0])
         rate, start = per * course.change, float(time[0])
@@ -348,3 +351,109 @@ def _uneven(record: Record, pair: Pair, doubt: float, or_else: str) -> Finding:
         remedy=course.in_time(first, last),
         step="Use the part of the record in which both agree in time",
     )
+
+
+HALVES = (1, 2, 5, 10, 30)
+"""Samples to each side of filters that are tried, the longest first as the test of all."""
+LEFT = 0.1
+"""What such a filter leaves at most, in terms of the position's noise through it. A sensor's own
+noise is left whole: a filter of the position cannot tell it."""
+MOST_NOISE = 2.0
+"""Noise through a filter, in terms of all that there is of it and of motion, past which the filter
+is none."""
+LEAST = 1e-5
+"""Noise of differences, as a share of these, below which it matters to nothing: what looks like it
+may be motion that no difference is of the order to take off."""
+CONSTANT = 0.3
+"""Share of its taps that a filter's sum may reach: a derivative of what is constant is zero. What
+copies the position, or smooths it, is no derivative, and to take it for one would hide that."""
+ROUNDS, FAR = 3, 10.0
+"""Fits, each without rows that the one before left so many times its median."""
+SHARPENED = 2
+"""Order of the differences that are looked at, in which motion hides noise less."""
+
+
+def without_computed(
+    record: Record, pairs: Pairs, known: Collection[str] = ()
+) -> tuple[Record, list[str]]:
+    """Slopes of local polynomials in place of derivatives that are filters of their signals.
+
+    A signal's own sensor is all that such a derivative knows of; the polynomials are as wide as its
+    motion allows. Not under jit, where the record stays as it is.
+
+    **Arguments:** `pairs` of a signal and its derivative; `known`, signals whose noise was given:
+    a sensor's, then.
+
+    **Returns:** the record, and what was done, in words.
+    """
+    if not is_concrete(record):
+        return record, []
+    computed, words, judging = [], [], record
+    for signal, derivative in (p for p in pairs if not isinstance(p, Relation)):
+        noise = judging.noise
+        judged = noise.kernels.get(signal) and {signal, derivative} <= {*record.arrays}
+        # Some are made of their signals by a step of preparation.
+        if derivative in known or not judged or noise.is_made_of(derivative, signal):
+            continue
+        position, rate = (record.signal(name).with_nan for name in (signal, derivative))
+        taps = filter_between(position, rate, float(noise.std(signal)))
+        if taps is not None:
+            judging = _with_noise_of(judging, signal, derivative, taps)
+            computed.append((signal, derivative, taps))
+    for signal, derivative, taps in computed:
+        said = f"{derivative}: computed from {signal}, by a filter of {taps.size} samples"
+        try:
+            record, width = with_local_derivative(record, signal, derivative)
+            said = f"{said}; in its place slopes of local polynomials, {width:.3g} s to each side"
+        except DataError:  # too short for them
+            record = _with_noise_of(record, signal, derivative, taps)
+        words.append(said)
+    return record, words
+
+
+def _with_noise_of(record: Record, signal: str, derivative: str, taps: np.ndarray) -> Record:
+    """The record, of whose derivative the noise is the signal's through these taps."""
+    return record.with_noise(Noise.of({derivative: record.noise[signal].convolved(taps)}))
+
+
+@remembered(lambda signal, other, noise: (signal, other, noise))
+@np.errstate(over="ignore", invalid="ignore")
+def filter_between(
+    signal: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"], noise: float
+) -> Float[np.ndarray, " taps"] | None:
+    """Taps of the shortest filter that makes one signal of another, whose noise has this standard
+    deviation; `None` if none does."""
+    stretches = runs(~(np.isnan(signal) | np.isnan(other))).T.tolist()
+    first, stop = max(stretches, key=lambda ends: ends[1] - ends[0], default=(0, 1))
+    # Differences are one-sided at the ends.
+    position, rate = (each[first + 1 : stop - 1][:ENOUGH] for each in (signal, other))
+    x, y = (np.diff(each, SHARPENED) for each in (position, rate))
+    if position.size < 8 * HALVES[-1] or not noise / np.sqrt(2) > LEAST * np.std(np.diff(position)):
+        return None
+    scale = np.std(x)
+    # What is not finite squared, no sensor shows.
+    if not (noise > 0 and np.isfinite(scale + np.std(y))):
+        return None
+    columns = np.lib.stride_tricks.sliding_window_view(x / scale, 2 * HALVES[-1] + 1)
+    target = y[HALVES[-1] : y.size - HALVES[-1]]
+    found = None
+    for half in reversed(HALVES):
+        inner = slice(HALVES[-1] - half, HALVES[-1] + half + 1)
+        # Least squares, and what is left where no spike was repaired in one of the two.
+        kept, left, taps = np.ones(target.size, bool), target, np.zeros(0)
+        for _ in range(ROUNDS):
+            some = columns[kept, inner]
+            taps = np.linalg.lstsq(some.T @ some, some.T @ target[kept], rcond=1e-14)[0]
+            left = target - columns[:, inner] @ taps
+            kept = np.abs(left) <= FAR * np.median(np.abs(left[kept]))
+        through = noise / scale * np.linalg.norm(np.convolve(taps, [1, -2, 1]))
+        # Taps that make more noise than there is fit motion alone, which few waves are.
+        there = np.sqrt(np.mean(target**2))
+        if not (
+            np.sqrt(np.mean(left[kept] ** 2)) < LEFT * through and through < MOST_NOISE * there
+        ):
+            break
+        found = taps[::-1] / scale
+    if found is not None and abs(found.sum()) > CONSTANT * np.abs(found).sum():
+        return None
+    return found

@@ -17,16 +17,11 @@ def _mean(values: np.ndarray) -> np.ndarray:
     return np.asarray(known.mean() if known.size else np.nan)
 
 
-FUNCTIONS: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
-    **{
-        name: (1, getattr(np, name))
-        for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sign", "tanh")
-    },
-    "minimum": (2, np.minimum),
-    "maximum": (2, np.maximum),
-    "mean": (1, _mean),
-}
-"""What a formula may call, with the number of arguments. `mean` leaves gaps out."""
+FUNCTIONS: dict[str, Callable[..., np.ndarray]] = {
+    name: getattr(np, name)
+    for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sign", "tanh", "minimum")
+} | {"maximum": np.maximum, "mean": _mean}
+"""What a formula may call. `mean` leaves gaps out."""
 OPERATIONS: dict[type, Callable[..., np.ndarray]] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
@@ -112,10 +107,10 @@ def _value(node: ast.expr, formula: str, columns: Mapping[str, np.ndarray]) -> n
         case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATIONS:
             return OPERATIONS[type(op)](_value(operand, formula, columns))
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in FUNCTIONS:
-            count, function = FUNCTIONS[name]
+            count = getattr(FUNCTIONS[name], "nin", 1)
             if len(arguments) != count:
                 raise ModelError(f"{name} takes {count} argument(s) in {formula[:80]!r}.")
-            return function(*(_value(each, formula, columns) for each in arguments))
+            return FUNCTIONS[name](*(_value(each, formula, columns) for each in arguments))
     piece = (ast.get_source_segment(formula, node) or formula)[:80]
     raise ModelError(
         f"{piece!r} is not allowed in a formula; it may hold numbers, names of columns, + - * / **,"

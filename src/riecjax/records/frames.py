@@ -25,18 +25,18 @@ def from_dataframe(frame: Any, settings: Frame) -> Record:
     **Raises:** `DataError` without a time or for samples that do not make a record, `ModelError`
     for a formula.
     """
-    columns: dict[str, np.ndarray] = {}
-    left_out: dict[str, str] = {}
+    channels, renamed = Channels({}), dict(settings.rename)
     for place, label in enumerate(frame.columns):
         name = ".".join(map(str, label)) if isinstance(label, tuple) else str(label)
-        if name in columns or name in left_out:
+        if name in channels.columns or name in channels.left_out:
             raise DataError(f"two columns are called '{name}'.")
         values = _numbers(frame.iloc[:, place])
         if values is None:
-            left_out[name] = f"it holds {frame.dtypes.iloc[place]}, not numbers"
+            channels.left_out[name] = f"it holds {frame.dtypes.iloc[place]}, not numbers"
         else:
-            columns[name] = values
-    renamed = dict(settings.rename)
+            channels.columns[name] = values
+            unit = split_unit(name)[1]
+            channels.units.update({name: unit} if unit else {})
     if settings.time is not None:
         renamed["t"] = settings.time
     # Counts are no times.
@@ -44,14 +44,12 @@ def from_dataframe(frame: Any, settings: Frame) -> Record:
         "t" not in renamed
         and settings.time_step is None
         and getattr(frame.index.dtype, "kind", "O") in "mMf"
-        and frame.index.name not in columns
+        and frame.index.name not in channels.columns
         and (index := _numbers(frame.index)) is not None
     ):
         # `t` is looked for before any other name of time.
-        columns = {"t": index} | {k: v for k, v in columns.items() if k != "t"}
-    stated = {name: unit for name in columns if (unit := split_unit(name)[1])}
-    selection = replace(settings, rename=renamed)
-    return record_from_channels(Channels(columns, stated, {}, left_out), selection).record
+        channels = replace(channels, columns={"t": index} | channels.columns | {"t": index})
+    return record_from_channels(channels, replace(settings, rename=renamed)).record
 
 
 @taking(Frame)
@@ -71,33 +69,28 @@ def from_dataset(dataset: Any, settings: Frame) -> Record:
         raise DataError(f"there is no coordinate '{axis}'; there are: {there}.")
     if axis is None and settings.time_step is None:
         along = [name for name in dataset.dims if name in dataset.coords]
-        found = [name for name in TIME_COLUMNS if name in along][:1]
-        found = found or [name for name in along if dataset[name].dtype.kind in "mM"]
-        if len(found) != 1:
+        times = [name for name in TIME_COLUMNS if name in along][:1]
+        times = times or [name for name in along if dataset[name].dtype.kind in "mM"]
+        if len(times) != 1:
             raise DataError(
                 "time= must name the coordinate that is time; there are:"
                 f" {', '.join(map(str, along)) or 'none'}."
             )
-        axis = found[0]
-    arrays: dict[str, np.ndarray] = {}
-    stated: dict[str, str] = {}
-    left_out: dict[str, str] = {}
-    for label, variable in dataset.data_vars.items():
-        name = str(label)
+        axis = times[0]
+    channels, arrays = Channels({}), dict[str, np.ndarray]()
+    for name, variable in ((str(label), each) for label, each in dataset.data_vars.items()):
         if axis is not None and axis not in variable.dims:
-            left_out[name] = f"it does not depend on {axis}"
-            continue
-        values = _numbers(variable.transpose(axis, ...) if axis is not None else variable)
-        if values is None:
-            left_out[name] = f"it holds {variable.dtype}, not numbers"
-            continue
-        parts = {name: values} if values.ndim == 1 else {
-            f"{name}[{place}]": column
-            for place, column in enumerate(values.reshape(values.shape[0], -1).T)
-        }  # fmt: skip
-        arrays |= parts
-        if variable.attrs.get("units"):
-            stated |= dict.fromkeys(parts, str(variable.attrs["units"]))
+            channels.left_out[name] = f"it does not depend on {axis}"
+        elif (values := _numbers(variable.transpose(*[axis] * (axis is not None), ...))) is None:
+            channels.left_out[name] = f"it holds {variable.dtype}, not numbers"
+        else:
+            parts = {name: values} if values.ndim == 1 else {
+                f"{name}[{place}]": column
+                for place, column in enumerate(values.reshape(values.shape[0], -1).T)
+            }  # fmt: skip
+            arrays |= parts
+            unit = variable.attrs.get("units")
+            channels.units.update(dict.fromkeys(parts, str(unit)) if unit else {})
     renamed = dict(settings.rename)
     if axis is not None:
         name = str(axis)
@@ -106,11 +99,10 @@ def from_dataset(dataset: Any, settings: Frame) -> Record:
             raise DataError(f"the coordinate '{name}' holds no times.")
         arrays[name] = values
         if dataset[axis].attrs.get("units") and dataset[axis].dtype.kind in "fiu":
-            stated[name] = stated["t"] = str(dataset[axis].attrs["units"])
+            channels.units.update(dict.fromkeys((name, "t"), str(dataset[axis].attrs["units"])))
         renamed["t"] = name
-    channels = replace(vectors(arrays), units=stated, left_out=left_out)
-    selection = replace(settings, rename=renamed)
-    return record_from_channels(channels, selection).record
+    channels = replace(channels, columns=vectors(arrays).columns)
+    return record_from_channels(channels, replace(settings, rename=renamed)).record
 
 
 def _numbers(series: Any) -> np.ndarray | None:

@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.errors import DataError
-from riecjax.records.noise import SignalNoise
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, runs
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Signal, SignalNoise
 
 Samples = Float[np.ndarray, " n"]
 Places = Float[np.ndarray, " m"]
@@ -127,22 +126,19 @@ class LinearOp:
                 some = np.flatnonzero(~np.isnan(made).all(0))
                 if some.size:
                     # One missing sample between each two is the pause, its time the middle of it.
-                    ended = [(0, 0), (0, 1)]
-                    made = np.pad(made[:, : some[-1] + 1], ended, constant_values=np.nan)
-                    pieces.append(made[:, some[0] :])
-                    new = np.arange(some[0], some[-1] + 2)
-                    times.append(start + self.spacing * step * new)
+                    pieces += [made[:, some[0] : some[-1] + 1], np.full((len(ops), 1), np.nan)]
+                    times.append(start + self.spacing * step * np.arange(some[0], some[-1] + 2))
             for stretch, following in itertools.pairwise(times):
                 stretch[-1] = 0.5 * (stretch[-2] + following[0])
             columns = {name: column[:-1] for name, column in zip(ops, np.hstack(pieces))}
         first, after = (max(lost) for lost in zip(*(op.lost for op in ops.values())))
         for name, op in ops.items():
             if np.isnan(columns[name][first : columns[name].size - after]).all():
-                longest = longest_stretch(record, sources[name])
                 raise DataError(
                     f"no stretch of '{sources[name]}' without a gap is long enough for a step of "
                     f"preparation ({op.words.format(name)}): it takes {op.shortest} samples, and "
-                    f"the longest has {longest}. Repair the gaps, or change or leave out this step."
+                    f"the longest has {longest_stretch(record, sources[name])}. Repair the gaps, "
+                    f"or change or leave out this step."
                 )
             known = signals[name]
             noise = op.noise(known.noise) if op.noise and known.noise else known.noise
@@ -153,8 +149,9 @@ class LinearOp:
             return made.part(first, made.sample_count - after) if first or after else made
         stamps = np.concatenate(times)[:-1]
         step, skipped = self.spacing * record.time_step, stamps[0] - record.time[0]
-        paused = stamps if len(times) > 1 else None
-        return Record(signals, step, stamps[0], paused, record.skipped + skipped)
+        return Record(
+            signals, step, stamps[0], stamps if len(times) > 1 else None, record.skipped + skipped
+        )
 
 
 def convolved_with(*taps: float) -> Callable[[SignalNoise], SignalNoise]:
@@ -171,7 +168,7 @@ class Step(Protocol[Asked]):
     """A step of preparation: what its operations, by the signal that each makes, make of a
     record."""
 
-    ops: Callable[Asked, dict[str, LinearOp]]
+    ops: Callable[Asked, Operations]
 
     def __call__(self, *args: Asked.args, **kwargs: Asked.kwargs) -> Record:
         """The record after it."""
@@ -181,16 +178,13 @@ class Step(Protocol[Asked]):
 def step(operations: Callable[Asked, Operations]) -> Step[Asked]:
     """The step of preparation that takes a record first, by its operations."""
 
-    def ops(*args: Asked.args, **kwargs: Asked.kwargs) -> dict[str, LinearOp]:
-        return dict(operations(*args, **kwargs))
-
     @functools.wraps(operations)
     def step_taken(*args: Asked.args, **kwargs: Asked.kwargs) -> Record:
         record: Any = args[0] if args else kwargs["record"]
-        return record.through(ops(*args, **kwargs))
+        return record.through(dict(operations(*args, **kwargs)))
 
     taken: Any = step_taken
-    taken.ops, taken.__annotations__["return"] = ops, Record
+    taken.ops, taken.__annotations__["return"] = operations, Record
     return taken
 
 

@@ -22,18 +22,19 @@ from numpy.typing import ArrayLike
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.faults.sampled_signal import levels_of, resolution_of, rounding_of
-from riecjax.records.noise import (
+from riecjax.records.record import Record, runs
+from riecjax.records.signal import (
     DIFFERENCE_ORDER,
     REPEATS,
     STRETCH,
     STRETCHES,
     Noise,
+    Signal,
     SignalNoise,
     noise_level,
     shortened,
+    stretches_of,
 )
-from riecjax.records.record import Record
-from riecjax.records.signal import Signal
 
 SEGMENT = 256
 """Samples of a piece whose spectrum is taken."""
@@ -104,24 +105,25 @@ class Floor(NamedTuple):
         return float(np.sqrt(np.sum(self.taps**2)))
 
 
-def spectra(pieces: list[np.ndarray]) -> Spectra | None:
-    """Spectra of overlapping segments of unbroken pieces; `None` of too few samples.
+def spectra(values: Float[np.ndarray, "stretches samples"]) -> Spectra | None:
+    """Spectra of overlapping segments between NaN; `None` of too few samples.
 
     Of second differences, divided by their gain: a motion 1000 times the noise then stays below
     the side lobes of a Blackman-Harris window.
     """
     window, hop = blackman_harris(SEGMENT + 1)[:-1], SEGMENT // 4
+    ended = np.pad(values, [(0, 0), (0, 1)], constant_values=np.nan).ravel()
+    ends = [(a, b) for a, b in runs(~np.isnan(ended)).T.tolist() if b - a >= SEGMENT + 2]
     rows = [
-        np.lib.stride_tricks.sliding_window_view(np.diff(piece, 2), SEGMENT)[::hop]
-        for piece in pieces
-        if piece.size >= SEGMENT + 2
+        np.lib.stride_tricks.sliding_window_view(np.diff(ended[first:stop], 2), SEGMENT)[::hop]
+        for first, stop in ends
     ]
     if sum(len(row) for row in rows) < FEWEST_SEGMENTS:
         return None
     gain = (2 * np.sin(np.pi * np.arange(SEGMENT // 2 + 1) / SEGMENT)) ** 2
-    found = np.fft.rfft(np.concatenate(rows) * window, axis=1)[:, 1:]
-    independent = sum(p.size - TAPERED * SEGMENT for p in pieces if p.size >= SEGMENT + 2)
-    transforms = found / gain[1:] / np.sqrt(np.sum(window**2))
+    differences = np.fft.rfft(np.concatenate(rows) * window, axis=1)[:, 1:]
+    independent = sum(stop - first - TAPERED * SEGMENT for first, stop in ends)
+    transforms = differences / gain[1:] / np.sqrt(np.sum(window**2))
     return Spectra(transforms, np.mean(np.abs(transforms) ** 2, axis=0), independent)
 
 
@@ -169,25 +171,26 @@ def beside_motion(of: Spectra) -> Floor | None:
 
 def floor(of: Spectra) -> Floor:
     """The floor up to half the rate of a signal, else the lowest tenth of its band if any."""
-    found, whole = of.density, of.freedom
-    near, size = _near(found), found.size
-    edge = int((1 - TOP) * size)
-    for _ in range(3):
-        beyond = np.flatnonzero(near > LEAVES * np.mean(found[edge:-1]))
-        edge = int(CLEARANCE * (beyond[-1] + CLOSE)) if beyond.size else 0
-        edge = min(max(edge, LOWEST), int((1 - TOP) * size))
     # At half the rate itself there is one degree of freedom, not two.
+    near, size, density = _near(of.density), of.density.size, of.density[:-1]
+    edge = top = int((1 - TOP) * size)
+    for _ in range(3):
+        beyond = np.flatnonzero(near > LEAVES * np.mean(density[edge:]))
+        edge = int(CLEARANCE * (beyond[-1] + CLOSE)) if beyond.size else 0
+        edge = min(max(edge, LOWEST), top)
     share = (size - edge) / size
-    if share > NARROWEST and _level(found[edge:-1]):
-        return Floor(np.sqrt(np.mean(found[edge:-1], keepdims=True)), np.asarray(share * whole))
+    if share > NARROWEST and _level(density[edge:]):
+        return Floor(
+            np.sqrt(np.mean(density[edge:], keepdims=True)), np.asarray(share * of.freedom)
+        )
     # What still falls at the end, as a position does that a random force moves, has none.
-    sooner, later = (np.mean(half) for half in np.array_split(found[int((1 - TOP) * size) : -1], 2))
+    sooner, later = (np.mean(half) for half in np.array_split(density[top:], 2))
     # The logarithm of a mean square of n degrees of freedom scatters by sqrt(2 / n).
-    by_chance = np.exp(CERTAIN * np.sqrt(4 / max(TOP / 2 * whole, 1.0)))
+    by_chance = np.exp(CERTAIN * np.sqrt(4 / max(TOP / 2 * of.freedom, 1.0)))
     if sooner > max(LEVELLED, by_chance) * later:
         return Floor(np.zeros(1), np.asarray(np.inf))
-    least = min(np.mean(tenth) for tenth in np.array_split(found[:-1], round(1 / TOP)))
-    return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * whole), flat=False)
+    least = min(np.mean(tenth) for tenth in np.array_split(density, round(1 / TOP)))
+    return Floor(np.full(1, np.sqrt(least)), np.asarray(TOP * of.freedom), flat=False)
 
 
 def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
@@ -196,9 +199,8 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     Its density is taken to be flat below, where motion hides it. Only where it is clear: other
     signals must be there, the same pieces of them, and none may be coherent with the shelf.
     """
-    found = of.density
-    near, size = _near(found), found.size
-    at_end = np.mean(found[int((1 - TOP) * size) : -1])
+    near, size = _near(of.density), of.density.size
+    at_end = np.mean(of.density[int((1 - TOP) * size) : -1])
     # A shelf is as wide as a floor, and the end of the band far below all of it.
     if np.mean(near > at_end / EMPTY / LEVELLED) < NARROWEST:
         return None
@@ -209,25 +211,23 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
     alike = np.maximum.accumulate(rows, 1) < LEVELLED * np.minimum.accumulate(rows, 1)
     lengths = np.argmin(np.pad(alike, [(0, 0), (0, 1)]), axis=1)
     lower = LOWEST + int(np.argmax(lengths))
-    upper = lower + int(np.max(lengths))
-    band = slice(lower + CLOSE - 1, upper)
+    band = slice(lower + CLOSE - 1, lower + int(np.max(lengths)))
     if band.stop < max(OCTAVE * band.start, band.start + NARROWEST * size):
         return None
-    density = float(np.mean(found[band]))
+    density = float(np.mean(of.density[band]))
     low = at_end < EMPTY * density and density < BELOW_MOTION * np.max(near[:lower])
-    if not (low and _level(found[band])):
+    if not (low and _level(of.density[band])):
         return None
-    own = of.transforms[:, band]
-    there = [o.transforms[:, band] for o in others if o is not None]
-    for other in there:
-        cross = np.abs(np.mean(own * other.conj(), axis=0)) ** 2
-        power = np.mean(np.abs(own) ** 2, axis=0) * np.mean(np.abs(other) ** 2, axis=0)
-        coherence = np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)
-        if np.mean(coherence) > INCOHERENT:
-            return None
-    if not there:
+    coherence = []
+    for other in (spectra for spectra in others if spectra is not None):
+        here, there = of.transforms[:, band], other.transforms[:, band]
+        cross = np.abs(np.mean(here * there.conj(), axis=0)) ** 2
+        power = np.mean(np.abs(here) ** 2, axis=0) * np.mean(np.abs(there) ** 2, axis=0)
+        shares = np.divide(cross, power, out=np.zeros_like(cross), where=power > 0)
+        coherence.append(np.mean(shares))
+    if not coherence or max(coherence) > INCOHERENT:
         return None
-    beyond = np.convolve(found, np.ones(CLOSE) / CLOSE, "same")[band.stop :]
+    beyond = np.convolve(of.density, np.ones(CLOSE) / CLOSE, "same")[band.stop :]
     shape = np.concatenate([np.full(band.stop + 1, density), np.minimum(beyond, density)])
     taps = np.fft.fftshift(np.fft.irfft(np.sqrt(shape), SEGMENT))[1:]
     share = (band.stop - band.start) / size
@@ -235,8 +235,8 @@ def shelf(of: Spectra, others: Iterable[Spectra | None]) -> Floor | None:
 
 
 def _level(density: np.ndarray) -> bool:
-    halves = [np.mean(half) for half in np.array_split(density, 2)]
-    return bool(max(halves) < FLAT * min(halves))
+    less, more = sorted(np.mean(half) for half in np.array_split(density, 2))
+    return bool(more < FLAT * less)
 
 
 GivenNoise: TypeAlias = Literal["auto", "none"] | Noise | Mapping[str, ArrayLike | jax.Array] | None
@@ -267,16 +267,14 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
 
     **Raises:** `DataError` for a signal that the record lacks, or an impossible noise.
     """
-    known = record.with_noise(given_noise(given, record.arrays))
-    found = {}
+    known, estimates = record.with_noise(given_noise(given, record.arrays)), {}
     for name in names or record.arrays:
-        if name not in record.arrays or known.by_name[name].noise is not None:
-            continue
-        signal = record.by_name[name]
-        others = [values for other, values in record.arrays.items() if other != name]
-        with np.errstate(all="ignore"):
-            found[name] = noise_of_level(name, noise_level(signal.with_nan), signal, others)
-    return known.with_noise(Noise.of(found))
+        if name in record.arrays and known.by_name[name].noise is None:
+            signal = record.by_name[name]
+            others = [values for other, values in record.arrays.items() if other != name]
+            with np.errstate(all="ignore"):
+                estimates[name] = noise_of_level(name, noise_level(signal.with_nan), signal, others)
+    return known.with_noise(Noise.of(estimates))
 
 
 def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:
@@ -309,7 +307,7 @@ def noise_of_level(
 
     **Arguments:** `others`, the record's other signals.
     """
-    xp = namespace(level, signal.values, signal.present)
+    xp = namespace(level, signal)
     samples = xp.asarray(signal.values)
     level = xp.asarray(xp.where(level > MOST_NOISE * xp.std(samples, axis=-1), 0.0, level))
     seen = min(samples.shape[-1], STRETCHES * STRETCH)
@@ -327,14 +325,9 @@ def _by_values(
 ) -> Floor | None:
     """The noise by what values a signal takes; `None` of a command."""
     samples = signal.with_nan
-    rows = np.arange(samples.size)[None]
-    if samples.size > STRETCHES * STRETCH:
-        starts = np.linspace(0, samples.size - STRETCH, STRETCHES).astype(int)
-        rows = starts[:, None] + np.arange(STRETCH)
+    rows = stretches_of(samples.size)
     values = samples[rows]
-    there = np.ones(rows.shape, bool)
-    if signal.present is not None:
-        there = np.asarray(signal.present)[rows]
+    there = ~np.isnan(values)
     known = values[there]
     if known.size <= DIFFERENCE_ORDER or not np.isfinite(known).all():
         return None
@@ -343,10 +336,10 @@ def _by_values(
     bends = bends[~np.isnan(bends)]
     if not bends.size or np.mean(bends <= rounding) > HELD:
         return None
-    found, own = Floor(level[None], freedom), spectra(_unbroken(values))
+    found, own = Floor(level[None], freedom), spectra(values)
     if own is not None:
-        elsewhere = (_unbroken(np.where(there, np.asarray(o)[rows], np.nan)) for o in others)
-        filtered = shelf(own, (spectra(pieces) for pieces in elsewhere))
+        elsewhere = (np.where(there, np.asarray(other)[rows], np.nan) for other in others)
+        filtered = shelf(own, map(spectra, elsewhere))
         if filtered is not None and level < filtered.level < MOST_NOISE / 2 * np.std(known):
             return filtered
         flat = beside_motion(own) or floor(own)
@@ -365,10 +358,3 @@ def _by_values(
         if white and quantum / np.sqrt(12) > found.level:
             return Floor(np.full(1, quantum / np.sqrt(12)), np.asarray(np.inf))
     return found if found.level > 0 else None
-
-
-def _unbroken(rows: np.ndarray) -> list[np.ndarray]:
-    """The stretches of each row between its NaN."""
-    ended = np.pad(rows, [(0, 0), (0, 1)], constant_values=np.nan).ravel()
-    places = np.flatnonzero(np.isnan(ended))
-    return [piece for piece in (p[~np.isnan(p)] for p in np.split(ended, places)) if piece.size]

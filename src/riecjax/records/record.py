@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
-from riecjax.records.noise import Noise, SignalNoise
-from riecjax.records.signal import Signal, both
+from riecjax.records.signal import Noise, Signal, SignalNoise, both
 from riecjax.records.time_base import time_base
-from riecjax.shows import Drawn, framed
+from riecjax.shows import Drawn, reported
 
 if TYPE_CHECKING:
     from riecjax.records.linear_op import LinearOp
@@ -115,8 +114,8 @@ class Record(Drawn, eqx.Module):
           Between evenly sampled stretches there may be pauses.
         - `units`: name to unit, for those that are known.
 
-        **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample,
-        unequal lengths, and time that does not increase or is not evenly spaced.
+        **Raises:** `DataError` for fewer than two samples, infinity, a signal without any sample, a
+        unit of no signal, unequal lengths, and time that does not increase or is not evenly spaced.
         """
         require("what a record is made of", signals, Mapping, WRITE_RECORD, DataError)
         arrays = {name: _samples(name, values) for name, values in signals.items()}
@@ -126,25 +125,27 @@ class Record(Drawn, eqx.Module):
             raise DataError(
                 f"time must hold the time of each sample; got {time}. Write {WRITE_RECORD}."
             )
-        given = np.zeros(0) if time is None else _samples("t", time)
-        every = arrays if time is None else {**arrays, "t": given}
+        every = arrays if time is None else {**arrays, "t": _samples("t", time)}
         if len({values.size for values in every.values()}) > 1:
             listed = ", ".join(f"{name} {values.size}" for name, values in every.items())
             raise DataError(f"all signals and the time must have the same length; got {listed}.")
-        step = time_step
-        start = 0.0
-        stamps = None
+        step, start, stamps = time_step, 0.0, None
         if time is not None:
-            step, start, pauses = time_base(given)
+            given = every["t"]
+            (step, pauses), start = time_base(given), given[0]
             if pauses.size:
                 # The middle of each pause.
-                middles = 0.5 * (given[pauses - 1] + given[pauses])
-                stamps = np.insert(given, pauses, middles)
+                stamps = np.insert(given, pauses, 0.5 * (given[pauses - 1] + given[pauses]))
                 arrays = {k: np.insert(v, pauses, np.nan) for k, v in arrays.items()}
         step = float(_checked_step(step, 0))
         if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
         known = units or {}
+        if unknown := [name for name in known if name not in arrays]:
+            raise DataError(
+                f"a unit is given for '{unknown[0]}', and there is no such signal; there are: "
+                f"{', '.join(arrays)}."
+            )
         by_name = {name: Signal.of(v, known.get(name, "")) for name, v in arrays.items()}
         return cls(by_name, step, start, stamps)
 
@@ -166,8 +167,7 @@ class Record(Drawn, eqx.Module):
     @property
     def noise(self) -> Noise:
         """What is known of the signals' noise."""
-        known = {name: signal.noise for name, signal in self.by_name.items()}
-        return Noise.of({name: noise for name, noise in known.items() if noise is not None})
+        return Noise.of({n: s.noise for n, s in self.by_name.items() if s.noise is not None})
 
     def signal(self, name: str) -> Signal:
         """A signal; of a missing one, an error that says which ones exist."""
@@ -217,7 +217,7 @@ class Record(Drawn, eqx.Module):
 
         **Raises:** `DataError` if pandas is not installed.
         """
-        return framed(self)
+        return reported("exports", "to_frame", self)
 
     def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
         """True where none of these signals lacks its sample; `None` where none ever does."""
@@ -240,11 +240,6 @@ class Record(Drawn, eqx.Module):
         }
         return dataclasses.replace(self, by_name={**self.by_name, **given})
 
-    def with_samples(self, columns: Mapping[str, ArrayLike | Array]) -> "Record":
-        """A record with other samples of these signals, NaN where they are missing."""
-        signals = ((n, _named(self.by_name, n), samples) for n, samples in columns.items())
-        return self.with_signals({n: Signal.of(v, s.unit, s.noise) for n, s, v in signals})
-
     def through(self, op: "LinearOp | Mapping[str, LinearOp]", *names: str) -> "Record":
         """A record with what operations make of its signals: values, gaps, noise and unit.
 
@@ -262,17 +257,15 @@ class Record(Drawn, eqx.Module):
     def with_noise(self, noise: Noise) -> "Record":
         """The same samples; of the noise of the signals that it names, this is known."""
 
-        def known(name: str, signal: Signal) -> SignalNoise | None:
-            before = signal.noise or SignalNoise()
-            if name not in noise.kernels and signal.noise is None:
-                return None
-            # A source that is said anew is so for all that is made of it.
-            freedom = {**before.freedom, **noise.freedom}
-            return SignalNoise(noise.kernels.get(name, before.kernels), freedom)
-
-        return self.with_signals(
-            {n: dataclasses.replace(s, noise=known(n, s)) for n, s in self.by_name.items()}
-        )
+        signals = {}
+        for name, signal in self.by_name.items():
+            if name in noise.kernels or signal.noise is not None:
+                before = signal.noise or SignalNoise()
+                # A source that is said anew is so for all that is made of it.
+                freedom = {**before.freedom, **noise.freedom}
+                known = SignalNoise(noise.kernels.get(name, before.kernels), freedom)
+                signals[name] = dataclasses.replace(signal, noise=known)
+        return self.with_signals(signals)
 
     def select(self, *names: str) -> "Record":
         """A record of only these signals, in this order."""
@@ -288,10 +281,9 @@ class Record(Drawn, eqx.Module):
 
     def stretch(self, first: Int[Array, ""], count: int) -> "Record":
         """`count` samples from `first` on, which may be traced; both must lie in the record."""
-
-        def cut(values: Array) -> Array:
-            return jax.lax.dynamic_slice_in_dim(values, first, count, axis=-1)
-
+        cut = functools.partial(
+            jax.lax.dynamic_slice_in_dim, start_index=first, slice_size=count, axis=-1
+        )
         return self._rows(cut, first)
 
     def every(self, count: int) -> "Record":
@@ -335,17 +327,17 @@ class Record(Drawn, eqx.Module):
         known = [signal.noise for signal in self.by_name.values() if signal.noise is not None]
         wide = {s for noise in known for s, taps in noise.kernels.items() if taps.shape[-1] > 1}
 
-        def rows(signal: Signal) -> Signal:
-            values, present, noise = signal.values, signal.present, signal.noise
-            return Signal(
-                cut(values),
-                None if present is None else (thin or cut)(present),
+        by_name = {
+            name: Signal(
+                cut(signal.values),
+                None if signal.present is None else (thin or cut)(signal.present),
                 signal.unit,
-                None if noise is None else noise.thinned(count, wide),
+                signal.noise and signal.noise.thinned(count, wide),
             )
-
+            for name, signal in self.by_name.items()
+        }
         return Record(
-            {name: rows(signal) for name, signal in self.by_name.items()},
+            by_name,
             self.time_step * count,
             self.start_time + earlier if stamps is None else stamps[..., 0],
             stamps,
@@ -520,11 +512,9 @@ def filled_up(record: Record, length: int, begin: int = 0, stop: int | None = No
         part = np.asarray(values)[begin:stop]
         return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
 
-    stamps = record.stamps
-    earlier = begin * float(record.time_step)
+    stamps, earlier = record.stamps, begin * float(record.time_step)
     if stamps is not None:
-        earlier = float(stamps[begin]) - float(stamps[0])
-        stamps = filled(stamps)
+        stamps, earlier = filled(stamps), float(stamps[begin]) - float(stamps[0])
     # Units would tell apart what is compiled once for all.
     by_name = {
         name: Signal(

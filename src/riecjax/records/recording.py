@@ -11,7 +11,7 @@ import numpy as np
 
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
-from riecjax.records.computed import without_computed
+from riecjax.records.consistency import without_computed
 from riecjax.records.faults.rows import without_repetitions
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
@@ -71,7 +71,7 @@ class Recording(Drawn):
         **Returns:** the part to estimate from, and the last part, to validate on.
         """
         first, last = split(self.record, share)
-        held_out = ", ".join(filter(None, (self.part, "last part")))
+        held_out = f"{self.part}, last part" if self.part else "last part"
         return replace(self, record=first), replace(self, record=last, part=held_out)
 
     def concerning(self, signals: Collection[str]) -> "Recording":
@@ -222,8 +222,9 @@ def _recording(
             units = {signal.name: signal.unit for signal in getattr(model, "signals", ())}
             read_by = dict.fromkeys(settings.derivatives.values(), "") | units
             band = getattr(model, "band", None)
-            shortest = 0.5 / band[1] if band else None
-            selected = record_from_channels(channels, settings, read_by, shortest)
+            selected = record_from_channels(
+                channels, settings, read_by, 0.5 / band[1] if band else None
+            )
             record, left_out = selected.record, {**left_out, **selected.left_out}
         except ModelError as error:  # of a formula
             raise ModelError(f"{file}: {error}") from None
@@ -252,8 +253,6 @@ def _recording(
         record, found = without_computed(record, pairs, given)
         aligned = align(record, pairs, settings.align)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
-        steps = (*first_steps, *found, *aligned.words, *last_steps)
-    replaced = {n: _why_absent(left_out, n) for n in record.arrays if n not in read}
     findings = [
         *(Finding("time_unit_doubtful", why, doubt=1.0) for why in filter(None, [selected.doubt])),
         *(Finding("unit_mismatch", why, (name,), doubt=1.0) for name, why in mismatches.items()),
@@ -265,21 +264,27 @@ def _recording(
             Finding(
                 "column_left_out", f"{why}, and {n} is computed from other signals instead.", (n,)
             )
-            for n, why in replaced.items()
-            if why
+            for n in record.arrays
+            if n not in read and (why := _why_absent(left_out, n))
         ),
     ]
-    units = dict(selected.record.units)
-    read_steps = [f"{name}: column scaled by {by:g}" for name, by in settings.scale.items()]
-    read_steps += [f"{name}: {old} to {units[name]}" for name, old in selected.converted.items()]
-    if settings.resample is not None:
-        read_steps.append(f"resampled to {settings.resample:g} Hz")
-    read_steps += [f"{name}: {formula}" for name, formula in settings.derive.items()]
+    read_steps = [
+        *(f"{name}: column scaled by {by:g}" for name, by in settings.scale.items()),
+        *(
+            f"{n}: {old} to {selected.record.signal(n).unit}"
+            for n, old in selected.converted.items()
+        ),
+        *(f"resampled to {hertz:g} Hz" for hertz in filter(None, [settings.resample])),
+        *(f"{name}: {formula}" for name, formula in settings.derive.items()),
+    ]
     used = {*read, *TIME_COLUMNS, *settings.rename.values(), *channels.time_of.values()}
     return Recording(
         record,
         str(path),
-        (*channels.notes, *selected.notes, *read_steps, *steps),
+        (
+            *(*channels.notes, *selected.notes, *read_steps),
+            *(*first_steps, *found, *aligned.words, *last_steps),
+        ),
         tuple(f._replace(message=f"{file}: {f.message}") for f in findings),
         {c: why for c, why in left_out.items() if not used & {c, split_unit(c)[0]}},
         settings.rename,
@@ -307,9 +312,8 @@ def _explaining(
             raise
         message = str(error)
         if isinstance(error, MissingSignalError):
-            taken = [new for new, column in renamed.items() if column == error.signal]
             listed = ", ".join(error.available) or "none"
-            if taken:
+            if taken := [new for new, column in renamed.items() if column == error.signal]:
                 message = (
                     f"there is no signal '{error.signal}': its column was renamed to '{taken[0]}' "
                     f"(--map {taken[0]}={error.signal}); there are: {listed}."
@@ -320,15 +324,12 @@ def _explaining(
                 )
         name = printable(", ".join(filter(None, (Path(source).name, part))))
         prefix = "" if message.startswith(f"{name}: ") else f"{name}: "
-        said = " ".join(printable(prefix + message).split())
-        raise DataError(said[:LONGEST_MESSAGE]) from None
+        raise DataError(" ".join(printable(prefix + message).split())[:LONGEST_MESSAGE]) from None
 
 
 def common_steps(recordings: Sequence[Recording]) -> list[str]:
     """Steps that all recordings have in common once, and those of one with its name."""
     first, *others = recordings
-    if not others:
-        return list(first.steps)
     common = [step for step in first.steps if all(step in other.steps for other in others)]
     own = [f"{r.name}: {step}" for r in recordings for step in r.steps if step not in common]
     return common + own

@@ -1,6 +1,5 @@
 """From the time stamps of a logger to a time step: even, even with pauses, or neither."""
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -35,12 +34,10 @@ class StampError(DataError):
 class TimeBase(NamedTuple):
     """An evenly sampled time axis.
 
-    **Fields:** `step` in seconds; `start`, the first stamp; `pauses`, the samples before which
-    the logger paused.
+    **Fields:** `step` in seconds; `pauses`, the samples before which the logger paused.
     """
 
     step: float
-    start: float
     pauses: np.ndarray
 
 
@@ -77,17 +74,29 @@ def time_base(stamps: np.ndarray) -> TimeBase:
     rounding = _resolution(stamps, usual)
     # A step of an even grid comes out longer by the rounding at most.
     pauses = np.flatnonzero(steps > max(SHORTEST_PAUSE * usual, usual + rounding)) + 1
-    rounded = _coarsely_rounded(stamps, steps, pauses, usual) if pauses.size >= FEWEST_ODD else None
-    if rounded is not None:
-        return rounded
+    if pauses.size >= FEWEST_ODD:
+        # A grid rounded to a digit not much shorter than its step has steps of one digit or of two,
+        # which are no pauses: of 1 or 2 ms at 700 Hz.
+        short = float(np.mean(steps[steps <= 2.5 * np.median(steps)]))
+        longer = np.flatnonzero(steps > short + _resolution(stamps, short / 0.9)) + 1
+        rounded = _grid_of_decimals(stamps, longer) if longer.size < pauses.size else None
+        if rounded is not None:
+            return rounded
+        coarse = _resolution(stamps, usual / 0.85) > 0.4 * usual
+        if coarse and pauses.size > MOST_LOST * steps.size:
+            raise StampError(
+                f"its stamps are too coarse to tell lost rows from rounding: {pauses.size} of"
+                f" {steps.size} steps are longer than {usual:g} s. Give the seconds between samples"
+                f" (--time-step, about {short:.3g} here), or resample the record to a uniform rate"
+                " (on the command line: --resample HZ)."
+            )
     inner = np.delete(steps, pauses - 1)
     step = float(inner.mean()) if inner.size else usual
     # Either no step differs much, while a slow clock may drift; or all stamps lie within their
     # rounding of a grid, while single steps differ by as much as a step.
-    even_steps = inner.size == 0 or np.max(np.abs(inner - step)) <= STEP_TOLERANCE * step + 2 * (
-        np.spacing(np.max(np.abs(stamps)))
-    )
-    if not even_steps and _distance_from_grid(stamps, pauses, step) > 1.01 * rounding:
+    most = STEP_TOLERANCE * step + _finest(stamps) / 2
+    uneven = np.max(np.abs(inner - step), initial=0.0) > most
+    if uneven and _distance_from_grid(stamps, pauses, step) > 1.01 * rounding:
         rounded = _rounded_grid(stamps)
         if rounded is not None:
             return rounded
@@ -95,13 +104,12 @@ def time_base(stamps: np.ndarray) -> TimeBase:
             f"samples must be evenly spaced; steps range from {steps.min():g} to {steps.max():g} s."
             " Resample the record to a uniform rate (on the command line: --resample HZ)."
         )
-    return TimeBase(step, float(stamps[0]), pauses)
+    return TimeBase(step, pauses)
 
 
 def _not_rising(stamps: np.ndarray, steps: np.ndarray) -> StampError:
     """Why stamps do not increase: rows out of order, or stamps too coarse for the rate."""
-    first = int(np.argmax(steps <= 0)) + 1
-    standing = float(np.mean(steps == 0))
+    first, standing = int(np.argmax(steps <= 0)) + 1, float(np.mean(steps == 0))
     if (steps >= 0).all() and standing > COARSE and stamps[-1] > stamps[0]:
         counts = np.unique(stamps, return_counts=True)[1]
         repeated = int(counts[0])
@@ -160,40 +168,16 @@ def _remedy(steps: np.ndarray) -> str:
     return "Sort the record or remove repeated rows."
 
 
-def _coarsely_rounded(
-    stamps: np.ndarray, steps: np.ndarray, pauses: np.ndarray, usual: float
-) -> TimeBase | None:
-    """A grid rounded to a digit not much shorter than its step; `None` if there is none.
-
-    Its steps are of one digit or of two, which are no pauses: of 1 or 2 ms at 700 Hz.
-
-    **Raises:** `StampError` where many steps may be pauses or of such a grid.
-    """
-    short = float(np.mean(steps[steps <= 2.5 * np.median(steps)]))
-    longer = np.flatnonzero(steps > short + _resolution(stamps, short / 0.9)) + 1
-    found = _grid_of_decimals(stamps, longer) if longer.size < pauses.size else None
-    coarse = _resolution(stamps, usual / 0.85) > 0.4 * usual
-    if found is None and coarse and pauses.size > MOST_LOST * steps.size:
-        raise StampError(
-            f"its stamps are too coarse to tell lost rows from rounding: {pauses.size} of"
-            f" {steps.size} steps are longer than {usual:g} s. Give the seconds between samples"
-            f" (--time-step, about {short:.3g} here), or resample the record to a uniform rate (on"
-            " the command line: --resample HZ)."
-        )
-    return found
-
-
 def _grid_of_decimals(stamps: np.ndarray, pauses: np.ndarray) -> TimeBase | None:
     """An even grid that the stamps between pauses are, rounded to decimals; `None` if none is.
 
     All must lie within half a digit of it: rows that are lost here and there do not.
     """
-    edges = np.concatenate([[0], pauses, [stamps.size]])
-    stretches = [stamps[first:last] for first, last in itertools.pairwise(edges)]
+    stretches = np.split(stamps, pauses)
     places = [np.arange(one.size) - (one.size - 1) / 2 for one in stretches]
     step = sum(map(np.dot, places, stretches)) / sum(place @ place for place in places)
     off = _distance_from_grid(stamps, pauses, float(step))
-    return TimeBase(float(step), float(stamps[0]), pauses) if off <= 0.51 * _digit(stamps) else None
+    return TimeBase(float(step), pauses) if off <= 0.51 * _digit(stamps) else None
 
 
 def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
@@ -218,27 +202,19 @@ def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
     step, start = np.polyfit(index, stamps, 1, w=1 / unit)
     off = np.abs(stamps - (start + step * index))
     resolved = unit.min() < 0.5 * step and unit.max() > unit.min()
-    return (
-        TimeBase(float(step), float(stamps[0]), index[:0])
-        if (resolved and np.all(off <= 0.6 * unit))
-        else None
-    )
+    return TimeBase(float(step), index[:0]) if resolved and np.all(off <= 0.6 * unit) else None
 
 
 def _distance_from_grid(stamps: np.ndarray, pauses: np.ndarray, step: float) -> float:
     """How far a stamp lies off the even grid of its own stretch, in seconds."""
-    edges = np.concatenate([[0], pauses, [stamps.size]])
-    return max(
-        float(np.ptp(stamps[first:last] - step * np.arange(last - first))) / 2
-        for first, last in itertools.pairwise(edges)
-    )
+    stretches = np.split(stamps, pauses)
+    return max(float(np.ptp(part - step * np.arange(part.size))) / 2 for part in stretches)
 
 
 def _resolution(stamps: np.ndarray, step: float) -> float:
     """The digit or the 32-bit spacing that the stamps are rounded to; at least 64-bit's."""
-    largest = np.max(np.abs(stamps))
     narrow = np.array_equal(stamps, stamps.astype(np.float32).astype(float))
-    single = float(np.spacing(np.float32(largest))) if narrow else 0.0
+    single = float(np.spacing(np.float32(np.max(np.abs(stamps))))) if narrow else 0.0
     return max(_finest(stamps), single, _digit(stamps, 0.9 * step))
 
 

@@ -33,16 +33,15 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     """
     file = Path(path)
     check_writable(file)
-    writer = WRITERS[file.suffix.lower()]
     if "t" in record.arrays:
         raise DataError("a signal called 't' would take the place of time; give it another name.")
     # NaN in gaps, without the samples that mark pauses.
-    columns = {name: signal.with_nan for name, signal in record.by_name.items()}
-    columns = {"t": np.asarray(record.time, dtype=float)} | columns
+    signals = {name: signal.with_nan for name, signal in record.by_name.items()}
+    columns = {"t": np.asarray(record.time, dtype=float)} | signals
     if record.stamps is not None:
         # Samples that mark a pause: no signal has a value there, and they are off the even grid.
-        (time, *signals), step = columns.values(), float(record.time_step)
-        empty = np.all(np.isnan(signals), axis=0)
+        time, step = columns["t"], float(record.time_step)
+        empty = np.all(np.isnan([*signals.values()]), axis=0)
         off = np.abs(np.diff(time) - step) > STEP_TOLERANCE * step
         # An empty sample beside a pause is a real one, and the pause's lies midway; at an end of a
         # record that was cut there is nothing to lie midway of.
@@ -50,8 +49,12 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
         empty[1:-1] &= np.isclose(time[1:-1], middles, rtol=0, atol=1e-6 * step)
         valid = ~(empty & (np.append(off, False) | np.insert(off, 0, False)))
         columns = {name: values[valid] for name, values in columns.items()}
-    units = dict(record.units)
-    write_file(file, lambda temporary: writer(temporary, columns, units))
+    ending = file.suffix.lower()
+    allowed, refusal = NAMES.get(ending, (lambda name: True, ""))
+    if refused := [name for name in columns if not allowed(name)]:
+        raise DataError(f"{refused[0]!r} cannot {refusal}.")
+    writer = WRITERS[ending]
+    write_file(file, lambda temporary: writer(temporary, columns, dict(record.units)))
 
 
 def check_writable(file: Path) -> None:
@@ -71,18 +74,12 @@ def check_writable(file: Path) -> None:
 
 
 def _write_csv(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
-    for name in columns:
-        if not name.isprintable() or name != name.strip() or not name.strip('"') == name != "":
-            raise DataError(f"{name!r} cannot name a column in CSV; rename it or write NPZ.")
     table = np.column_stack(list(columns.values()))
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(re.sub(FORMULA, r"\1'", name) for name in columns)
         # 17 digits bring every 64-bit number back exactly.
-        if np.isnan(table).any():
-            writer.writerows(["" if x != x else f"{x:.17g}" for x in row] for row in table.tolist())
-        else:
-            np.savetxt(stream, table, delimiter=",", fmt="%.17g")
+        writer.writerows(["" if x != x else f"{x:.17g}" for x in row] for row in table.tolist())
 
 
 def write_npz(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -94,20 +91,7 @@ def write_npz(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
                 np.lib.format.write_array(member, values, allow_pickle=False)
 
 
-def _write_npz(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
-    for name in columns:
-        # What unpacks an archive would write these elsewhere, and cut at a null character.
-        if re.search(r"^[A-Za-z]:|^[/\\]|(^|[/\\])\.\.([/\\]|$)|\0", name):
-            raise DataError(f"{name!r} cannot be a member of an archive; rename it.")
-    write_npz(file, columns)
-
-
 def _write_mat(file: Path, columns: Columns, units: Mapping[str, str]) -> None:
-    for name in columns:
-        if not (name.isidentifier() and name.isascii() and name[0].isalpha()) or len(name) > 31:
-            raise DataError(
-                f"{name!r} cannot be a variable in a MAT file; rename it or write CSV or NPZ."
-            )
     with file.open("wb") as stream:
         scipy.io.savemat(stream, dict(columns), oned_as="column")
 
@@ -128,8 +112,24 @@ def _write_parquet(file: Path, columns: Columns, units: Mapping[str, str]) -> No
 
 WRITERS: dict[str, Callable[[Path, Columns, Mapping[str, str]], None]] = {
     ".csv": _write_csv,
-    ".npz": _write_npz,
+    ".npz": lambda file, columns, _: write_npz(file, columns),
     ".mat": _write_mat,
     ".parquet": _write_parquet,
 }
 """How a record is written, by the file name's ending."""
+NAMES: dict[str, tuple[Callable[[str], object], str]] = {
+    ".csv": (
+        lambda name: name.isprintable() and name == name.strip() and name.strip('"') == name != "",
+        "name a column in CSV; rename it or write NPZ",
+    ),
+    # What unpacks an archive would write others elsewhere, and cut at a null character.
+    ".npz": (
+        lambda name: not re.search(r"^[A-Za-z]:|^[/\\]|(^|[/\\])\.\.([/\\]|$)|\0", name),
+        "be a member of an archive; rename it",
+    ),
+    ".mat": (
+        lambda name: re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name),
+        "be a variable in a MAT file; rename it or write CSV or NPZ",
+    ),
+}
+"""Which names a format can hold, and what is said of others."""

@@ -17,8 +17,8 @@ step. Derivatives by theta commute with phi because phi does not depend on theta
 once and stay. Of an equation linear in theta the second line is exact: the first undamped step is
 [`identify`][] of all equations at once, and ends the search.
 
-A linear equation's `moments` are of [known term moved to the right, columns], so its target is -r:
-hence the change of sign of the first column.
+Of a linear equation the known term moves to the right, and the target is minus that: here -q_k, so
+that its `moments` are of [r, dr/dtheta].
 
 Equations of motion, linear in their parameters or not, and their first-order expansion.
 
@@ -42,7 +42,7 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, require_no_slip, told_apart
-from riecjax.equations.term import AbstractTerm, Term, combined
+from riecjax.equations.term import Term, combined
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import all_normal_equations
@@ -154,26 +154,23 @@ class ParametricBalance(eqx.Module):
         taken off; `ModelError` for a balance that holds nothing or fails.
         """
         held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in self.parameters}
-        moving = tuple(name for name in self.parameters if name in free)
         levels = self._levels(record, held, smoothness)
         name, unit, where = self.label(held)
-        arrays: dict[str, Any] = {}
-        terms: list[AbstractTerm] = []
-        for order, level in levels.items():
-            arrays[f"~:{order}"] = level.values
-            terms.append(Term(1.0, f"~:{order}", derivative=order))
-        for parameter in moving:
+        # The error is the equation's target, so that its rows are those of [r, dr/dtheta].
+        parts: list[tuple[float | str, str, int, Any]] = [
+            (-1.0, f"~:{order}", order, level.values) for order, level in levels.items()
+        ]
+        for parameter in (name for name in self.parameters if name in free):
             along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
             _, slopes = jax.jvp(
                 lambda at: {k: v.values for k, v in self._levels(record, at, smoothness).items()},
                 (held,),
                 (along,),
             )
-            for order, slope in slopes.items():
-                arrays[f"~:{order}/{parameter}"] = slope
-                terms.append(Term(parameter, f"~:{order}/{parameter}", derivative=order))
+            parts += [(parameter, f"~:{k}/{parameter}", k, slope) for k, slope in slopes.items()]
         present = combined(lambda *values: values[0], *levels.values()).present
-        signals = {name: Signal(values, present) for name, values in arrays.items()}
+        signals = {name: Signal(values, present) for _, name, _, values in parts}
+        terms = [Term(coefficient, name, derivative=k) for coefficient, name, k, _ in parts]
         equation = Equation(*terms, name=name, unit=unit, where=where)
         return equation, record.with_signals(signals)
 
@@ -285,7 +282,7 @@ class IntegralMisfit(AbstractMisfit):
         """By blocks of the windows' starts, all records in one piece."""
         parts = self._equations(theta)
         moments = sum(part.moments for part in parts[1:]) + parts[0].moments
-        pieces = _first_negated(moments).reshape(1, -1, *moments.shape[2:])
+        pieces = moments.reshape(1, -1, *moments.shape[2:])
         return Expansion([pieces], jnp.stack([jnp.sum(part.energy) for part in parts]))
 
     def rms(self, energy: Energies) -> Energies:
@@ -303,7 +300,9 @@ class IntegralMisfit(AbstractMisfit):
         short = short_blocks(self.records, self.criterion)
         most = expansion.pieces[0].shape[1] // len(self.records)
         (pieces,) = expansion.pieces
-        moments = _first_negated(pieces).reshape(len(self.records), most, *pieces.shape[2:])
+        # A change of the parameters is to take the error off.
+        moments = pieces.at[..., 0, 1:].multiply(-1.0).at[..., 1:, 0].multiply(-1.0)
+        moments = moments.reshape(len(self.records), most, *pieces.shape[2:])
         share = jnp.sum(self.count) / (len(self.records) * most)
         count = jnp.full(moments.shape[:2], share)
         return NormalEquations(moments, count, self.names), short
@@ -329,11 +328,6 @@ class IntegralMisfit(AbstractMisfit):
             fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
             found.append(equations.fix(fixed).embed(self.names))
         return found
-
-
-def _first_negated(moments: Float[Array, "*n c c"]) -> Float[Array, "*n c c"]:
-    """Moments of rows whose first column is negated."""
-    return moments.at[..., 0, 1:].multiply(-1.0).at[..., 1:, 0].multiply(-1.0)
 
 
 class IntegralError(AbstractObjective):

@@ -21,14 +21,14 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from riecjax.equations.equation import Equation
-from riecjax.equations.model import Model, as_model, require_no_slip
+from riecjax.equations.equation_system import EquationSystem
+from riecjax.equations.model import Model, as_model, equation_system, require_no_slip
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import AbstractEstimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 from riecjax.records.record import Record
-from riecjax.simulation.equation_system import EquationSystem, equation_system
 from riecjax.simulation.system import AbstractSystem
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.task import record_keys
@@ -153,26 +153,6 @@ class ByCoefficients(AbstractParametric):
     unit_pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
     known: tuple[str, ...] = eqx.field(static=True)
 
-    @classmethod
-    def of(
-        cls,
-        model: Equation | Model,
-        rates: Mapping[str, Any] | None = None,
-        defaults: Mapping[str, float] | None = None,
-    ) -> "ByCoefficients":
-        """The system of equations, with `rates` of further states and values to begin with.
-
-        **Raises:** `ModelError` if the equations cannot be simulated.
-        """
-        model = as_model(model)
-        # In general position: of two equal inertias, coupled by a third, ones would be singular.
-        generic = np.random.default_rng(0).uniform(0.5, 1.5, len(model.parameter_names))
-        given = {**(defaults or {}), **model.known}
-        known = {name: jnp.asarray(value, float) for name, value in given.items()}
-        values = {**dict(zip(model.parameter_names, generic)), **known}
-        system = equation_system(model, values, rates=rates)
-        return cls(system, tuple(model.units.items()), tuple(known))
-
     @property
     def parameters(self) -> tuple[str, ...]:
         """The coefficients."""
@@ -213,9 +193,8 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
         return ByCoefficients(model, tuple(units.items()), tuple(model.values))
     if isinstance(model, AbstractSystem):
         return ByFields(model)
-    if isinstance(model, Equation):
-        return ByCoefficients.of(model)
-    if isinstance(model, Model):
+    if isinstance(model, Equation | Model):
+        model = as_model(model)
         quantities = model.simulation_parameters
         defaults = {q.name: q.default for q in quantities if q.default is not None}
         if model.has_own_system(record):
@@ -223,8 +202,13 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
             return ByFunction(
                 model.system.build, tuple(q.name for q in quantities), units, defaults
             )
-        known = defaults if model.is_driven_by(record) else {}
-        return ByCoefficients.of(model, model.driven_rates(record), known)
+        given = {**(defaults if model.is_driven_by(record) else {}), **model.known}
+        known = {name: jnp.asarray(value, float) for name, value in given.items()}
+        # In general position: of two equal inertias, coupled by a third, ones would be singular.
+        generic = np.random.default_rng(0).uniform(0.5, 1.5, len(model.parameter_names))
+        values = {**dict(zip(model.parameter_names, generic)), **known}
+        system = equation_system(model, values, rates=model.driven_rates(record))
+        return ByCoefficients(system, tuple(model.units.items()), tuple(known))
     if callable(model):
         return ByFunction(model)
     raise ModelError(

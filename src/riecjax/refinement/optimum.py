@@ -98,6 +98,7 @@ as reached, and the coordinate is held (see `Problem`). Float32 has no more digi
 parameter from its bound.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -181,7 +182,7 @@ class Linearised(eqx.Module):
             # Of one window, initial states are as any parameter.
             none = jnp.zeros(columns - 1 - p, self.moments.dtype)
             prior, slope = (jnp.append(held, none) for held in (self.prior, self.prior_slope))
-            joined = Linearised(self.moments, prior, slope, self.lowest, self.highest, self.aside)
+            joined = dataclasses.replace(self, prior=prior, prior_slope=slope)
             whole, work, damped = joined.step(damping)
             return Point(whole.parameters[:p], whole.parameters[None, p:]), work, damped
         gram = self.moments[:, 1:, 1:]
@@ -216,11 +217,8 @@ class Linearised(eqx.Module):
         return triangular_factor(self.moments)
 
 
-class Residual(eqx.Module):
-    """First columns of `factors`: `windows`, one row for each; and those of the `priors`."""
-
-    windows: Float[Array, "windows columns"]
-    priors: Float[Array, " p"]
+Residual = tuple[Float[Array, "windows columns"], Float[Array, " p"]]
+"""First columns of `factors`, one row for each window; and the residuals of the priors."""
 
 
 class _State(eqx.Module):
@@ -449,16 +447,10 @@ class Constraints(eqx.Module):
                     f"the prior of {name} is {prior!r}. Write (mean, standard deviation), a finite "
                     f"mean."
                 )
-        if wrong := [name for name, prior in priors.items() if not prior[1] > 0]:
-            raise ModelError(f"the prior of {wrong[0]} needs a positive standard deviation.")
-        normal = [priors.get(name, (0.0, np.inf)) for name in names]
-        return cls(
-            lower,
-            upper,
-            np.array([mean for mean, _ in normal], float),
-            np.array([1 / std for _, std in normal], float),
-            bool(priors),
-        )
+            if not prior[1] > 0:
+                raise ModelError(f"the prior of {name} needs a positive standard deviation.")
+        mean, std = np.array([priors.get(name, (0.0, np.inf)) for name in names], float).T
+        return cls(lower, upper, mean, 1 / std, bool(priors))
 
 
 def is_pair(given: Any, or_none: bool = False) -> bool:
@@ -591,7 +583,7 @@ def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearis
     **Returns:** these, and the linearised problem that they come from.
     """
     at = problem.linearised(point)
-    return Residual(at.factors()[:, :, 0], at.prior), at
+    return (at.factors()[:, :, 0], at.prior), at
 
 
 @reduced_residual.def_jvp
@@ -605,10 +597,10 @@ def _reduced_residual_jvp(primals: Any, tangents: Any) -> Any:
     initial = jnp.zeros_like(point.initial) if along.initial is None else along.initial
     moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], parameters)
     moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], initial)
-    residual = Residual(factors[:, :, 0], at.prior)
     # What comes beside the residual is looked at, never differentiated.
     aside = jax.tree.map(jnp.zeros_like, at)
-    return (residual, at), (Residual(moved, at.prior_slope * parameters), aside)
+    residual = factors[:, :, 0], at.prior
+    return (residual, at), ((moved, at.prior_slope * parameters), aside)
 
 
 @eqx.filter_custom_jvp
@@ -672,14 +664,14 @@ def search(
     # The point differentiates by anything in `problem`, forward and in reverse.
     point = _implicit(jax.lax.stop_gradient(solution.value), problem)
     theta, initial = problem.values(point)
-    status, ended = RefinementStatus.failed, optx.RESULTS
-    for result, reason in (
-        (ended.nonlinear_max_steps_reached, RefinementStatus.out_of_steps),
-        (ended.successful, RefinementStatus.converged),
+    status, lost = RefinementStatus.failed, RefinementStatus.not_finite
+    spent = solution.result == optx.RESULTS.nonlinear_max_steps_reached
+    for ended, reason in (
+        (spent, RefinementStatus.out_of_steps),
+        (solution.result == optx.RESULTS.successful, RefinementStatus.converged),
+        (begun.status == lost, lost),
     ):
-        status = RefinementStatus.where(solution.result == result, reason, status)
-    lost = RefinementStatus.not_finite
-    status = RefinementStatus.where(begun.status == lost, lost, status)
+        status = RefinementStatus.where(ended, reason, status)
     expansion, steps = solution.aux.aside, begun.steps + solution.stats["num_steps"]
     reached = Reached(theta, initial, expansion.energy, status, steps)
     at_bound = problem.coordinates.at_bound(theta)

@@ -61,7 +61,7 @@ from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, held_still, is_concrete, is_number
+from riecjax.leaves import Leaf, held_still, is_concrete, is_number, namespace
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, Signal, both, filled_up, shared_length
@@ -102,11 +102,6 @@ class Shots(eqx.Module):
         """Index of each sample of each window; the last one again beyond its length."""
         steps = jnp.arange(self.longest)[None, :]
         return jnp.asarray(self.first)[:, None] + jnp.minimum(steps, self.length[:, None] - 1)
-
-    @property
-    def inside(self) -> Array:
-        """Which of these lie within the window's length."""
-        return within(self.length, self.longest)
 
 
 def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows longest"]:
@@ -218,8 +213,7 @@ class Recorded(eqx.Module):
       by time steps, zero or `None` where they are straight lines between samples.
     - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
     - `present`: which of these count.
-    - `initial`: initial state of each window as it was recorded, `(windows, states)`; `square`,
-      mean square of each state over the record.
+    - `initial`: initial state of each window as it was recorded, `(windows, states)`.
     - `position`: sample at which each compared one stands in the record, `(windows, compared)`.
     - `length` of each window in samples, `(windows,)`.
     - `time_step` in seconds; `sample_count` of the record.
@@ -232,7 +226,6 @@ class Recorded(eqx.Module):
     measured: Float[Array, "windows compared channels"]
     present: Array
     initial: Float[Array, "windows states"]
-    square: Float[Array, " states"]
     position: Int[Array, "windows compared"]
     length: Int[Array, " windows"]
     time_step: Float[Array, ""]
@@ -263,17 +256,13 @@ class Recorded(eqx.Module):
 
 def over_windows(function: Callable[[Any, Recorded], Any], initial: Array, part: Recorded) -> Any:
     """A function of each window's initial state and recording."""
-    batched = eqx.tree_at(
-        lambda r: (r.levels, r.bends, r.measured, r.present, r.initial, r.position, r.length),
-        jax.tree.map(lambda _: None, part),
-        (0, 0, 0, 0, 0, 0, 0),
-        is_leaf=lambda leaf: leaf is None,
-    )
-    return jax.vmap(function, in_axes=(0, batched))(initial, part)
+    axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, part)
+    return jax.vmap(function, in_axes=(0, axes))(initial, part)
 
 
 Along = tuple[Leaf, Leaf]
 """States and inputs at points along a recording."""
+States = Float[Array, "windows longest states"]
 
 
 class Compared(NamedTuple):
@@ -306,13 +295,14 @@ def _cut(
     counts: Sequence[Int[Array, ""]],
     shots: Sequence[Shots],
     compared: Compared,
-) -> tuple[list[Recorded], list[Along]]:
-    """What recordings hold in their windows; states and inputs at points spread over them.
+) -> tuple[list[Recorded], list[Along], Float[Array, " states"]]:
+    """What recordings hold in their windows; states and inputs at points spread over them; and the
+    mean square of each state over the first.
 
     **Arguments:** `counts`, samples of each; what lies behind only fills it up.
     """
     channels, given, every, joined, smooth = compared
-    recorded, along = [], []
+    recorded, along, squares = [], [], []
     for record, sample_count, cut in zip(records, counts, shots):
         states, n = measured_states(system, record), record.sample_count
         inputs = jnp.zeros((n, 0), record.time_step.dtype)
@@ -327,7 +317,7 @@ def _cut(
             place = system.state_names.index(name)
             initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
         # An initial state that is taken from the record leaves no error there.
-        inside = cut.inside[:, ::every]
+        inside = within(cut.length, cut.longest)[:, ::every]
         inside = inside.at[:, 0].set(inside[:, 0] & (not joined))
         masks = (record.present((name,)) for name in channels)
         present = [inside if mask is None else inside & mask[position] for mask in masks]
@@ -339,13 +329,13 @@ def _cut(
             # Of the whole record: a window's neighbours tell what its inputs do at its ends.
             bends = bends_of(inputs, record.present(system.input_names), smooth)[cut.samples]
         held = jnp.arange(n) < sample_count
+        squares.append(jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count)
         own = Recorded(
             inputs[cut.samples],
             bends,
             jnp.stack([record[name][position] for name in channels], axis=-1),
             jnp.stack(present, axis=-1),
             initial,
-            jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count,
             position,
             jnp.asarray(cut.length),
             record.time_step,
@@ -356,7 +346,7 @@ def _cut(
             min(max(short // every, 1), position.shape[1]),
         )
         recorded.append(own)
-    return recorded, along
+    return recorded, along, squares[0]
 
 
 THRESHOLD = 1.345
@@ -366,9 +356,6 @@ LEAST_NOISE = 1e-3
 
 Threshold: TypeAlias = Float[Array, "1 channels"] | None
 """Past which a channel's loss is straight, in units of its residuals; `None` where nowhere."""
-Columns: TypeAlias = Callable[[Array, Array, Threshold], tuple[Array, Array]]
-"""Of residuals and their slopes, two sets of columns whose products are moments from the diagonal
-up: energies, scores and curvatures."""
 
 
 def as_square(
@@ -382,31 +369,23 @@ def as_square(
     return jnp.where(jnp.abs(residual) <= threshold, residual, bent)
 
 
-def for_search(
+def loss_columns(
     level: Float[Array, "*n channels"],
     slopes: Float[Array, "*n channels columns"],
     threshold: Threshold,
+    curved: bool,
 ) -> tuple[Array, Array]:
-    """f and its slopes."""
-    square = as_square(level, threshold)
-    if threshold is not None:
-        bent = jnp.clip(level, -threshold, threshold) / jnp.where(square == 0, 1.0, square)
-        slopes = slopes * jnp.where(square == 0, 1.0, bent)[..., None]
-    columns = jnp.concatenate([square[..., None], slopes], axis=-1)
-    return columns, columns
-
-
-def for_scatter(
-    level: Float[Array, "*n channels"],
-    slopes: Float[Array, "*n channels columns"],
-    threshold: Threshold,
-) -> tuple[Array, Array]:
-    """f^2, psi times slopes, and slopes times each other up to the threshold."""
-    assert threshold is not None
-    score = jnp.clip(level, -threshold, threshold)
-    energy = as_square(level, threshold) ** 2 / jnp.where(score == 0, 1.0, score)
-    inside = slopes * (jnp.abs(level) <= threshold)[..., None]
-    left = jnp.concatenate([score[..., None], inside], axis=-1)
+    """Of residuals and their slopes, two sets of columns whose products are moments from the
+    diagonal up: f^2, psi times slopes, and slopes times each other and f'^2, or psi' if `curved`.
+    """
+    if threshold is None:
+        columns = jnp.concatenate([level[..., None], slopes], axis=-1)
+        return columns, columns
+    score, energy = jnp.clip(level, -threshold, threshold), as_square(level, threshold) ** 2
+    inside = jnp.abs(level) <= threshold
+    weight = inside if curved else jnp.where(inside, 1.0, score**2 / jnp.where(inside, 1.0, energy))
+    left = jnp.concatenate([score[..., None], weight[..., None] * slopes], axis=-1)
+    energy = energy / jnp.where(score == 0, 1.0, score)
     return left, jnp.concatenate([energy[..., None], slopes], axis=-1)
 
 
@@ -416,15 +395,6 @@ PROFILED = 1e-6
 """Share of the sum of squares that better initial states would still take off: as good as none."""
 MOST_TRIALS = 8
 """Initial states that are tried for each window."""
-
-
-class _Profiling(NamedTuple):
-    """Initial states to try, the least energy so far, whether to go on, and trials left."""
-
-    trial: Float[Array, "windows s"]
-    energy: Energies
-    going: Array
-    left: Int[Array, ""]
 
 
 class OutputMisfit(AbstractMisfit):
@@ -484,20 +454,21 @@ class OutputMisfit(AbstractMisfit):
         held, initial = held_still((dataclasses.replace(self, table=table), initial))
         none = jnp.zeros(0, initial.dtype)
 
-        def tried(state: _Profiling) -> _Profiling:
-            at = held.expansion(none, state.trial)
+        # Initial states to try, the least energy so far, trials left, and whether to go on.
+        def tried(state: tuple[Array, Energies, Array, Array]) -> tuple[Array, ...]:
+            trial, least, trials, _ = state
+            at = held.expansion(none, trial)
             moments = at.moments()
-            better = jnp.sum(at.energy) < jnp.sum(state.energy)
-            energy = jnp.where(better, at.energy, state.energy)
+            better = jnp.sum(at.energy) < jnp.sum(least)
+            energy = jnp.where(better, at.energy, least)
             gradient = moments[:, 1:, :1]
             step = -jax.vmap(lambda g, r: solve_scaled(g, r, RIDGE))(moments[:, 1:, 1:], gradient)
             going = better & (-jnp.sum(gradient * step) > PROFILED * jnp.sum(energy))
-            trial = state.trial + step[:, :, 0]
-            return _Profiling(trial, energy, going & (state.left > 0), state.left - 1)
+            return trial + step[:, :, 0], energy, trials - 1, going & (trials > 0)
 
         infinite = jnp.full(len(self.labels), jnp.inf, initial.dtype)
-        first = _Profiling(initial, infinite, jnp.asarray(True), jnp.asarray(MOST_TRIALS))
-        return jax.lax.while_loop(lambda state: state.going, tried, first).energy
+        first: Any = (initial, infinite, jnp.asarray(MOST_TRIALS), jnp.asarray(True))
+        return jax.lax.while_loop(lambda state: state[3], tried, first)[1]
 
     @property
     def steps_label(self) -> str:
@@ -527,13 +498,13 @@ class OutputMisfit(AbstractMisfit):
 
     def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """Of each window of each record, in pieces of time."""
-        return self._expansion(theta, initial, for_search)
+        return self._expansion(theta, initial, False)
 
     def curved(self, theta: Theta, initial: Initial, found: Expansion) -> Expansion:
         """With the curvature of Huber's loss itself, none past its threshold."""
-        return found if self.threshold is None else self._expansion(theta, initial, for_scatter)
+        return found if self.threshold is None else self._expansion(theta, initial, True)
 
-    def _expansion(self, theta: Theta, initial: Initial, columns: Columns) -> Expansion:
+    def _expansion(self, theta: Theta, initial: Initial, curved: bool) -> Expansion:
 
         def of_window(initial: Array, window: Recorded, index: int) -> tuple[Array, Array]:
             # Residuals, and their derivatives by parameters and initial states.
@@ -547,7 +518,7 @@ class OutputMisfit(AbstractMisfit):
 
             directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
             level, slopes = jax.vmap(along, out_axes=(None, 2))(directions)
-            left, right = columns(level, slopes, self.threshold)
+            left, right = loss_columns(level, slopes, self.threshold, curved)
             cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
             moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
             if left is not right:
@@ -599,84 +570,55 @@ class OutputMisfit(AbstractMisfit):
             moments = jax.vmap(lambda m: _without_initial(m, p))(pieces)
             position = part.position[:, :: part.piece]
             index = jnp.minimum(position // samples, number - 1).reshape(-1)
-            held = jnp.sum(_in_pieces(part.present, part.piece, axis=1), axis=(2, 3))
+            held = jax.vmap(partial(_in_pieces, length=part.piece))(part.present).sum(axis=(2, 3))
             flat, held = moments.reshape(-1, *moments.shape[2:]), held.reshape(-1)
-            # Of one window the pieces are the blocks, and there is nothing to add up.
-            if part.windows > 1 or part.piece * part.every != samples or len(flat) != most:
-                flat = jax.ops.segment_sum(flat, index, num_segments=most)
-                held = jax.ops.segment_sum(held, index, num_segments=most)
+            flat, held = (jax.ops.segment_sum(v, index, num_segments=most) for v in (flat, held))
             parts.append(NormalEquations(flat, held.astype(flat.dtype), self.names))
             numbers.append(number)
             seconds.append(samples * part.time_step)
         return stack_normal_equations(parts), ShortBlocks(jnp.stack(numbers), jnp.stack(seconds))
 
-    def simulated(
+    def _error(
         self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
     ) -> Float[Array, "compared channels"]:
-        """The channels at the compared samples of one window of record number `index`."""
+        """Of one window of record number `index`."""
         system = self.system.build(self.of_record(theta, index))
         first = window.initial
         if self.estimated:
             first = first.at[np.array(self.estimated)].set(initial)
         states, kept = window.trajectory(self.method, system, first)
-        found = observed(
-            system, states[:: window.every], window.levels[:: window.every], self.labels
-        )
+        states, levels = states[:: window.every], window.levels[:: window.every]
+        # A state goes before an output of its name, and that before a state's derivative.
+        made, names = {}, system.state_names
+        outputs = {name for name, _ in system.outputs} - {*names}
+        if {*self.labels} - outputs - {*names}:
+            rates = jax.vmap(system.derivative)(states, levels)
+            made |= {f"d{name}": rates[:, i] for i, name in enumerate(names)}
+        if outputs & {*self.labels}:
+            made |= jax.vmap(system.output)(states, levels)
+        made |= {name: states[:, i] for i, name in enumerate(names)}
+        simulated = jnp.stack([made[name] for name in self.labels], axis=-1)
         # What a lost simulation shows after its loss must not pass for an answer.
-        return jnp.where(kept, found, jnp.inf)
-
-    def _error(
-        self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
-    ) -> Float[Array, "compared channels"]:
-        found = self.simulated(theta, initial, window, index)
-        return jnp.where(window.present, (found - window.measured) / self.sigma[None, :], 0.0)
+        simulated = jnp.where(kept, simulated, jnp.inf)
+        return jnp.where(window.present, (simulated - window.measured) / self.sigma[None, :], 0.0)
 
 
-def observed(
-    system: AbstractSystem,
-    states: Float[Array, "n states"],
-    levels: Float[Array, "n inputs"],
-    channels: tuple[str, ...],
-) -> Float[Array, "n channels"]:
-    """Channels of a trajectory: states, their derivatives `d<state>`, and outputs."""
-    names = system.state_names
-    rates = {f"d{name}": i for i, name in enumerate(names)}
-    outputs = dict(system.outputs)
-    flow = made = None
-    columns = []
-    for channel in channels:
-        if channel in names:
-            columns.append(states[:, names.index(channel)])
-        elif channel in outputs:
-            made = jax.vmap(system.output)(states, levels) if made is None else made
-            columns.append(made[channel])
-        else:
-            flow = jax.vmap(system.derivative)(states, levels) if flow is None else flow
-            columns.append(flow[:, rates[channel]])
-    return jnp.stack(columns, axis=-1)
-
-
-def _in_pieces(values: Array, length: int, axis: int = 0) -> Array:
-    """One axis cut into pieces of a length, the last one filled up with zeros."""
-    n = values.shape[axis]
-    count = -(-n // length)
-    pad = [(0, 0)] * values.ndim
-    pad[axis] = (0, count * length - n)
-    shape = (*values.shape[:axis], count, length, *values.shape[axis + 1 :])
-    return jnp.pad(values, pad).reshape(shape)
+def _in_pieces(values: Array, length: int) -> Array:
+    """The first axis cut into pieces of a length, the last one filled up with zeros."""
+    count = -(-values.shape[0] // length)
+    pad = [(0, count * length - values.shape[0])] + [(0, 0)] * (values.ndim - 1)
+    return jnp.pad(values, pad).reshape(count, length, *values.shape[1:])
 
 
 def _without_initial(
     pieces: Float[Array, "pieces columns columns"], p: int
 ) -> Float[Array, "pieces 1+p 1+p"]:
     """Moments of minus the residual and of its derivatives while initial states follow."""
-    head = jnp.eye(1 + p, dtype=pieces.dtype).at[0, 0].set(-1.0)
-    if pieces.shape[-1] == 1 + p:
-        return jnp.einsum("ia,pij,jb->pab", head, pieces, head)
-    whole = jnp.sum(pieces, axis=0)
-    following = solve_scaled(whole[1 + p :, 1 + p :], whole[1 + p :, 1 : 1 + p], ridge=RIDGE)
-    tail = jnp.concatenate([jnp.zeros_like(whole[1 + p :, :1]), -following], axis=1)
-    mix = jnp.concatenate([head, tail])
+    mix = jnp.eye(1 + p, dtype=pieces.dtype).at[0, 0].set(-1.0)
+    if pieces.shape[-1] > 1 + p:
+        whole = jnp.sum(pieces, axis=0)
+        following = solve_scaled(whole[1 + p :, 1 + p :], whole[1 + p :, 1 : 1 + p], ridge=RIDGE)
+        mix = jnp.concatenate([mix, jnp.pad(-following, [(0, 0), (1, 0)])])
     return jnp.einsum("ia,pij,jb->pab", mix, pieces, mix)
 
 
@@ -771,8 +713,15 @@ class OutputError(AbstractObjective):
                     f"sigma of {name} is {value!r}: a standard deviation is a positive number, in "
                     f"the unit of {name}."
                 )
+        sources = [state_sources(system, record) for record in specified.records]
         given = self.initial_states if isinstance(self.initial_states, Mapping) else {}
-        estimated = _estimated(system, specified.records, self.initial_states)
+        system.require_states(given)
+        known = {*given}
+        if self.initial_states == "measured":
+            names = system.state_names
+            known = {name for name in names if all(s[name] == "measured" for s in sources)}
+        # Places of the states whose initial values are estimated.
+        estimated = tuple(i for i, name in enumerate(system.state_names) if name not in known)
         joined = not estimated
         # A missing sample of an input breaks the motion; of a free motion, one of any signal.
         inputs = [system.input_names or tuple(record.arrays) for record in specified.records]
@@ -788,17 +737,19 @@ class OutputError(AbstractObjective):
         records = specified.records
         if is_concrete(records):
             records = [_filled(record) for record in records]
-        recorded, along = _cut(system, records, counts, shots, cut)
-        method, simulated = _method(system, specified.records, recorded, along, self.method)
+        recorded, along, squares = _cut(system, records, counts, shots, cut)
+        told = not any("zero" in by_state.values() for by_state in sources)
+        method, simulated = _method(system, recorded, along, told, self.method)
         units = dict(system.states) | dict(system.outputs)
-        sigma, scale = _sizes(
-            tuple(state_sources(system, specified.records[0]).values()),
-            recorded,
-            dict(self.sigma or {}),
-            channels,
-            estimated,
-            simulated,
+        motion = None if simulated is None else (tuple(sources[0].values()), simulated)
+        given_sigma = dict(self.sigma or {})
+        sigma, deviation, scale = _scales(
+            recorded, given_sigma, channels, estimated, squares, motion
         )
+        threshold = None
+        if self.loss == "huber":
+            noise = noise_levels(specified.records, channels)
+            threshold = THRESHOLD * jnp.maximum(noise, LEAST_NOISE * deviation)[None, :] / sigma
         return OutputMisfit(
             system=model,
             recorded=recorded,
@@ -807,9 +758,7 @@ class OutputError(AbstractObjective):
             scale=scale,
             longest_window=jnp.zeros_like(scale, shape=()),
             method=method,
-            threshold=None
-            if self.loss == "squares"
-            else THRESHOLD * (_noise(specified.records, recorded, channels) / sigma)[None, :],
+            threshold=threshold,
             labels=channels,
             units=tuple(units.get(name, "") for name in channels),
             estimated=estimated,
@@ -860,36 +809,22 @@ def _computed(record: Record, names: Sequence[str]) -> set[str]:
     return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
 
 
-def _estimated(
-    system: AbstractSystem, records: Sequence[Record], initial: str | Mapping[str, Any]
-) -> tuple[int, ...]:
-    """Places of the states whose initial values are estimated."""
-    if isinstance(initial, Mapping):
-        system.require_states(initial)
-        known = set(initial)
-    elif initial == "measured":
-        sources = [state_sources(system, record) for record in records]
-        known = {n for n in system.state_names if all(s[n] == "measured" for s in sources)}
-    else:
-        known = set()
-    return tuple(i for i, name in enumerate(system.state_names) if name not in known)
-
-
 def _method(
     system: AbstractSystem,
-    records: Sequence[Record],
     recorded: Sequence[Recorded],
     along: Sequence[Along],
+    told: bool,
     asked: AbstractMethod | None,
-) -> tuple[AbstractMethod, Float[Array, "windows longest states"] | None]:
-    """The method that was asked for, or steps for the fastest motion of all recordings.
+) -> tuple[AbstractMethod, States | None]:
+    """The method that was asked for, or steps for the fastest motion of all recordings, which are
+    `told` all states, or not.
 
     **Returns:** the method; the first recording's motion, simulated, if it has states that no
     recording tells.
     """
     free = asked is None and is_concrete(system, recorded)
     method = FixedStep(_steps(system, recorded, along)) if free else asked or FixedStep()
-    if not any("zero" in state_sources(system, record).values() for record in records):
+    if told:
         return method, None
     simulated, kept = _trajectories(system, recorded, method)
     if not isinstance(method, FixedStep) or not free:
@@ -900,7 +835,12 @@ def _method(
         simulated, kept = _trajectories(system, recorded, FixedStep(steps))
     if not all(kept):
         return method, simulated[0]
-    along = [_spread(states, part) for states, part in zip(simulated, recorded)]
+    along = []
+    for states, part in zip(simulated, recorded):
+        # Of the samples within all windows: what lies behind may run away.
+        places = np.nonzero(np.asarray(within(part.length, states.shape[1])))
+        at = tuple(place[spread_points(place.size)] for place in places)
+        along.append((np.asarray(states)[at], np.asarray(part.levels)[at]))
     return FixedStep(max(steps, _steps(system, recorded, along))), simulated[0]
 
 
@@ -911,18 +851,10 @@ def _steps(system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence
     )
 
 
-def _spread(states: Leaf, part: Recorded) -> Along:
-    """Of the samples within all windows, those to look at: what lies behind may run away."""
-    window, sample = np.nonzero(np.asarray(within(part.length, states.shape[1])))
-    chosen = spread_points(window.size)
-    at = window[chosen], sample[chosen]
-    return np.asarray(states)[at], np.asarray(part.levels)[at]
-
-
 @kept_jit
 def _trajectories(
     system: AbstractSystem, recorded: Sequence[Recorded], method: AbstractMethod
-) -> tuple[list[Float[Array, "windows longest states"]], list[Bool[Array, ""]]]:
+) -> tuple[list[States], list[Bool[Array, ""]]]:
     """Of each window of each recording, and whether all kept their solution."""
     runs = [
         over_windows(lambda first, own: own.trajectory(method, system, first), part.initial, part)
@@ -932,46 +864,42 @@ def _trajectories(
 
 
 @kept_jit
-def _sizes(
-    sources: tuple[str, ...],
+def _scales(
     recorded: Sequence[Recorded],
     sigma: dict[str, Any],
     channels: tuple[str, ...],
     estimated: tuple[int, ...],
-    simulated: Float[Array, "windows longest states"] | None,
-) -> tuple[Float[Array, " channels"], Float[Array, " s"]]:
-    """What channels are weighed by, and the size of estimated states."""
-    weights = _sigma(sigma, channels, recorded)
-    if not estimated:
-        return weights, jnp.ones(0)
-    # Root mean square of each state: recorded, else simulated; 1 of one that rests.
-    size = recorded[0].square
-    if simulated is not None:
-        inside = within(recorded[0].length, simulated.shape[1])
-        squares = jnp.where(inside[..., None], simulated, 0.0) ** 2
-        of_motion = jnp.sum(squares, axis=(0, 1)) / jnp.sum(recorded[0].length)
-        size = jnp.where(np.array([source == "zero" for source in sources]), of_motion, size)
-    usable = jnp.isfinite(size) & (size > 0)
-    scale = jnp.sqrt(jnp.where(usable, jnp.where(usable, size, 1.0), 1.0))
-    return weights, scale[np.array(estimated)]
+    squares: Float[Array, " states"],
+    simulated: tuple[tuple[str, ...], States] | None,
+) -> tuple[Float[Array, " channels"], Float[Array, " channels"], Float[Array, " s"]]:
+    """What channels are weighed by, their standard deviations, and the size of estimated states.
 
-
-def _sigma(
-    given: Mapping[str, Any], channels: tuple[str, ...], recorded: Sequence[Recorded]
-) -> Float[Array, " channels"]:
-    """Given values, else the standard deviation of each channel over all that is compared."""
+    **Arguments:** `squares` of the states over the first recording, and that motion as simulated
+    with the source of each state.
+    """
 
     def mean(of: Callable[[Array], Array]) -> Array:
         held = (jnp.where(part.present, of(part.measured), 0.0) for part in recorded)
         return sum(jnp.sum(values, axis=(0, 1)) for values in held) / _counts(recorded)
 
+    # Of each channel over all that is compared.
     centre = mean(lambda measured: measured)
     variance = mean(lambda measured: (measured - centre[None, None, :]) ** 2)
-    spread = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 1.0)
-    chosen = [
-        jnp.asarray(given.get(name, spread[i]), spread.dtype) for i, name in enumerate(channels)
-    ]
-    return jnp.stack(chosen)
+    deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 1.0)
+    chosen = [sigma.get(name, deviation[i]) for i, name in enumerate(channels)]
+    weights = jnp.stack([jnp.asarray(each, deviation.dtype) for each in chosen])
+    if not estimated:
+        return weights, deviation, jnp.ones(0)
+    # Root mean square of each state: recorded, else simulated; 1 of one that rests.
+    if simulated is not None:
+        sources, states = simulated
+        inside = within(recorded[0].length, states.shape[1])
+        motion = jnp.sum(jnp.where(inside[..., None], states, 0.0) ** 2, axis=(0, 1))
+        told = np.array([source != "zero" for source in sources])
+        squares = jnp.where(told, squares, motion / jnp.sum(recorded[0].length))
+    usable = jnp.isfinite(squares) & (squares > 0)
+    scale = jnp.sqrt(jnp.where(usable, jnp.where(usable, squares, 1.0), 1.0))
+    return weights, deviation, scale[np.array(estimated)]
 
 
 def _counts(recorded: Sequence[Recorded]) -> Float[Array, " channels"]:
@@ -980,11 +908,10 @@ def _counts(recorded: Sequence[Recorded]) -> Float[Array, " channels"]:
     return jnp.maximum(sum(counts), 1)
 
 
-def _noise(
-    records: Sequence[Record], recorded: Sequence[Recorded], channels: tuple[str, ...]
-) -> Float[Array, " channels"]:
-    """Standard deviation of each channel's noise, over all records."""
+def noise_levels(records: Sequence[Record], channels: Sequence[str]) -> Float[Leaf, " channels"]:
+    """Standard deviation of each channel's noise over all records, as they or their samples tell
+    it."""
     known = [judged(record, "auto", *channels).noise for record in records]
-    mean = [sum(noise.std(name) ** 2 for noise in known) / len(known) for name in channels]
-    least = LEAST_NOISE * _sigma({}, channels, recorded)
-    return jnp.maximum(jnp.sqrt(jnp.stack([jnp.asarray(each) for each in mean])), least)
+    levels = [[noise.std(name) for name in channels] for noise in known]
+    xp = namespace(levels)
+    return xp.sqrt(xp.mean(xp.square(xp.asarray(levels, float)), axis=0))

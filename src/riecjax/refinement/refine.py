@@ -36,7 +36,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from riecjax.compilation import kept_jit
 from riecjax.errors import require
 from riecjax.estimation.estimate import AbstractEstimate
-from riecjax.estimation.parameters import ParameterTable, require_settings
+from riecjax.estimation.parameters import require_settings
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.records.record import Records, as_records
@@ -58,7 +58,7 @@ from riecjax.refinement.optimum import (
     search,
 )
 from riecjax.refinement.output_error import OutputError
-from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich, Uncertainty
+from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich
 
 OF_AN_ERROR = 0.2
 """Change in standard errors up to which steps do not matter: it adds 2 % to a root mean square."""
@@ -182,9 +182,6 @@ class Refined(AbstractEstimate):
     - `by`: what was made small, in plain data.
     """
 
-    theta: Float[Array, "*batch p"]
-    uncertainty: Uncertainty
-    table: ParameterTable
     status: RefinementStatus
     steps: Int[Array, ""]
     rms_before: Float[Array, " quantities"]
@@ -193,11 +190,8 @@ class Refined(AbstractEstimate):
     cost: Float[Array, ""]
     initial_states: Float[Array, "windows s"]
     at_bound: Bool[Array, " p"]
-    inflation: Float[Array, " p"]
     step_change: Float[Leaf, " p"]
     coarse: Bool[Leaf, " p"]
-    block_count: Int[Array, ""]
-    block_length: Float[Array, ""]
     steps_label: str = eqx.field(static=True)
     quantities: tuple[str, ...] = eqx.field(static=True)
     quantity_units: tuple[str, ...] = eqx.field(static=True)
@@ -384,17 +378,17 @@ def refined_of(
     # it from the search before, a fixed-point iteration.
     misfit, theta = objective.misfit(specified), specified.theta
     first = misfit.first_initial()
-    begun, rms = _begin(misfit, theta, first)
-    reached, halving = begun, None
+    reached = halving = None
     while True:
-        optimum = search(misfit, constraints, theta, reached, *settings)
+        begun, rms = _begin(misfit, theta, first)
+        optimum = search(misfit, constraints, theta, reached or begun, *settings)
         for _ in range(FURTHER_ROUNDS if constraints.has_priors else 0):
             optimum = search(misfit, constraints, theta, optimum.reached, *settings)
         before, halving = halving, halve_steps(misfit, optimum, theta)
         reached, finer = optimum.reached, with_finer_steps(misfit, halving, before)
         if finer is None:
             break
-        misfit, (begun, rms) = finer, _begin(finer, theta, first)
+        misfit = finer
     refined = Refined(
         theta=reached.theta,
         uncertainty=optimum.uncertainty,

@@ -4,6 +4,7 @@ from .document import Document as Document
 from .document import finite as finite
 from .document import number as number
 from .document import probability as probability
+from .document import told as told
 from .document import versions as versions
 from .identification import identification_document as identification_document
 from .output import emit as emit

@@ -18,7 +18,7 @@ from riecjax.equations.term import AbstractTerm, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.evidence import ModeEvidence
-from riecjax.estimation.mode_windows import linearised
+from riecjax.estimation.hidden_modes import linearised
 from riecjax.records.record import Record
 from riecjax.reporting.charts.chart import (
     BLACK,
@@ -44,7 +44,7 @@ from riecjax.reporting.charts.chart import (
 from riecjax.validation.choice import WindowChoice
 from riecjax.validation.held_out import HeldOut
 from riecjax.validation.residuals import (
-    CrossCorrelation,
+    Correlation,
     EquationResidual,
     ErrorSpectrum,
     ResidualTests,
@@ -343,7 +343,7 @@ def residual_figure(residual: EquationResidual) -> Chart:
     """What one equation leaves over time, lag and frequency."""
     error, found = residual.error, residual.autocorrelation
     # The error and its target over the longest stretch's beginning.
-    runs = error.series.runs() or [slice(0, 1)]
+    runs = error.runs() or [slice(0, 1)]
     run = max(runs, key=lambda each: each.stop - each.start)
     shown = slice(run.start, min(run.start + EXCERPT, run.stop))
     times = np.asarray(error.times)
@@ -383,7 +383,7 @@ def residual_figure(residual: EquationResidual) -> Chart:
     )
 
 
-def _following(follows: tuple[CrossCorrelation, ...]) -> Panel | None:
+def _following(follows: tuple[Correlation, ...]) -> Panel | None:
     """Correlation with the signal that the error follows most."""
     if not follows:
         return None

@@ -15,8 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
+from riecjax.criteria.criterion import AbstractCriterion, criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, printable
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.estimation.parameters import TABLE_KINDS, table_of_names

@@ -1,4 +1,3 @@
-from .equation_system import EquationSystem as EquationSystem
 from .inputs import band_limited_noise as band_limited_noise
 from .inputs import harmonics as harmonics
 from .inputs import low_passed as low_passed

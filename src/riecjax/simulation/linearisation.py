@@ -60,13 +60,18 @@ def suitable_steps(
     system that would need more is stiff, and better simulated by [`Adaptive`][] with an implicit
     solver.
     """
-    chosen = spread_points(len(states))
-    slopes = np.asarray(jacobians(system, np.asarray(states)[chosen], np.asarray(inputs)[chosen]))
-    finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
-    if not finite.size:
-        return 1
-    fastest = float(np.max(np.abs(np.linalg.eigvals(finite))))
+    rates = np.abs(_eigenvalues(system, np.asarray(states), np.asarray(inputs)))
+    fastest = np.max(rates, initial=0.0)
     return int(np.clip(np.ceil(time_step * fastest / ANGLE), 1, MOST_STEPS))
+
+
+def _eigenvalues(
+    system: AbstractSystem, states: np.ndarray, inputs: np.ndarray
+) -> Complex[np.ndarray, "points states"]:
+    """Of the linearised system at some of these points, of those where it is finite."""
+    chosen = spread_points(len(states))
+    slopes = np.asarray(jacobians(system, states[chosen], inputs[chosen]))
+    return np.linalg.eigvals(slopes[np.isfinite(slopes).all(axis=(1, 2))])
 
 
 def spread_points(count: int) -> Int[np.ndarray, " points"]:
@@ -151,12 +156,8 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     levels = [np.asarray(record[name]) for name in system.input_names]
     inputs = np.stack(levels, axis=-1) if levels else np.zeros((len(states), 0))
     duration = len(states) * float(record.time_step)
-    few = spread_points(len(states))
-    slopes = np.asarray(jacobians(system, states[few], inputs[few]))
-    finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
-    if not len(finite):
-        return None
-    if np.max(np.real(np.linalg.eigvals(finite))) * duration < np.log(MOST_GROWTH):
+    rates = np.real(_eigenvalues(system, states, inputs))
+    if not rates.size or np.max(rates) * duration < np.log(MOST_GROWTH):
         return None
     stride = -(-len(states) // MOST_POINTS)
     spread = np.std(states, axis=0)

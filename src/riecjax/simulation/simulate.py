@@ -124,19 +124,14 @@ def _simulate(
     )
     derivatives = jax.vmap(partial(derivative_at, system))(states, levels)
     outputs = jax.vmap(system.output)(states, levels)
-    signals = {
+    made = {
         **{f"d{name}": derivatives[:, i] for i, name in enumerate(system.state_names)},
         **{name: states[:, i] for i, name in enumerate(system.state_names)},
         **outputs,
     }
     units = dict(inputs.units) | dict(system.states) | dict(system.outputs)
     driving = {name: inputs.signal(name) for name in system.input_names}
-    signals = {name: signal.values for name, signal in driving.items()} | signals
-    made = {
-        name: Signal(
-            values, driving[name].present if name in driving else None, units.get(name, "")
-        )
-        for name, values in signals.items()
-    }
-    record = Record(made, inputs.time_step, inputs.start_time, inputs.stamps, inputs.skipped)
+    signals = {name: Signal(s.values, s.present, s.unit) for name, s in driving.items()}
+    signals |= {name: Signal(values, unit=units.get(name, "")) for name, values in made.items()}
+    record = Record(signals, inputs.time_step, inputs.start_time, inputs.stamps, inputs.skipped)
     return Simulation(record, status, reached)

@@ -120,28 +120,25 @@ def _planned(
         )
     system.require_states(initial_state)
     start = [jnp.asarray(initial_state.get(name, 0.0), float) for name in system.state_names]
-    experiment = _Experiment(
+    method = settings["method"] or FixedStep()
+    if settings["method"] is None and is_concrete(system, start, inputs):
+        # Steps that are short enough along the motion that this record excites.
+        run = simulate(system, inputs, method=method, initial_state=initial_state).record
+        states, levels = (
+            jnp.stack([run[name] for name in names], axis=-1)
+            for names in (system.state_names, system.input_names)
+        )
+        method = FixedStep(suitable_steps(system, states, levels, float(inputs.time_step)))
+    return _Experiment(
         model,
         jnp.stack(list(free.values())),
         held,
         jnp.stack(start),
         jnp.stack([jnp.asarray(sigma[name], float) for name in channels]),
-        settings["method"] or FixedStep(),
+        method,
         tuple(channels),
         tuple(free),
     )
-    if settings["method"] is not None or not is_concrete(experiment, inputs):
-        return experiment
-    # Steps that are short enough along the motion that this record excites.
-    signals = eqx.filter_jit(_Experiment.signals)(
-        experiment, experiment.values, experiment.initial_state, inputs
-    )
-    states, levels = (
-        jnp.stack([source[name] for name in names], axis=-1)
-        for source, names in ((signals, system.state_names), (inputs, system.input_names))
-    )
-    steps = suitable_steps(system, states, levels, float(inputs.time_step))
-    return eqx.tree_at(lambda e: e.method, experiment, FixedStep(steps))
 
 
 def predicted_standard_errors(

@@ -203,7 +203,7 @@ def recovery_map(
     """
     if not bool(jnp.all(optimum.theta != 0)):
         raise rx.ModelError("a parameter is zero at the optimum: no factor leads away from it.")
-    found = over_keys(
+    start, theta, distance, cost, steps = over_keys(
         _from_random_start,
         key,
         starts,
@@ -216,7 +216,6 @@ def recovery_map(
         chunk=32,
         progress=progress,
     )
-    start, theta, distance, cost, steps = found
     off = jnp.abs(theta - optimum.theta[None, :]) / optimum.standard_errors[None, :]
     recovered = jnp.all(off < tolerance, axis=1)
     return RecoveryMap(start, theta, distance, cost, steps, recovered, optimum.parameters)

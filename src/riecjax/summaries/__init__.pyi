@@ -1,6 +1,6 @@
-from .digest import Outline as Outline
 from .normal_equations import NormalEquations as NormalEquations
+from .normal_equations import Outline as Outline
+from .one_pass import stage_normal_equations as stage_normal_equations
 from .one_pass import stretch_starts as stretch_starts
-from .stage_sums import stage_normal_equations as stage_normal_equations
 from .task import default_criterion as default_criterion
 from .task import signals_read as signals_read

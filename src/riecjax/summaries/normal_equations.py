@@ -1,21 +1,28 @@
 """Normal equations: all that least squares needs to know of its rows, and additive."""
 
+import dataclasses
 import functools
+import hashlib
+import json
 import operator
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Key, UInt32
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
+from riecjax.criteria.laws import LengthBins
+from riecjax.equations.equation import Equation
+from riecjax.equations.model import Model
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf, namespace
+from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.record import Record
+from riecjax.records.signal import Noise
 
 MOST_BLOCKS = 64
 """Blocks of a record at most: enough for a quantile of Student's t, and long blocks forgive errors
@@ -74,13 +81,13 @@ class NormalEquations(eqx.Module):
         """The same of other columns: something linear done to every matrix."""
         matrices = (self.moments, self.noise, self.noise_of_source)
         moments, noise, of_source = jax.tree.map(of_matrix, matrices)
-        return replace(
+        return dataclasses.replace(
             self, moments=moments, parameters=parameters, noise=noise, noise_of_source=of_source
         )
 
     def with_noise(self, noise: Array | None, of_source: Array | None = None) -> Self:
         """The same moments, of which this is noise."""
-        return replace(self, noise=noise, noise_of_source=of_source)
+        return dataclasses.replace(self, noise=noise, noise_of_source=of_source)
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
         if self.parameters != other.parameters:
@@ -284,3 +291,238 @@ def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> Sho
         np.array([-(-record.sample_count // k) for record, k in zip(records, samples)]),
         xp.stack([xp.multiply(k, record.time_step) for record, k in zip(records, samples)]),
     )
+
+
+# What one recording says of each equation, kept as sums.
+
+
+class Survey(eqx.Module):
+    """What only a check and figures ask for.
+
+    **Fields:**
+
+    - `noise`: mean outer product of what the signals' noise adds to a row, shape
+      `(1 + p, 1 + p)`.
+    - `quadrature`: outer products, summed, of the differences from rows integrated with the highest
+      order, and of these, shape `(2, 1 + p, 1 + p)`; zero where there is no higher order.
+    - `rows`: some of the rows, shape `(rows, 1 + p)`, and `start`, seconds from the recording's
+      first sample to their windows, shape `(rows,)`.
+    - `reach`: for each term with a basis, its prefix, least and largest argument.
+    """
+
+    noise: Float[Leaf, "columns columns"]
+    quadrature: Float[Leaf, "2 columns columns"]
+    rows: Float[Leaf, "rows columns"]
+    start: Float[Leaf, " rows"]
+    reach: dict[str, Float[Leaf, "2"]]
+
+
+class EquationSums(NormalEquations):
+    """Normal equations of one equation on one recording, over windows by bins of their lengths.
+
+    Leading axes are `(bins, blocks)`, blocks those of time in which windows start, and of
+    `noise_of_source` they are `(bins, sources)`.
+
+    **Further fields:**
+
+    - `survey`: `None` unless it was asked for.
+    - `factor`: triangular factor of all rows, shape `(1 + p, 1 + p)`, where rows are so nearly
+      collinear that their moments lose too many digits; else `None`.
+    - `constant`: products of the rows of a column that is 1 throughout with its own rows, the
+      target's and the regressors', of shape `(bins, blocks, 2 + p)`: what tells means from motion.
+      `None` where rows were summed under `jit` or `vmap`, or combined afterwards.
+    """
+
+    survey: Survey | None = None
+    factor: Float[Leaf, "columns columns"] | None = None
+    constant: Float[Leaf, "bins blocks 1+columns"] | None = None
+
+    def each(self, of_sums: Callable[[Leaf], Leaf], **others: Callable[[Leaf], Leaf]) -> Self:
+        """The same done to all sums by bins and blocks, and what is said of `others` by name."""
+        by_name = dict.fromkeys(("moments", "count", "noise", "constant"), of_sums) | others
+        there = {name: getattr(self, name) for name in by_name}
+        changed = {n: by_name[n](leaf) for n, leaf in there.items() if leaf is not None}
+        return dataclasses.replace(self, **changed)
+
+    def of_bins(self, first: int, last: int) -> Self:
+        """The sums of some bins of lengths, first and one beyond the last, in one."""
+
+        def together(bins: Leaf) -> Leaf:
+            return bins[first:last].sum(0, keepdims=True)
+
+        return self.each(together, noise_of_source=together)
+
+
+class RecordingSums(eqx.Module):
+    """Sums of all equations on one recording.
+
+    **Fields:**
+
+    - `stages`: equations of each stage of the model.
+    - `blocks`: how many short blocks of time hold the recording; arrays may be longer.
+    - `block_seconds`: that each of them lasts.
+    - `offered`: rows there would be of one equation without gaps and masks; NaN if not known.
+    - `samples`, `time_step`: of the recording.
+    - `digest`: SHA-256 of its content and of all settings, zero where it was summed under `jit`.
+    - `noise` of the recording's signals.
+    """
+
+    stages: tuple[tuple[EquationSums, ...], ...]
+    blocks: Int[Leaf, ""]
+    block_seconds: Float[Leaf, ""]
+    offered: Float[Leaf, ""]
+    samples: Int[Leaf, ""]
+    time_step: Float[Leaf, ""]
+    digest: UInt32[Leaf, "8"]
+    noise: Noise = eqx.field(default_factory=Noise)
+
+    def of_blocks(self, index: Int[np.ndarray, " blocks"]) -> "RecordingSums":
+        """The sums of some of the blocks (not under jit)."""
+        if index.size == int(self.blocks):
+            return self
+
+        # A factor of all rows has no parts, and what one source adds is spread evenly.
+        share = index.size / int(self.blocks)
+
+        def of(equation: EquationSums) -> EquationSums:
+            some = equation.each(
+                lambda leaf: np.asarray(leaf[:, index], order="C"),
+                noise_of_source=lambda leaf: share * leaf,
+            )
+            return dataclasses.replace(some, factor=None)
+
+        # Rows are not spread evenly over blocks, so that it is not known how many were offered.
+        return dataclasses.replace(
+            self.of_equations(of), blocks=np.asarray(index.size), offered=np.asarray(np.nan)
+        )
+
+    def in_blocks(self, most: int) -> "RecordingSums":
+        """The same in so many blocks of time at most, neighbours added up (not under jit)."""
+        held = int(self.blocks)
+        if held <= most:
+            return self
+        first = -(-np.arange(most) * held // most)
+
+        def of(equation: EquationSums) -> EquationSums:
+            return equation.each(lambda sums: np.add.reduceat(np.asarray(sums), first, axis=1))
+
+        seconds = float(self.blocks) * float(self.block_seconds)
+        return dataclasses.replace(
+            self.of_equations(of),
+            blocks=np.asarray(most),
+            block_seconds=np.asarray(seconds / most),
+        )
+
+    def of_equations(self, of: Callable[[EquationSums], EquationSums]) -> "RecordingSums":
+        """The same done to the sums of every equation."""
+        stages = tuple(tuple(map(of, stage)) for stage in self.stages)
+        return dataclasses.replace(self, stages=stages)
+
+    def scaled(self, factor: float) -> "RecordingSums":
+        """Sums times a factor; triangular factors, whose squares are sums, times its root."""
+        root = namespace(factor).sqrt(factor)
+
+        def times(leaf: Leaf) -> Leaf:
+            return leaf * factor
+
+        def of(equation: EquationSums) -> EquationSums:
+            return equation.each(times, noise_of_source=times, factor=lambda rows: rows * root)
+
+        return dataclasses.replace(self.of_equations(of), offered=self.offered * factor)
+
+
+# What tells recordings and models apart: digests of all that sums depend on.
+
+
+class Outline(eqx.Module):
+    """The equations that recordings are summed for, as far as sums depend on them.
+
+    **Fields:** `stages`, each equation's name and its columns; `parameters`, the columns but for
+    those that hidden elements add; `units` by parameter; `fingerprint` of the equations' terms,
+    empty where their numbers were traced.
+    """
+
+    stages: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    fingerprint: str = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, model: Model) -> "Outline":
+        """Of a model."""
+        stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in model.stages)
+        fingerprint = ""
+        if is_concrete(model):
+            equations = [[_described(e) for e in stage] for stage in model.stages]
+            written = json.dumps(equations, sort_keys=True, default=_without_address)
+            fingerprint = hashlib.sha256(written.encode()).hexdigest()
+        columns = (c for e in model.equations for t in e.terms for c in t.columns)
+        parameters = tuple(dict.fromkeys(c.name for c in columns if not c.order))
+        return cls(stages, parameters, tuple(model.units.items()), fingerprint)
+
+    def is_of(self, other: "Outline") -> bool:
+        """Whether both are of the same equations, as far as that is known."""
+        known = bool(self.fingerprint and other.fingerprint)
+        return self.stages == other.stages and (not known or self.fingerprint == other.fingerprint)
+
+
+def digest_of(
+    model: Model,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    bins: LengthBins | None,
+) -> UInt32[np.ndarray, "8"]:
+    """SHA-256 of a recording's samples and of all settings (not under jit).
+
+    Functions of the signals count by their name and what they were compiled to, so that other
+    versions of Python may tell recordings apart that are the same.
+    """
+    digest = hashlib.sha256()
+    masks = {n: s.present for n, s in record.by_name.items() if s.present is not None}
+    for arrays in (record.arrays, {name: ~np.asarray(mask) for name, mask in masks.items()}):
+        for name, values in sorted(arrays.items()):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(values).data)
+    settings = {
+        "time_step": float(record.time_step),
+        "criterion": criterion.describe(),
+        "equations": [[_described(e) for e in stage] for stage in model.stages],
+        "key": None if key is None else jax.random.key_data(key).tolist(),
+        "bins": None if bins is None else bins.edges.tolist(),
+        "noise": jax.tree.map(lambda taps: np.asarray(taps).tolist(), record.noise.kernels),
+    }
+    digest.update(json.dumps(settings, sort_keys=True, default=_without_address).encode())
+    return np.frombuffer(digest.digest(), ">u4").astype(np.uint32)
+
+
+def _described(equation: Equation) -> list[object]:
+    """What an equation's sums depend on, as far as it has a name, a number or code."""
+    return [equation.name, [_written(term) for term in equation.terms], _function(equation.where)]
+
+
+def _written(value: Any) -> object:
+    """A term, or a part of it, field by field. What is known of a coefficient moves no sum."""
+    if isinstance(value, eqx.Module):
+        fields = [field.name for field in dataclasses.fields(value)]
+        parts = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
+        return [type(value).__name__, {name: _written(part) for name, part in parts.items()}]
+    if eqx.is_array(value):
+        return np.asarray(value).tolist()
+    return _function(value) if callable(value) else value
+
+
+def _function(expression: str | Callable | None) -> object:
+    """A signal's name, or a function's name with its code and what that refers to."""
+    code = getattr(expression, "__code__", None)
+    if code is None:
+        return expression
+    cells = [cell.cell_contents for cell in getattr(expression, "__closure__", None) or ()]
+    constants = [value for value in code.co_consts if not hasattr(value, "co_code")]
+    return [code.co_name, code.co_code.hex(), constants, list(code.co_names), cells]
+
+
+def _without_address(value: object) -> str:
+    """What is printed of an object but for where it lies in memory: elsewhere in other processes,
+    which would then count a recording that two of them summed as two."""
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", str(value))

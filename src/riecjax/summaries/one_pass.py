@@ -13,29 +13,35 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation import kept_jit
-from riecjax.criteria.chunks import StartBlocks, in_chunks
-from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion, Rows
+from riecjax.criteria.all_windows import Moments
+from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
 from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
-from riecjax.criteria.windows import AllWindows, WindowSet, power_of_two
+from riecjax.criteria.windows import AllWindows, StartBlocks, WindowSet, in_chunks, power_of_two
 from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.expressions import evaluate
 from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, namespace, on_host
 from riecjax.linear_algebra import gram_suffices
 from riecjax.records.record import Record, both, filled_up
-from riecjax.summaries.digest import digest_of
-from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
-from riecjax.summaries.stage_sums import moments_of_drawn
-from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
+from riecjax.records.signal import Signal
+from riecjax.summaries.normal_equations import (
+    EquationSums,
+    NormalEquations,
+    RecordingSums,
+    Survey,
+    digest_of,
+    sum_of_equations,
+)
 
 PART = 2**17
 """Starts to a part of a long recording."""
@@ -61,13 +67,18 @@ class Request(NamedTuple):
     """What to sum, as far as it is compiled in.
 
     **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
-    longest window, or rows are drawn); `blocks` of an array; in each, rows that are `surveyed`,
-    none unless a survey is asked for.
+    longest window, or rows are drawn); `blocks` of an array; `lengths` of windows that are summed
+    in closed form, none where a criterion has single rows, and the shortest and longest lag of
+    their law; in each block, rows that are `surveyed`, none unless a survey is asked for; whether
+    the products with a `constant` are kept as well.
     """
 
     block: Int[Array, ""] | int
     blocks: int
-    surveyed: int
+    lengths: tuple[Lengths, ...] = ()
+    band: tuple[Int[Leaf, ""] | int, Int[Leaf, ""] | int] = (0, 0)
+    surveyed: int = 0
+    constant: bool = True
 
 
 class Part(NamedTuple):
@@ -78,17 +89,15 @@ class Part(NamedTuple):
     """
 
     record: Record
-    first: Int[Array, ""] | int
-    held: Int[Array, ""] | None
+    first: Int[Array, ""] | int = 0
+    held: Int[Array, ""] | None = None
 
 
 class Surveyed(NamedTuple):
-    """Rows of some windows in each block, and where they start; the same by the finest quadrature,
-    and what noise adds to them; least and largest argument of each basis."""
+    """Rows of some windows in each block: by the criterion, by the finest quadrature, and what
+    noise adds to them; where they start; least and largest argument of each basis."""
 
-    rows: Float[Array, "blocks rows columns"]
-    finer: Float[Array, "blocks rows columns"]
-    noise: Float[Array, "blocks rows columns"]
+    rows: Float[Array, "blocks rows 3 columns"]
     start: Float[Array, "blocks rows"]
     valid: Bool[Array, "blocks rows"]
     reach: dict[str, Float[Array, "1 2"]]
@@ -100,195 +109,186 @@ bins)` and of sources `(chunks, bins)`, and a survey."""
 
 
 @kept_jit
-def of_all_windows(
+def part_sums(
+    part: Part,
     model: Model,
     criterion: AbstractCriterion,
-    part: Part,
-    lengths: tuple[Lengths, ...],
-    band: tuple[Int[Array, ""], Int[Array, ""]],
-    request: Request,
-) -> list[list[PartSums]]:
-    """What blocks of starts of a part say of each equation of each stage, where windows are summed.
-
-    The closed form sums the windows that start in a block from running sums over the block and its
-    reach, so that a block shorter than a window costs as much as one as long. Where windows are
-    longer, neighbouring blocks are summed as one, and the first of them holds the sums.
-
-    **Arguments:** `band`, shortest and longest lag of the law.
-    """
-
-    def of_lengths(noisy: NoisyColumns, which: Lengths, blocks: StartBlocks) -> EquationSums:
-        size, wider = blocks.size, 1
-        if isinstance(size, int):
-            while wider * size < which.reach and blocks.number % (2 * wider) == 0:
-                wider *= 2
-            blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
-
-        def spread(sums: Leaf) -> Leaf:
-            apart = jnp.swapaxes(sums, 0, 1)[:, None]
-            behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
-            return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
-
-        def moments_of(columns: Columns) -> tuple[Array, Array]:
-            return criterion.test_function.moments(columns, which.lags, blocks, which.reach)
-
-        found, number = moments_of(with_constant(noisy.columns))
-        added = criterion.noise_of(noisy, which.lags, blocks, lambda c: moments_of(c)[0])
-        moments, constant = without_constant(found)
-        sums = EquationSums(moments, number, noisy.columns.parameters, constant=constant)
-        if added is not None:
-            sums = sums.with_noise(added.total, added.of_source[None])
-        return sums.each(spread)
-
-    def sums_of(noisy: NoisyColumns, blocks: StartBlocks) -> tuple[EquationSums, ...]:
-        return tuple(of_lengths(noisy, which, blocks) for which in lengths)
-
-    def some_windows(blocks: StartBlocks) -> WindowSet:
-        # In each block, at places and of lengths that are drawn once for all.
-        share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
-        start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
-        start = start + (share[0] * blocks.size).astype(int)
-        lag = band[0] + (share[1] * (band[1] - band[0] + 1)).astype(int)
-        return WindowSet(start, start + criterion.test_function.length_multiple * lag)
-
-    reach = lengths[-1].reach
-    return _in_chunks(model, criterion, part, sums_of, some_windows, reach, request)
-
-
-def with_constant(columns: Columns) -> Columns:
-    """The same with a column behind that is 1 at every sample."""
-    ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
-    values = jnp.concatenate([columns.values, ones], axis=1)
-    return dataclasses.replace(columns, values=values, parameters=(*columns.parameters, ""))
-
-
-def without_constant(moments: Array) -> tuple[Array, Array]:
-    """Moments without their last column, a constant, and its products: with itself first."""
-    return moments[..., :-1, :-1], jnp.roll(moments[..., -1, :], 1, axis=-1)
-
-
-@kept_jit
-def of_rows(
-    model: Model,
-    criterion: AbstractCriterion,
-    part: Part,
     key: Key[Array, ""] | None,
     request: Request,
 ) -> list[list[PartSums]]:
-    """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
-    drawn = criterion.draw(part.record, key, part.held)
+    """What blocks of starts of a part say of each equation of each stage."""
+    lengths, smoothness = request.lengths, criterion.smoothness
+    drawn = None if lengths else criterion.draw(part.record, key, part.held)
 
-    def sums_of(noisy: NoisyColumns, blocks: StartBlocks) -> tuple[EquationSums, ...]:
-        names = noisy.columns.parameters
-        beside = noisy._replace(columns=with_constant(noisy.columns))
-        found = moments_of_drawn(criterion, beside, drawn, blocks)
-        _, constant = without_constant(found.moments)
-        found = found.in_columns(lambda matrix: matrix[..., :-1, :-1], names)
-        sums = EquationSums(found.moments, found.count, names, found.noise, constant=constant)
-        sums = jax.tree.map(lambda leaf: leaf[:, None], sums)
-        of_source = jax.tree.map(lambda leaf: leaf[None, None], found.noise_of_source)
-        return (sums.with_noise(sums.noise, of_source),)
-
-    every = WindowSet(drawn.start[None], drawn.stop[None])
-    return _in_chunks(model, criterion, part, sums_of, lambda _: every, 0, request)
-
-
-@kept_jit
-def all_rows(
-    model: Model, criterion: AbstractCriterion, part: Part, key: Key[Array, ""] | None
-) -> list[list[Rows]]:
-    """Every row of each equation of each stage."""
-    drawn = criterion.draw(part.record, key, part.held)
-
-    def rows(equation: Equation) -> Rows:
-        columns = sampled_columns(equation, part.record, criterion.smoothness)
-        return criterion.rows_of(columns, drawn, part.held)
-
-    return [[rows(equation) for equation in stage] for stage in model.stages]
-
-
-def _in_chunks(
-    model: Model,
-    criterion: AbstractCriterion,
-    part: Part,
-    sums_of: Callable[[NoisyColumns, StartBlocks], tuple[EquationSums, ...]],
-    surveyed_windows: Callable[[StartBlocks], WindowSet],
-    reach: int,
-    request: Request,
-) -> list[list[PartSums]]:
     def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
         # Every survey has noisy rows: what they are made of is evaluated once, for all.
-        disturbed = record
+        disturbed, windows = record, drawn
         if request.surveyed:
-            # White noise of its size on each signal; any stretch has the same.
-            first = jnp.round(record.skipped / record.time_step).astype(int)
-            place = first + jnp.arange(record.sample_count)
-            names = sorted(record.arrays)
-            each = (place[None, :] + APART * np.arange(len(names))[:, None]) % NOISE.size
-            sizes = jnp.stack([jnp.asarray(record.noise.std(name)) for name in names])
-            drawn = sizes[:, None] * jnp.asarray(NOISE, record.time_step.dtype)[each]
-            signals = zip(names, (record.signal(name) for name in names), drawn)
-            disturbed = record.with_signals(
-                {n: dataclasses.replace(s, values=s.values + own) for n, s, own in signals}
-            )
+            disturbed = _disturbed(record)
+        if request.surveyed and lengths:
+            # In each block, at places and of lengths that are drawn once for all.
+            share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
+            start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
+            start = start + (share[0] * blocks.size).astype(int)
+            shortest, longest = request.band
+            lag = shortest + (share[1] * (longest - shortest + 1)).astype(int)
+            windows = WindowSet(start, start + criterion.test_function.length_multiple * lag)
 
         def of_equation(equation: Equation) -> PartSums:
             noisy, survey = criterion.noisy_columns(equation, record), None
-            if request.surveyed:
-                added = sampled_columns(equation, disturbed, criterion.smoothness)
-                added = added - sampled_columns(equation, record, criterion.smoothness)
-                survey = surveyed(equation, noisy.columns, added, record, blocks)
-            return sums_of(noisy, blocks), survey
+            if request.surveyed and windows is not None:
+                noise = sampled_columns(equation, disturbed, smoothness)
+                noise = noise - sampled_columns(equation, record, smoothness)
+                beside = noisy.columns, noise
+                survey = _surveyed(criterion, equation, beside, record, blocks, windows)
+            if drawn is not None:
+                return (_sums_of_rows(criterion, noisy, drawn, blocks, request),), survey
+            sums = (_sums_of_windows(criterion, noisy, w, blocks, request) for w in lengths)
+            return tuple(sums), survey
 
         return [[of_equation(equation) for equation in stage] for stage in model.stages]
 
-    def surveyed(
-        equation: Equation, columns: Columns, added: Columns, record: Record, blocks: StartBlocks
-    ) -> Surveyed:
-        windows, last = surveyed_windows(blocks), columns.sample_count - 1
-        inside = (windows.stop < blocks.unpadded).ravel()
-        flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
-
-        def rows(of: Columns, by: AbstractCriterion) -> tuple[Array, Array]:
-            found = by.rows_of(of, flat, blocks.unpadded)
-            valid: Any = both(inside, found.valid)
-            values = jnp.where(valid[:, None], found.columns.T, 0.0)
-            return values.reshape(*windows.start.shape, -1), valid.reshape(windows.start.shape)
-
-        values, valid = rows(columns, criterion)
-        finer, reaches = criterion.finest(), {}
-        real = jnp.arange(record.sample_count) < blocks.unpadded
-        for term in equation.terms:
-            term = term.term if isinstance(term, InMotion) else term
-            if term.basis is not None:
-                argument = evaluate(term.of, record).values
-                low = jnp.min(argument, where=real, initial=jnp.inf)
-                high = jnp.max(argument, where=real, initial=-jnp.inf)
-                reaches[str(term.name)] = jnp.stack([low, high])[None]
-        at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
-        return Surveyed(
-            values,
-            values if finer is criterion else rows(columns, finer)[0],
-            rows(added, criterion)[0],
-            record.elapsed[at].reshape(windows.start.shape),
-            valid,
-            reaches,
-        )
-
-    block = request.block
-    if not isinstance(block, int):
+    if not isinstance(request.block, int):
         held = part.record.sample_count if part.held is None else part.held
-        return of_chunk(part.record, StartBlocks(part.first, block, request.blocks, held))
+        return of_chunk(part.record, StartBlocks(part.first, request.block, request.blocks, held))
     return in_chunks(
         part.record,
         of_chunk,
-        block=block,
-        reach=reach,
+        block=request.block,
+        reach=lengths[-1].reach,
         margin=criterion.test_function.margin,
         unpadded=part.held,
         first=part.first,
         number=request.blocks,
     )
+
+
+def _sums_of_windows(
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    which: Lengths,
+    blocks: StartBlocks,
+    request: Request,
+) -> EquationSums:
+    """Sums over all windows of some lengths.
+
+    The closed form sums the windows that start in a block from running sums over the block and its
+    reach, so that a block shorter than a window costs as much as one as long. Where some lengths
+    are longer, neighbouring blocks are summed as one, and the first of them holds the sums.
+    """
+    size, wider = blocks.size, 1
+    if isinstance(size, int) and which is not request.lengths[0]:
+        while wider * size < which.reach and blocks.number % (2 * wider) == 0:
+            wider *= 2
+        blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
+
+    def spread(sums: Leaf) -> Leaf:
+        apart = jnp.swapaxes(sums, 0, 1)[:, None]
+        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
+        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
+
+    def products(columns: Columns) -> Moments:
+        return criterion.test_function.moments(columns, which.lags, blocks, which.reach)
+
+    sums = _equation_sums(criterion, noisy, which.lags, blocks, products, request)
+    return sums.each(spread, noise_of_source=lambda sources: sources[None])
+
+
+def _sums_of_rows(
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    drawn: WindowSet,
+    blocks: StartBlocks,
+    request: Request,
+) -> EquationSums:
+    """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
+    place = (drawn.start / blocks.size).astype(jnp.int32)
+    place = jnp.clip(place, 0, blocks.number - 1) if blocks.number > 1 else None
+
+    def products(columns: Columns) -> Moments:
+        rows = criterion.rows_of(columns, drawn, blocks.unpadded)
+        sums = NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
+        return sums.moments, sums.count
+
+    sums = _equation_sums(criterion, noisy, drawn, blocks, products, request)
+    return sums.each(lambda sum_: sum_[:, None], noise_of_source=lambda sum_: sum_[None, None])
+
+
+def _equation_sums(
+    criterion: AbstractCriterion,
+    noisy: NoisyColumns,
+    windows: LagBins | WindowSet,
+    blocks: StartBlocks,
+    products: Callable[[Columns], Moments],
+    request: Request,
+) -> EquationSums:
+    """Sums of an equation's rows by `products` of its columns, and what noise adds to them."""
+    columns, constant = noisy.columns, None
+    if request.constant:
+        # A column behind that is 1 at every sample, whose product with itself comes first.
+        ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
+        values = jnp.concatenate([columns.values, ones], axis=1)
+        names = (*columns.parameters, "")
+        moments, number = products(dataclasses.replace(columns, values=values, parameters=names))
+        constant = jnp.roll(moments[..., -1, :], 1, axis=-1)
+        moments = moments[..., :-1, :-1]
+    else:
+        moments, number = products(columns)
+    sums = EquationSums(moments, number, columns.parameters, constant=constant)
+    added = criterion.noise_of(noisy, windows, blocks, lambda moved: products(moved)[0])
+    return sums if added is None else sums.with_noise(*added)
+
+
+def _disturbed(record: Record) -> Record:
+    """The record with white noise of its size on each signal; any stretch has the same."""
+    first = jnp.round(record.skipped / record.time_step).astype(int)
+    place, names = first + jnp.arange(record.sample_count), sorted(record.arrays)
+    white = jnp.asarray(NOISE, record.time_step.dtype)
+
+    def disturbed(number: int, name: str) -> Signal:
+        signal = record.signal(name)
+        noise = record.noise.std(name) * white[(place + APART * number) % NOISE.size]
+        return dataclasses.replace(signal, values=signal.values + noise)
+
+    return record.with_signals({name: disturbed(i, name) for i, name in enumerate(names)})
+
+
+def _surveyed(
+    criterion: AbstractCriterion,
+    equation: Equation,
+    columns: tuple[Columns, Columns],
+    record: Record,
+    blocks: StartBlocks,
+    windows: WindowSet,
+) -> Surveyed:
+    """Rows of windows: of an equation's columns, and of what noise adds to these."""
+    clean, noise = columns
+    last = clean.sample_count - 1
+    windows = WindowSet(*(at.reshape(-1, at.shape[-1]) for at in windows))
+    shape = windows.start.shape
+    inside = (windows.stop < blocks.unpadded).ravel()
+    flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
+
+    def rows(by: AbstractCriterion, columns: Columns) -> tuple[Array, Array]:
+        found = by.rows_of(columns, flat, blocks.unpadded)
+        valid: Any = both(inside, found.valid)
+        return jnp.where(valid[:, None], found.columns.T, 0.0), valid.reshape(shape)
+
+    (values, valid), finer = rows(criterion, clean), criterion.finest()
+    by_finest = values if finer is criterion else rows(finer, clean)[0]
+    every = jnp.stack([values, by_finest, rows(criterion, noise)[0]], axis=-2)
+    reaches = {}
+    real = jnp.arange(record.sample_count) < blocks.unpadded
+    for term in equation.terms:
+        term = term.term if isinstance(term, InMotion) else term
+        if term.basis is not None:
+            argument = evaluate(term.of, record).values
+            low = jnp.min(argument, where=real, initial=jnp.inf)
+            high = jnp.max(argument, where=real, initial=-jnp.inf)
+            reaches[str(term.name)] = jnp.stack([low, high])[None]
+    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
+    start = record.elapsed[at].reshape(shape)
+    return Surveyed(every.reshape(*shape, *every.shape[1:]), start, valid, reaches)
 
 
 # A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide
@@ -321,8 +321,8 @@ def stretch_starts(criterion: AbstractCriterion, time_step: float, wanted: int) 
 
     **Raises:** `ModelError` for a criterion whose windows are not all windows of known lengths.
     """
-    windows = criterion.windows
-    if windows is None or not criterion.in_closed_form:
+    windows = criterion.all_windows
+    if windows is None:
         raise ModelError(
             "a recording this long is summed stretch by stretch, for which all windows are needed: "
             "use rx.RIEC(rx.AllWindows(alpha, beta)) (on the command line: without --windows)."
@@ -331,212 +331,210 @@ def stretch_starts(criterion: AbstractCriterion, time_step: float, wanted: int) 
     return power_of_two(max(wanted, PART, 4 * longest))
 
 
-class _Layout(NamedTuple):
-    """Blocks of a recording and how it is cut for one pass.
+def traced_sums(
+    model: Model,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    *,
+    apart: bool = False,
+    blocks: bool = True,
+) -> RecordingSums:
+    """Moments of one record, for code that is traced: shapes are those of the record.
 
-    **Fields:** `block`, starts to a block as they are summed; `starts` of a part; `filled`, samples
-    that each part is filled up to, `None` to leave the record as it is; `request`.
+    **Arguments:** `apart`, windows of each length by themselves, where the test function asks for
+    that; `blocks`, of starts, where rows are not summed in one.
     """
+    n, windows = record.sample_count, criterion.all_windows
+    size = criterion.block_samples(record) if blocks or windows is not None else n
+    number = -(-n // size)
+    if windows is not None:
+        law = jax.tree.map(
+            lambda lags: lags[:, None] if apart else lags[None], criterion.law(record)
+        )
+        lengths = (Lengths(law, windows.reach(n)),)
+        request = Request(size, number, lengths, constant=False)
+    else:
+        request = Request(jnp.asarray(size), number, constant=False)
+    found = part_sums(Part(record), model, criterion, key, request)
 
-    block: int
-    starts: int
-    filled: int | None
-    request: Request
+    def of_bins(sums: EquationSums) -> EquationSums:
+        return sums.each(
+            lambda blocks: jnp.swapaxes(blocks, 0, 1), noise_of_source=lambda chunks: chunks.sum(0)
+        )
+
+    stages = [[of_bins(sums) for (sums,), _ in stage] for stage in found]
+    return _of_recording(stages, record, criterion, n, record.time_step, np.zeros(8, np.uint32))
 
 
-@dataclasses.dataclass(frozen=True)
-class OnePass:
-    """One recording, to be summed in one pass (not under jit); arguments as for [`summarise`][].
+@eqx.filter_jit
+def stage_normal_equations(
+    model: Model,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    *,
+    blocks: bool = False,
+) -> list[NormalEquations]:
+    """Normal equations of each stage on one record.
+
+    With `blocks`, the leading axis is one of short blocks of start times, each of
+    `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
+    length one.
+    """
+    sums = traced_sums(model, record, criterion, key, blocks=blocks)
+    stages = jax.tree.map(lambda bins: bins[0], sums.stages)
+    return [sum_of_equations(stage, names) for stage, names in zip(stages, model.stage_parameters)]
+
+
+def _of_recording(
+    stages: Sequence[Sequence[EquationSums]],
+    record: Record,
+    criterion: AbstractCriterion,
+    samples: int,
+    step: Leaf,
+    digest: np.ndarray,
+) -> RecordingSums:
+    """The sums of so many of a record's samples, `step` seconds apart."""
+    # Of some starts it is not known how many windows there would be without gaps.
+    offered = criterion.row_count(record) if samples == record.sample_count else None
+    return RecordingSums(
+        tuple(map(tuple, stages)),
+        np.asarray(stages[0][0].count.shape[-1]),
+        namespace(step).multiply(criterion.block_samples(record), step),
+        np.asarray(np.nan if offered is None else float(offered)),
+        np.asarray(samples),
+        step,
+        digest,
+        record.noise,
+    )
+
+
+# What overflows is for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def recording_sums(
+    model: Model,
+    record: Record,
+    criterion: AbstractCriterion,
+    key: Key[Array, ""] | None,
+    bins: LengthBins | None,
+    survey: bool = False,
+    starts: tuple[int, int] | None = None,
+) -> RecordingSums:
+    """One recording, summed in one pass (not under jit); arguments as for [`summarise`][].
 
     `starts`, first of the starts that are summed and one beyond the last; all, unless others see
     to the rest: then see [`stretch_starts`][].
+
+    **Raises:** `ModelError` for an expression that mixes samples of a long recording.
     """
-
-    model: Model
-    record: Record
-    criterion: AbstractCriterion
-    key: Key[Array, ""] | None
-    bins: LengthBins | None
-    survey: bool
-    starts: tuple[int, int] | None = None
-
-    @property
-    def step(self) -> float:
-        """Seconds between samples."""
-        return float(self.record.time_step)
-
-    @property
-    def count(self) -> int:
-        """Samples of the record."""
-        return self.record.sample_count
-
-    @property
-    def ends(self) -> tuple[int, int]:
-        """First of the starts that are summed, and one beyond the last."""
-        return self.starts or (0, self.count)
-
-    # What overflows is for the fit to refuse.
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def sums(self) -> RecordingSums:
-        """All sums of the recording.
-
-        **Raises:** `ModelError` for an expression that mixes samples of a long recording.
-        """
-        equations = self.model.equations
-        mixing = mixing_expressions(equations, self.record)
-        if mixing and (self.count > PART or self.criterion.in_chunks(self.record)):
-            raise ModelError(
-                f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
-                f"long is worked through in chunks. Compute it beforehand as a signal of the "
-                f"record."
-            )
-        closed = self.criterion.in_closed_form
-        # What mixes samples would mix those that the record is filled up with.
-        block, stages = (self._all_windows if closed else self._rows)(not mixing)
-        first, last = self.ends
-        whole = last - first == self.count
-        # Of some starts it is not known how many windows there would be without gaps.
-        offered = self.criterion.row_count(self.record) if whole else None
-        sums = RecordingSums(
-            tuple(tuple(stage) for stage in stages),
-            np.asarray(stages[0][0].count.shape[-1]),
-            np.asarray(block * self.step),
-            np.asarray(np.nan if offered is None else float(offered)),
-            np.asarray(last - first),
-            np.asarray(self.step),
-            digest_of(self.model, self.record, self.criterion, self.key, self.bins),
-            self.record.noise,
+    n, step = record.sample_count, float(record.time_step)
+    mixing = mixing_expressions(model.equations, record)
+    windows = criterion.all_windows
+    if mixing and (n > PART or (windows is not None and windows.in_chunks(record))):
+        raise ModelError(
+            f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
+            f"long is worked through in chunks. Compute it beforehand as a signal of the "
+            f"record."
         )
-        # The order of axes in memory is one in which NumPy adds up: it must survive a file.
-        return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
+    begin, end = starts or (0, n)
+    block = unit = criterion.block_samples(record)
+    # What mixes samples would mix those that the record is filled up with. Starts of a part, and
+    # samples that it is filled up to; `None` to leave the record as it is.
+    width, filled = n, None if mixing else _filled(n)
+    reach = 0
+    if windows is not None:
+        weight = criterion.test_function
+        lengths = _lengths(criterion, windows, record, bins)
+        reach, longest = lengths[-1].reach, windows.reach(n)
+        lags = windows.lags(n, record.time_step, weight.length_multiple)
+        of_windows = lengths, (jnp.asarray(lags[0]), jnp.asarray(lags[1]))
+        if block < longest:
+            request = Request(jnp.asarray(block), 2, *of_windows, survey * SURVEYED // 2)
+        else:
+            unit = longest
+            if filled is not None and n > FILLED[-1]:
+                width = max(PART, 4 * longest)
+                filled = width + reach + 2 * weight.margin
+            elif filled is not None:
+                width = filled
+            size = (n if filled is None else filled) // (1 if width <= FILLED[0] else 4)
+            surveyed = survey * max(SURVEYED * longest // size, 1)
+            request = Request(longest, -(-width // longest), *of_windows, surveyed)
+    else:
+        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, surveyed=int(survey))
 
-    def _all_windows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
-        """Starts to a block, and sums over all windows."""
-        windows = self.criterion.windows
-        assert windows is not None
-        windows = windows.every
-        lengths = self._lengths(windows)
-        reach = lengths[-1].reach
-        layout = self._layout(windows, reach, fill)
-        lags = windows.lags(
-            self.count, self.record.time_step, self.criterion.test_function.length_multiple
-        )
-        band = jnp.asarray(lags[0]), jnp.asarray(lags[1])
-        given = (self.model, self.criterion)
-        parts = [
-            jax.tree.map(np.asarray, of_all_windows(*given, part, lengths, band, layout.request))
-            for part in self._parts(layout, reach)
-        ]
-        grouped = windows.block(self.count) // layout.block
-        return layout.block * grouped, self._stages(parts, layout.block, grouped)
-
-    def _stages(
-        self, parts: list[list[list[PartSums]]], block: int, grouped: int
-    ) -> list[list[EquationSums]]:
-        """Sums of all equations from those of each part, with so many blocks to one."""
-        count = -(-(self.ends[1] - self.ends[0]) // block)
-
-        def in_bins(blocks: Leaf) -> Leaf:
-            bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
-            return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
-
-        def of_equation(i: int, j: int) -> EquationSums:
-            every = [part[i][j] for part in parts]
-            # Blocks, or chunks, of all parts one after the other; then bins of all lengths.
-            lengths = [
-                jax.tree.map(lambda *leaves: np.concatenate(leaves), *group)
-                for group in zip(*(sums for sums, _ in every))
-            ]
-            sums: EquationSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
-            sums = sums.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
-
-            surveys = [survey for _, survey in every if survey is not None]
-            survey = _survey(surveys, float(self.record.skipped)) if surveys else None
-            return dataclasses.replace(sums, survey=survey)
-
-        shape = [len(stage) for stage in self.model.stages]
-        return [[of_equation(i, j) for j in range(n)] for i, n in enumerate(shape)]
-
-    def _lengths(self, windows: AllWindows) -> tuple[Lengths, ...]:
-        """Window lengths, those longer than the law's apart: they reach further than a block."""
-        law = self.criterion.law(self.record)
-        every = LagBins(np.asarray(law.first), np.asarray(law.last), np.asarray(law.weight))
-        reach = windows.reach(self.count)
-        if self.bins is None:
-            return (Lengths(_each(every, None), reach),)
-        multiple = self.criterion.test_function.length_multiple
-        cut = law_in_bins(every, self.bins, multiple * self.step, (self.count - 1) // multiple)
-        beyond = self.bins.band[1]
-        if beyond == self.bins.edges.size - 1:
-            return (Lengths(cut, reach),)
-        longest = power_of_two(float(self.bins.edges[-1]) / self.step + 2)
-        within, longer = _each(cut, slice(beyond)), _each(cut, slice(beyond, None))
-        return Lengths(within, reach), Lengths(longer, longest)
-
-    def _layout(self, windows: AllWindows, reach: int, fill: bool) -> _Layout:
-        n = self.count
-        longest = windows.reach(n)
-        if (block := windows.block(n)) < longest:
-            request = Request(jnp.asarray(block), 2, self.survey * SURVEYED // 2)
-            return _Layout(block, n, _filled(n) if fill else None, request)
-        starts = max(PART, 4 * longest)
-        filled = starts + reach + 2 * self.criterion.test_function.margin
-        if not fill:
-            starts, filled = n, None
-        elif n <= FILLED[-1]:
-            starts = filled = _filled(n)
-        blocks = -(-starts // longest)
-        size = (n if filled is None else filled) // (1 if starts <= FILLED[0] else 4)
-        request = Request(longest, blocks, self.survey * max(SURVEYED * longest // size, 1))
-        return _Layout(longest, starts, filled, request)
-
-    def _parts(self, layout: _Layout, reach: int) -> Iterator[Part]:
+    def parts() -> Iterator[Part]:
         """The recording cut into parts, each with what its windows reach beyond it."""
-        if layout.filled is None:
-            record = dataclasses.replace(self.record, skipped=np.zeros(()))
-            yield Part(record, 0, None)
+        if filled is None:
+            yield Part(dataclasses.replace(record, skipped=np.zeros(())))
             return
-        margin = self.criterion.test_function.margin
-        for start in range(*self.ends, layout.starts):
-            begin = max(start - margin, 0)
-            stop = min(start + layout.starts + reach + margin, self.count)
-            yield Part(
-                filled_up(self.record, layout.filled, begin, stop),
-                jnp.asarray(start - begin),
-                jnp.asarray(stop - begin),
-            )
+        margin = criterion.test_function.margin
+        for start in range(begin, end, width):
+            first = max(start - margin, 0)
+            stop = min(start + width + reach + margin, n)
+            samples = filled_up(record, filled, first, stop)
+            yield Part(samples, jnp.asarray(start - first), jnp.asarray(stop - first))
 
-    def _rows(self, fill: bool) -> tuple[int, list[list[EquationSums]]]:
-        """Starts to a block, and sums over rows: samples, or windows that are drawn."""
-        n = self.count
-        block = self.criterion.block_samples(self.record)
-        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, int(self.survey))
-        layout = _Layout(block, n, _filled(n) if fill else None, request)
-        (part,) = self._parts(layout, 0)
-        given = (self.model, self.criterion, part, self.key)
-        found = jax.tree.map(np.asarray, of_rows(*given, request))
-        stages = self._stages([found], block, 1)
+    given = model, criterion, key if windows is None else None, request
+    found = [jax.tree.map(np.asarray, part_sums(part, *given)) for part in parts()]
+    count, grouped = -(-(end - begin) // unit), block // unit
+
+    def in_bins(blocks: Leaf) -> Leaf:
+        bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
+        return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
+
+    def joined(of_parts: Sequence[PartSums]) -> EquationSums:
+        """An equation's sums: blocks, or chunks, of all parts one after the other; then bins of all
+        lengths."""
+        lengths = [
+            jax.tree.map(lambda *leaves: np.concatenate(leaves), *group)
+            for group in zip(*(sums for sums, _ in of_parts))
+        ]
+        sums: EquationSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
+        surveys = [rows for _, rows in of_parts if rows is not None]
+        surveyed = _survey(surveys, float(record.skipped)) if surveys else None
+        sums = sums.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
+        return dataclasses.replace(sums, survey=surveyed)
+
+    stages = [[joined(equation) for equation in zip(*stage)] for stage in zip(*found)]
+    if windows is None:
         # Whether some stage's moments lose more digits than its rows would. What is not finite is
         # for the fit to refuse.
-        totals = []
-        for stage, names in zip(stages, self.model.stage_parameters):
-            apart = [NormalEquations(e.moments.sum(1), e.count.sum(1), e.parameters) for e in stage]
-            totals.append(np.asarray(sum_of_equations(apart, names).total().gram))
-        if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in totals):
-            rows = all_rows(*given)
-            stages = [
-                [
-                    dataclasses.replace(e, factor=np.linalg.qr(np.asarray(r.columns).T, mode="r"))
-                    for e, r in zip(*pair)
+        raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages)
+        grams = [np.asarray(sum_of_equations(stage).gram) for stage in raw]
+        if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in grams):
+            rows_of = eqx.filter_jit(criterion.rows)
+            for stage, equations in zip(stages, model.stages):
+                rows = (np.asarray(rows_of(e, record, key).columns).T for e in equations)
+                stage[:] = [
+                    dataclasses.replace(sums, factor=np.linalg.qr(columns, mode="r"))
+                    for sums, columns in zip(stage, rows)
                 ]
-                for pair in zip(stages, rows)
-            ]
-        return block, stages
+    digest = digest_of(model, record, criterion, key, bins)
+    sums = _of_recording(stages, record, criterion, end - begin, np.asarray(step), digest)
+    # The order of axes in memory is one in which NumPy adds up: it must survive a file.
+    return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
 
 
-def _each(law: LagBins, index: slice | None) -> LagBins:
-    """Some bins of a law; of `None`, all of it as one bin."""
-    return LagBins(law.first[index], law.last[index], law.weight[index])
+def _lengths(
+    criterion: AbstractCriterion, windows: AllWindows, record: Record, bins: LengthBins | None
+) -> tuple[Lengths, ...]:
+    """Window lengths, those longer than the law's apart: they reach further than a block."""
+    n, step = record.sample_count, float(record.time_step)
+    law, reach = on_host(criterion.law(record)), windows.reach(n)
+    if bins is None:
+        return (Lengths(jax.tree.map(lambda leaf: leaf[None], law), reach),)
+    multiple = criterion.test_function.length_multiple
+    cut = law_in_bins(law, bins, multiple * step, (n - 1) // multiple)
+    beyond = bins.band[1]
+    if beyond == bins.edges.size - 1:
+        return (Lengths(cut, reach),)
+    longest = power_of_two(float(bins.edges[-1]) / step + 2)
+    parts = (slice(beyond), reach), (slice(beyond, None), longest)
+    return tuple(
+        Lengths(jax.tree.map(lambda leaf, i=i: leaf[i], cut), farthest) for i, farthest in parts
+    )
 
 
 def _filled(samples: int) -> int:
@@ -546,19 +544,17 @@ def _filled(samples: int) -> int:
 
 def _survey(parts: Sequence[Surveyed], skipped: float) -> Survey:
     """Rows of all parts, the first sample at `skipped` seconds, and what they come to."""
-
-    def flat(of: str) -> Float[np.ndarray, "rows columns"]:
-        return np.concatenate([getattr(p, of).reshape(-1, p.rows.shape[-1]) for p in parts])
-
+    every = np.concatenate([p.rows.reshape(-1, *p.rows.shape[-2:]) for p in parts])
+    # Each as its own array: in which order products add up depends on how they lie in memory.
+    rows, finer, noise = np.ascontiguousarray(np.moveaxis(every, 1, 0))
     valid = np.flatnonzero(np.concatenate([p.valid.ravel() for p in parts]))
-    rows, finer, noise = flat("rows"), flat("finer"), flat("noise")
     start = skipped + np.concatenate([p.start.ravel() for p in parts])
     shown = valid[np.linspace(0, max(valid.size - 1, 0), min(valid.size, SHOWN)).astype(int)]
     shown = shown[np.argsort(start[shown], kind="stable")]
     quadrature = np.stack([each.T @ each for each in (rows - finer, finer)])
-    ends = {name: np.concatenate([p.reach[name] for p in parts]) for name in parts[0].reach}
-    reach: dict[str, Leaf] = {
-        name: np.array([own[:, 0].min(), own[:, 1].max()]) for name, own in ends.items()
-    }
+    reach: dict[str, Leaf] = {}
+    for name in parts[0].reach:
+        low, high = np.concatenate([p.reach[name] for p in parts]).T
+        reach[name] = np.array([low.min(), high.max()])
     covariance = noise.T @ noise / max(valid.size, 1)
     return Survey(covariance, quadrature, rows[shown], start[shown], reach)

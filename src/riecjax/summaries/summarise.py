@@ -1,11 +1,11 @@
 """Sum up what recordings say to a model: the only step that reads samples."""
 
-import numpy as np
 from jaxtyping import Array, Key
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.laws import LengthBins
+from riecjax.criteria.suited import with_less_noise
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import AtRest, Model, as_model
@@ -14,12 +14,9 @@ from riecjax.leaves import is_concrete, is_under_trace
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import explaining_errors
-from riecjax.summaries.digest import Outline
-from riecjax.summaries.one_pass import OnePass
-from riecjax.summaries.sensor_choice import with_less_noise
-from riecjax.summaries.stage_sums import traced_sums
+from riecjax.summaries.normal_equations import Outline, RecordingSums
+from riecjax.summaries.one_pass import recording_sums, traced_sums
 from riecjax.summaries.summary import Summary
-from riecjax.summaries.sums import RecordingSums
 from riecjax.summaries.task import Task, ready, task
 
 
@@ -77,28 +74,24 @@ def summed(
     model = model.linear
     outline = Outline.of(model)
     traced = not is_concrete(model, records, criterion, keys) or is_under_trace()
-    windows, own = criterion.windows, None
-    if bins is None and windows is not None and criterion.in_closed_form and is_concrete(windows):
+    windows, own, kept_apart = criterion.all_windows, None, None
+    if bins is None and windows is not None and is_concrete(windows):
         own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
-    kept_apart = None if own is None else LengthBins(own, (0, len(own) - 1))
+        kept_apart = None if own is None else LengthBins(own, (0, len(own) - 1))
     if bins is not None:
-        if traced or not criterion.in_closed_form or windows is None:
+        if traced or windows is None:
             raise ModelError(
                 "bins of window lengths are kept of all windows, with numbers that are known: use "
                 "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
             )
-        alpha, beta = float(windows.alpha), float(windows.beta)
-        if isinstance(bins, int | np.integer):
-            kept_apart = LengthBins.of_number(alpha, beta, int(bins))
-        else:
-            kept_apart = LengthBins.around(alpha, beta, bins)
+        kept_apart = LengthBins.of(float(windows.alpha), float(windows.beta), bins)
     edges, band = (None, (0, 1)) if kept_apart is None else kept_apart
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
         read = with_less_noise(in_motion(model, record), record, criterion)
         if traced:
-            return traced_sums(read, record, criterion, key, own is not None)
-        return OnePass(read, record, criterion, key, kept_apart, survey, starts).sums()
+            return traced_sums(read, record, criterion, key, apart=own is not None)
+        return recording_sums(read, record, criterion, key, kept_apart, survey, starts)
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)

@@ -17,11 +17,16 @@ from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.linear_algebra import factor_of_gram, joined_factor
-from riecjax.records.noise import Noise
+from riecjax.records.signal import Noise
 from riecjax.shows import Shown
-from riecjax.summaries.digest import Outline
-from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
-from riecjax.summaries.sums import EquationSums, RecordingSums
+from riecjax.summaries.normal_equations import (
+    EquationSums,
+    NormalEquations,
+    Outline,
+    RecordingSums,
+    ShortBlocks,
+    stack_normal_equations,
+)
 
 ROOMS = (128, 1024)
 """Blocks of a recording that arrays have room for; there are no more than the last."""
@@ -262,10 +267,11 @@ class Summary(Shown, eqx.Module):
         band = bins.nearest(alpha, beta)
         asked = (float(alpha), float(beta))
 
-        def lags_asked(one: RecordingSums) -> tuple[int, ...]:
-            return tuple(max(round(x / self._lag_seconds(one)), 1) for x in asked)
+        def is_snapped(one: RecordingSums) -> bool:
+            first, last, unit = self._lags(band, one)
+            return (first, last) != tuple(max(round(x / unit), 1) for x in asked)
 
-        snapped = any(self._lags(band, one) != lags_asked(one) for one in self.recordings)
+        snapped = any(map(is_snapped, self.recordings))
         return dataclasses.replace(
             self,
             # Lengths that round to the same samples are the same windows: those asked for.
@@ -277,18 +283,15 @@ class Summary(Shown, eqx.Module):
     def lengths_of(self, band: tuple[int, int]) -> tuple[float, float]:
         """Shortest and longest window in seconds of some bins, first and one beyond the last."""
         coarsest = max(self.recordings, key=lambda one: float(one.time_step))
-        first, last = self._lags(band, coarsest)
-        unit = self._lag_seconds(coarsest)
+        first, last, unit = self._lags(band, coarsest)
         return first * unit, last * unit
 
-    def _lag_seconds(self, one: RecordingSums) -> float:
-        return self.criterion.test_function.length_multiple * float(one.time_step)
-
-    def _lags(self, band: tuple[int, int], one: RecordingSums) -> tuple[int, int]:
-        """Shortest and longest lag of some bins in a recording."""
+    def _lags(self, band: tuple[int, int], one: RecordingSums) -> tuple[int, int, float]:
+        """Shortest and longest lag of some bins in a recording, and a lag's seconds."""
         assert self.bins is not None
-        first, last = self.bins.lags(self._lag_seconds(one), np.iinfo(np.int32).max)
-        return int(first[band[0]]), int(last[band[1] - 1])
+        unit = self.criterion.test_function.length_multiple * float(one.time_step)
+        first, last = self.bins.lags(unit, np.iinfo(np.int32).max)
+        return int(first[band[0]]), int(last[band[1] - 1]), unit
 
     @property
     def short_blocks(self) -> ShortBlocks:

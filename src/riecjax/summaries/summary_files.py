@@ -21,14 +21,13 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from riecjax.criteria.plain_data import criterion_from_plain_data, to_plain_data
+from riecjax.criteria.criterion import criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import is_concrete
-from riecjax.records.noise import Noise
 from riecjax.records.reading.channels import foreign_reader, read_array
+from riecjax.records.signal import Noise
 from riecjax.records.writing import write_npz
-from riecjax.summaries.digest import Outline
-from riecjax.summaries.sums import EquationSums, RecordingSums, Survey
+from riecjax.summaries.normal_equations import EquationSums, Outline, RecordingSums, Survey
 from riecjax.whole_files import no_file, write_file
 
 if TYPE_CHECKING:
@@ -92,21 +91,16 @@ def from_bytes(content: bytes) -> dict[str, Any]:
             dtype = np.dtype(kind)
             kept = (*shape[:-2], shape[-1] * (shape[-1] + 1) // 2) if halved else tuple(shape)
             size = math.prod(kept)
-            read = np.frombuffer(content, dtype, size, place).reshape(kept)
-            arrays[name] = _whole(read, shape[-1]) if halved else np.array(read)
+            array = np.frombuffer(content, dtype, size, place).reshape(kept)
+            if halved:  # upper halves of symmetric matrices, row by row
+                (rows, columns), half = _upper(shape[-1]), array
+                array = np.empty(shape, dtype)
+                array[..., rows, columns] = array[..., columns, rows] = half
+            arrays[name] = array
             place += size * dtype.itemsize
         if document.pop("checksum") != _checksum(document, arrays):
             raise DataError("it is damaged: its checksum differs. Make it anew.")
         return unpacked(document, {name: _native(array) for name, array in arrays.items()})
-
-
-def _whole(half: np.ndarray, size: int) -> np.ndarray:
-    """Symmetric matrices of which these are the upper halves, row by row."""
-    rows, columns = _upper(size)
-    found = np.empty((*half.shape[:-1], size, size), half.dtype)
-    found[..., rows, columns] = half
-    found[..., columns, rows] = half
-    return found
 
 
 # Looked up for every recording of a fleet, in which all are of a few sizes; a version takes longer
@@ -196,8 +190,25 @@ def read_checked(
     file = _path(path)
     if not file.is_file():
         raise DataError(no_file(file))
-    with naming(file, name):
-        return _contents(file, name, kind, schema)
+    with naming(file, name), zipfile.ZipFile(file) as archive:
+        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        if sum(member.file_size for member in archive.infolist()) > LARGEST:
+            raise DataError(f"declares to unpack to more than {LARGEST} bytes, and is not read.")
+
+        def read(each: str) -> np.ndarray:
+            with archive.open(members[each]) as stream:
+                array = read_array(stream, members[each].file_size)
+            if array is None:
+                raise ValueError("it holds Python objects.")
+            return array
+
+        # Sizes, schema and checksum are seen to be right before anything is made of it.
+        document: Any = json.loads(read(name).tobytes()) if name in members else None
+        _require_schema(document, name, kind, schema)
+        arrays = {each: read(each) for each in members if each != name}
+        if document.pop("checksum") != _checksum(document, arrays):
+            raise DataError("it is damaged: its checksum differs. Copy it again, or make it anew.")
+        return document, {each: _native(array) for each, array in arrays.items()}
 
 
 @contextlib.contextmanager
@@ -228,28 +239,6 @@ def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     return digest.hexdigest()
 
 
-def _contents(file: Path, name: str, kind: str, schema: int) -> tuple[Document, Arrays]:
-    """The document and all arrays, once sizes, schema and checksum are seen to be right."""
-    with zipfile.ZipFile(file) as archive:
-        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
-        if sum(member.file_size for member in archive.infolist()) > LARGEST:
-            raise DataError(f"declares to unpack to more than {LARGEST} bytes, and is not read.")
-
-        def read(each: str) -> np.ndarray:
-            with archive.open(members[each]) as stream:
-                array = read_array(stream, members[each].file_size)
-            if array is None:
-                raise ValueError("it holds Python objects.")
-            return array
-
-        document: Any = json.loads(read(name).tobytes()) if name in members else None
-        _require_schema(document, name, kind, schema)
-        arrays = {each: read(each) for each in members if each != name}
-    if document.pop("checksum") != _checksum(document, arrays):
-        raise DataError("it is damaged: its checksum differs. Copy it again, or make it anew.")
-    return document, {each: _native(array) for each, array in arrays.items()}
-
-
 def _native(array: np.ndarray) -> np.ndarray:
     """The array in this machine's order of bytes, and one that may be written to."""
     return array.astype(array.dtype.newbyteorder("="), order="C")
@@ -275,15 +264,15 @@ def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
         tuple((name, tuple(parameters)) for name, parameters in stage)
         for stage in document["stages"]
     )
-    units, fingerprint = tuple(map(_pair, document["units"])), str(document["fingerprint"])
+    units, fingerprint = tuple(map(tuple, document["units"])), str(document["fingerprint"])
     return {
         "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
         "criterion": criterion_from_plain_data(document["criterion"]),
         "outline": Outline(stages, tuple(document["parameters"]), units, fingerprint),
         "edges": edges,
-        "in_law": _pair(document["in_law"]),
-        "band": _pair(document["band"]),
-        "asked": None if document["asked"] is None else _pair(document["asked"]),
+        "in_law": tuple(document["in_law"]),
+        "band": tuple(document["band"]),
+        "asked": None if document["asked"] is None else tuple(document["asked"]),
     }
 
 
@@ -293,11 +282,6 @@ def _frame(recordings: str) -> tuple[list[str], Any]:
     empty = tuple(_skeleton(**one) for one in json.loads(recordings))
     paths, structure = jax.tree_util.tree_flatten_with_path(empty)
     return [_name(path) for path, _ in paths], structure
-
-
-def _pair(values: list[Any]) -> tuple[Any, Any]:
-    first, last = values
-    return first, last
 
 
 def _skeleton(stages: list[list[Document]], noise: dict[str, list[str]]) -> RecordingSums:

@@ -17,7 +17,7 @@ from riecjax.equations.memories import with_memories
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
-from riecjax.records.computed import without_computed
+from riecjax.records.consistency import without_computed
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
@@ -102,7 +102,7 @@ def _require_derivatives(model: Model, criterion: AbstractCriterion) -> None:
     if not model.has_hidden:
         return
     most = max(t.derivative for stage in model.linear.stages for e in stage for t in e.terms)
-    if criterion.smoothness < most or not criterion.in_closed_form:
+    if criterion.smoothness < most or criterion.all_windows is None:
         raise ModelError(
             f"hidden modes and springs need all windows of a test function that takes {most} "
             f"derivatives off: leave the criterion out, or give rx.RIEC.of_band((low, high), "

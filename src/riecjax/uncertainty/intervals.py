@@ -15,8 +15,9 @@ from riecjax import tails
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
 from riecjax.summaries.normal_equations import MOST_BLOCKS, NormalEquations, ShortBlocks
-from riecjax.uncertainty.block_statistics import BlockStatistics, block_statistics
 from riecjax.uncertainty.covariances import (
+    BlockStatistics,
+    block_statistics,
     effective_freedom,
     few_blocks_sandwich,
     jackknife_covariance,

@@ -11,14 +11,13 @@ integral of x'' under it is (x(t + 2h) - 2 x(t + h) + x(t)) / h^2. Errors of lon
 windows are sums of these values times h: the impulse's rise.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.fft
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Shaped
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.test_functions import Boxcar, Hat
@@ -32,53 +31,6 @@ from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_in_recording
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record, runs
-
-
-class Series(NamedTuple):
-    """Values in time, of which those that are not present are zero, or count as zero."""
-
-    values: Float[np.ndarray, " n"]
-    present: Bool[np.ndarray, " n"]
-
-    @property
-    def held(self) -> int:
-        """How many are present."""
-        return int(self.present.sum())
-
-    def centred(self) -> "Series":
-        """The same about its mean."""
-        mean = np.sum(self.values, where=self.present) / max(self.held, 1)
-        return Series(np.where(self.present, self.values - mean, 0.0), self.present)
-
-    def averaged(self, count: int) -> "Series":
-        """Means of `count` successive values, of which those that are whole are present."""
-        running = np.concatenate([[0.0], np.cumsum(np.where(self.present, self.values, 0.0))])
-        absent = np.concatenate([[0], np.cumsum(~self.present)])
-        whole = absent[count:] == absent[:-count]
-        return Series(np.where(whole, (running[count:] - running[:-count]) / count, 0.0), whole)
-
-    def runs(self) -> list[slice]:
-        """Stretches without a missing value."""
-        return [slice(a, b) for a, b in runs(self.present).T.tolist()]
-
-    def correlation(
-        self, other: "Series", lags: Int[np.ndarray, " lags"]
-    ) -> Float[np.ndarray, " lags"]:
-        """Mean product of the pairs that are present at each lag, over the root mean squares."""
-        size = scipy.fft.next_fast_len(2 * self.values.size, real=True)
-
-        def products(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-            """Sum over t of mine[t + lag] theirs[t]."""
-            spectrum = np.fft.rfft(mine, size) * np.conj(np.fft.rfft(theirs, size))
-            return np.fft.irfft(spectrum, size)[lags % size]
-
-        pairs = np.round(products(self.present.astype(float), other.present.astype(float)))
-        squares = np.sum(self.values**2) / max(self.held, 1) * np.sum(other.values**2)
-        scale = np.sqrt(squares / max(other.held, 1))
-        if not scale > 0:
-            return np.where(lags == 0, 1.0 if self is other else 0.0, 0.0)
-        means = products(self.values, other.values) / np.maximum(pairs, 1) / scale
-        return np.where(pairs > 0, means, 0.0)
 
 
 class EquationError(eqx.Module):
@@ -110,15 +62,13 @@ class EquationError(eqx.Module):
     times: Float[Leaf, " values"]
 
     @property
-    def series(self) -> Series:
-        """The error where it is present (not under jit)."""
-        return Series(np.asarray(self.error), np.asarray(self.present))
+    def series(self) -> Float[np.ndarray, " values"]:
+        """The error, NaN where it is not present (not under jit)."""
+        return np.where(self.present, self.error, np.nan)
 
-    def signal(self, record: Record, name: str) -> Series:
-        """A signal at the middle of each window, where its samples are present (not under jit)."""
-        values, there = np.asarray(self.centred(record[name])), record.signal(name).present
-        gone = np.zeros(values.size) if there is None else self.centred(~there * 1.0)
-        return Series(values, np.asarray(gone) == 0)
+    def runs(self) -> list[slice]:
+        """Stretches in which it is present (not under jit)."""
+        return [slice(a, b) for a, b in runs(np.asarray(self.present)).T.tolist()]
 
     @property
     def target(self) -> Float[Leaf, " values"]:
@@ -163,7 +113,9 @@ def equation_error(
     a record of fewer than three samples.
     """
     model = as_model(model)
-    given = {name: _value(values, name) for name in model.parameter_names}
+    if missing := [name for name in model.parameter_names if name not in values]:
+        raise ModelError(f"the equation error needs a value of '{missing[0]}'.")
+    given = {name: jnp.asarray(values[name]) for name in model.parameter_names}
     if model.has_hidden:
         from riecjax.equations.hidden_motion import with_hidden_motion
 
@@ -230,12 +182,12 @@ def errors_over_records(
     model = as_model(model)
     records = [with_memories(record, model.memories) for record in records]
     names = model.parameter_names
-    own = [values_in_recording(names, values, i) for i in range(len(records))]
-    # Only what the equations read: other names would compile them anew.
-    parts = [
-        _compiled(in_motion(model, record), record, {name: _value(v, name) for name in names})
-        for record, v in zip(records, own)
-    ]
+    parts = []
+    for index, record in enumerate(records):
+        own = values_in_recording(names, values, index)
+        # Only what the equations read: other names would compile them anew.
+        own = {name: jnp.asarray(value) for name, value in own.items()}
+        parts.append(_compiled(in_motion(model, record), record, own))
     return [list(of_equation) for of_equation in zip(*parts)]
 
 
@@ -246,7 +198,7 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
     apart belong to different records, and times go on. Arrays are NumPy's, for tests and figures.
     """
     error, explained, present = (
-        with_pads([np.asarray(getattr(part, field)) for part in errors], pad)
+        with_pads([np.asarray(getattr(part, field)) for part in errors], pad, 0)
         for field in ("error", "explained", "present")
     )
     first, step = errors[0], float(errors[0].time_step)
@@ -254,28 +206,22 @@ def joined(errors: Sequence[EquationError], pad: int) -> EquationError:
     for part in errors[1:]:
         last, own = times[-1][-1], np.asarray(part.times)
         times += [last + step * np.arange(1, pad + 1), own - own[0] + last + step * (pad + 1)]
-    return EquationError(
-        error,
-        explained,
-        present,
-        np.asarray(first.time_step),
-        first.span,
-        first.name,
-        first.unit,
-        np.concatenate(times),
+    return dataclasses.replace(
+        first,
+        error=error,
+        explained=explained,
+        present=present,
+        time_step=np.asarray(first.time_step),
+        times=np.concatenate(times),
     )
 
 
-def with_pads(parts: Sequence[Shaped[np.ndarray, " n"]], pad: int) -> Shaped[np.ndarray, " m"]:
-    """Arrays one after the other with `pad` zeros between them."""
-    between = np.zeros(pad, parts[0].dtype)
+def with_pads(
+    parts: Sequence[Shaped[np.ndarray, " n"]], pad: int, value: float = np.nan
+) -> Shaped[np.ndarray, " m"]:
+    """Arrays one after the other with a value `pad` times between them."""
+    between = np.full(pad, value, parts[0].dtype)
     return np.concatenate([piece for part in parts for piece in (between, part)][1:])
 
 
 _compiled = kept_jit(equation_error)
-
-
-def _value(values: Mapping[str, float | Array], name: str) -> Array:
-    if name not in values:
-        raise ModelError(f"the equation error needs a value of '{name}'.")
-    return jnp.asarray(values[name])

@@ -31,12 +31,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import DataError, SimulationError
-from riecjax.records.record import Record
+from riecjax.records.record import Record, filled_up
 from riecjax.records.signal import Signal, both
 from riecjax.shows import Drawn
 from riecjax.simulation.method import AbstractMethod
-from riecjax.simulation.simulate import Simulation, simulate
-from riecjax.simulation.system import AbstractSystem, state_sources
+from riecjax.simulation.simulate import simulate
+from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
 
 PREDICTS_WELL = 80.0
 """Fit in percent from which a signal is predicted well: an error of a fifth of its deviation."""
@@ -262,15 +262,6 @@ class HeldOut(Drawn, eqx.Module):
         }
 
 
-class _Run(NamedTuple):
-    """A simulated stretch, `start` to before `stop`, of which `reached` samples are finite."""
-
-    start: int
-    stop: int
-    simulation: Simulation
-    reached: int
-
-
 def validate_held_out(
     system: AbstractSystem,
     measured: Record,
@@ -303,20 +294,16 @@ def validate_held_out(
     given = dict(initial_state or {})
     system.require_states(given)
     recorded = [name for name in system.state_names if name in measured.arrays]
-    for name in system.input_names:
-        _ = measured.signals[name]
     available = system.simulated_names
-    for name in signals or ():
-        if name not in available:
-            raise DataError(
-                f"the simulation has no signal '{name}' to compare; it has: {', '.join(available)}."
-            )
-        _ = measured.signals[name]
-    if signals is None:
-        compared = tuple(name for name in available if name in measured.arrays)
-    else:
-        compared = tuple(signals)
-    if signals is None and not compared:
+    if unknown := [name for name in signals or () if name not in available]:
+        raise DataError(
+            f"the simulation has no signal '{unknown[0]}' to compare; it has: "
+            f"{', '.join(available)}."
+        )
+    for name in (*system.input_names, *(signals or ())):
+        measured.signal(name)  # or an error that says which there are
+    compared = tuple(signals or (name for name in available if name in measured.arrays))
+    if not compared:
         raise DataError(
             f"the record holds nothing that is simulated, so there is nothing to compare; needed "
             f"is one of: {', '.join(available)}."
@@ -325,64 +312,57 @@ def validate_held_out(
     sources |= {name: "carried" for name in system.carried if sources[name] == "zero"}
     sources |= dict.fromkeys(given, "given")
     # A free motion has no inputs: some signal only says how many samples there are.
-    inputs = measured.select(*(system.input_names or list(measured.arrays)[:1]))
-    integral = {velocity: state for state, velocity in system.velocity_of.items()}
-    runs: list[_Run] = []
-    for start, stop in unbroken_stretches(system, measured, recorded, sources, horizon):
+    driving = system.input_names or list(measured.arrays)[:1]
+    inputs = Record({name: measured[name] for name in driving}, measured.time_step)
+    stretches = unbroken_stretches(system, measured, recorded, sources, horizon)
+    simulated = np.zeros(measured.sample_count, bool)
+    arrays: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    reason = ""
+    for start, stop in stretches:
         # What the caller gives holds at the start; further on the record knows better.
-        first: dict[str, Array] = {}
-        for name, source in sources.items():
-            if name in given and (not runs or name not in recorded):
-                first[name] = jnp.asarray(given[name])
-            elif name in measured.arrays:
-                first[name] = measured[name][start]
-            elif source == "differences":
-                q = measured[integral[name]]
-                rise = -3 * q[start] + 4 * q[start + 1] - q[start + 2]
-                first[name] = rise / (2 * measured.time_step)
-        there = {name: samples[start : start + 1] for name, samples in measured.arrays.items()}
-        there |= {name: value[None] for name, value in first.items()}
-        levels = system.carried_levels(there)
-        first = {name: level[0] for name, level in levels.items()} | first
+        first = {
+            name: value
+            for name, value in given.items()
+            if start == stretches[0][0] or name not in recorded
+        }
+        beginning = measured.part(start, start + 3)
+        states = measured_states(system, beginning)[0]
+        first = dict(zip(system.state_names, states)) | first
+        there = {name: samples[:1] for name, samples in beginning.arrays.items()}
+        there |= {name: jnp.reshape(value, 1) for name, value in first.items()}
+        told = {*recorded, *given}
+        first |= {n: v[0] for n, v in system.carried_levels(there).items() if n not in told}
         count = stop - start
         # Each length compiles; with powers of two there are few.
         length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
-        levels = {
-            name: Signal(
-                jnp.concatenate([inputs[name][start:stop], jnp.full(length - count, last)]),
-                unit=signal.unit,
-            )
-            for name, signal in inputs.by_name.items()
-            for last in (signal.values[stop - 1],)
-        }
-        padded = Record(levels, inputs.time_step)
+        padded = filled_up(inputs, length, start, stop)
         simulation = simulate(system, padded, method=method, initial_state=first)
-        runs.append(_Run(start, stop, simulation, min(int(simulation.samples_reached), count)))
-    # All that was simulated on the time of the measured record.
-    made = [n for n in runs[0].simulation.record.arrays if n not in system.input_names]
-    simulated = np.zeros(measured.sample_count, bool)
-    arrays = {name: np.full(measured.sample_count, np.nan) for name in made}
-    for run in runs:
-        part = slice(run.start, run.start + run.reached)
+        reached = min(int(simulation.samples_reached), count)
+        if reached < count and not reason:
+            try:
+                simulation.checked()
+            except SimulationError as error:
+                reason = str(error)
+        # All that was simulated on the time of the measured record.
+        made = simulation.record.select(
+            *(n for n in simulation.record.arrays if n not in system.input_names)
+        )
+        units |= dict(made.units)
+        part = slice(start, start + reached)
         simulated[part] = True
-        for name in made:
-            arrays[name][part] = np.asarray(run.simulation.record[name])[: run.reached]
-    units = dict(runs[0].simulation.record.units) | dict(measured.units)
+        for name, values in made.arrays.items():
+            array = arrays.setdefault(name, np.full(measured.sample_count, np.nan))
+            array[part] = np.asarray(values)[:reached]
+    units |= dict(measured.units)
     record = measured.with_signals(
         {name: Signal.of(values, units.get(name, "")) for name, values in arrays.items()}
-    ).select(*system.input_names, *made)
+    ).select(*system.input_names, *arrays)
     fits = {}
     for name in compared:
         values, truth, present = in_both(record, measured, name)
         samples = truth.size if present is None else int(jnp.sum(present))
         fits[name] = SignalFit(*_measures(values, truth, present), samples)
-    reason = ""
-    for run in runs:
-        if run.reached < run.stop - run.start and not reason:
-            try:
-                run.simulation.checked()
-            except SimulationError as error:
-                reason = str(error)
     judged = tuple(signals or [name for name in compared if name in recorded] or compared)
     # Positions that are not predicted though their velocity is, and that nothing depends on.
     drifting = [
@@ -437,7 +417,7 @@ def validate_held_out(
         reason,
         predicts,
         f"It did not run: {reason}" if reason else verdict,
-        tuple((run.start, run.stop) for run in runs),
+        tuple(stretches),
         tuple(sources.items()),
         tuple(drifting),
         horizon,

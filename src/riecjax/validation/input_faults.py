@@ -5,7 +5,6 @@ Whether an input says nothing while the motion moves: a sensor that was not conn
 
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,8 +14,8 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, line_taken_off
-from riecjax.records.noise import noise_level
 from riecjax.records.record import Record
+from riecjax.records.signal import noise_level
 from riecjax.validation.equation_errors import EquationError, errors_over_records
 from riecjax.validation.residuals import window_errors
 
@@ -62,17 +61,17 @@ def drifting_inputs(
         if (name := _only_input(equation)) is None:
             continue
         left = _left(error, np.asarray(error.centred(record[name])))
-        if left is None or not left.stands_out:
+        if left is None or not left[1]:
             continue
         # How much less is left of a line and of a constant, for each that is taken off.
-        unit, response, others = abs(left.line[0]), [], []
+        shown, unit, response, others = left[0], abs(left[0][0]), [], []
         for shape in (line, np.ones_like(line)):
             less = record.with_signals({name: record.signal(name) - unit * shape})
             others.append(again([less]))
             (still,) = errors_over_records(model, [less], others[-1].values)[index]
             rest = _left(still, np.asarray(still.centred(less[name])))
-            response.append(np.zeros(2) if rest is None else (left.line - rest.line) / unit)
-        drift = np.linalg.lstsq(np.transpose(response), left.line, MOST_TAKEN)[0]
+            response.append(np.zeros(2) if rest is None else (shown - rest[0]) / unit)
+        drift = np.linalg.lstsq(np.transpose(response), shown, MOST_TAKEN)[0]
         moved = {
             n: abs(float(drift @ [float(o[n]) / float(estimate[n]) - 1 for o in others])) / unit
             for n in equation.parameters
@@ -104,15 +103,9 @@ def _only_input(equation: Equation) -> str | None:
     return inputs[0] if len(inputs) == 1 else None
 
 
-class _Left(NamedTuple):
-    """What is left of a line along the record and of a constant, as changes of the input."""
-
-    line: Float[np.ndarray, "2"]
-    stands_out: bool
-
-
-def _left(error: EquationError, signal: np.ndarray) -> _Left | None:
-    """The line in what is left; `None` of an equation whose target is more than the input."""
+def _left(error: EquationError, signal: np.ndarray) -> tuple[Float[np.ndarray, "2"], bool] | None:
+    """What is left of a line along the record and of a constant, as changes of the input, and
+    whether the line stands out; `None` of an equation whose target is more than the input."""
     present, values, target = (np.asarray(v) for v in (error.present, error.error, error.target))
     parts = np.array_split(np.flatnonzero(present), PARTS)
     if present.sum() < 10 * PARTS or not np.ptp(target[present]) > 0:
@@ -127,7 +120,7 @@ def _left(error: EquationError, signal: np.ndarray) -> _Left | None:
     even = slope * scatter[0, 1] > EVEN * scatter[1, 1]
     size = np.sqrt(np.mean(target[present] ** 2))
     line = np.array([slope, np.mean(means) - slope * np.mean(time)]) * scale[1, 1] / scale[0, 1]
-    return _Left(line, bool(even and abs(slope) > NOTABLE * size))
+    return line, bool(even and abs(slope) > NOTABLE * size)
 
 
 NOISE_ALONE = 0.8

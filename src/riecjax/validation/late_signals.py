@@ -35,11 +35,11 @@ import itertools
 import operator
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Int
 
 from riecjax import tails
 from riecjax.equations.hidden_elements import accelerated
@@ -63,8 +63,12 @@ COARSE = 3
 """Units between the amounts that are then tried."""
 STEPS = 5
 """Times that the middle of the three amounts is moved to where least is left."""
+FINE = 0.1
+"""Unit of the last parabola."""
 Stages = Sequence[NormalEquations]
 """Of each stage, by block of time or over some of them."""
+Blocks = Int[np.ndarray, " blocks"]
+Undo = Callable[[Record, Sequence[str], float, int], Record]
 
 
 class Solved(NamedTuple):
@@ -77,46 +81,31 @@ class Solved(NamedTuple):
     free: tuple[str, ...] = ()
 
 
-class Lowest(NamedTuple):
-    """Where the least is left.
-
-    **Fields:** `at`, how much was undone; `without`, the same with each block of time left out in
-    turn; `before` and `after`, what was found of the records as they are, and there.
-    """
-
-    at: float
-    without: Float[np.ndarray, " groups"]
-    before: Solved
-    after: Solved
-
-    @property
-    def error(self) -> float:
-        """Its standard error, by the jackknife."""
-        count = self.without.size
-        return float(np.std(self.without) * np.sqrt(count - 1))
-
-
 @dataclasses.dataclass
 class Search:
     """The search for how much of a fault to undo, so that a fit leaves least.
 
-    **Fields:** `undone`, the records with k times a unit of it taken off, all of one length;
-    `most`, the largest k; `kept`, sums by k, of which those of 0 may be another search's.
+    **Fields:** `undo` takes k times `unit` seconds off `signals` of the `records`, and `reach`
+    samples off their ends; `most`, the largest k; `kept`, sums by k, of which those of 0 may be
+    another search's.
     """
 
     model: Model
     estimate: Estimate
-    undone: Callable[[int], list[Record]]
+    records: Sequence[Record]
+    signals: tuple[str, ...]
+    undo: Undo
+    unit: float
+    reach: int
     most: int
     kept: dict[int, Stages]
 
     def __post_init__(self) -> None:
+        self.step = float(self.records[0].time_step)
         zero, one = self.sums(0), self.sums(1)
         differ = (np.any(a.clean != b.clean) for a, b in zip(zero, one))
         self.reading = [i for i, other in enumerate(differ) if other]
-        rows = zero[0].clean[:, 0, 0]
-        count = min(int(self.estimate.block_count), GROUPS)
-        self.groups = np.array_split(np.flatnonzero(rows != 0), count)
+        self.blocks = np.flatnonzero(zero[0].clean[:, 0, 0])
 
     def sums(self, count: int) -> Stages:
         """Of the records with so much undone."""
@@ -127,7 +116,8 @@ class Search:
             if (windows := criterion.windows) is not None:
                 own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
             bins = None if own is not None or made.edges is None else np.asarray(made.edges)
-            records = self.undone(count)
+            samples = count * self.unit / self.step
+            records = [self.undo(each, self.signals, samples, self.reach) for each in self.records]
             task = Task(self.model, records, criterion, record_keys(None, len(records)))
             surveyed = made.recordings[0].stages[0][0].survey is not None
             summary = summed(task, bins=bins, survey=surveyed)
@@ -137,8 +127,8 @@ class Search:
 
     # Values too large to be squared leave no finite sum, and nothing is found.
     @np.errstate(over="ignore", invalid="ignore")
-    def found(self) -> Lowest | None:
-        """Where least is left, if that is found."""
+    def delay(self, level: float) -> "SignalDelay | None":
+        """Where least is left, if that is found, with its reach at a level of chance."""
         before = self.solved(0, 0.0)
         middle, moved = self.descended(0)
         after = self.solved(middle, moved)
@@ -148,25 +138,32 @@ class Search:
             after = self.solved(middle, moved)
         if not np.isfinite(after.left):
             return None
-        without = np.array([self.lowest(middle, group, moved) for group in self.groups])
-        return Lowest(middle + moved, without, before, after)
+        groups = np.array_split(self.blocks, min(int(self.estimate.block_count), GROUPS))
+        rests = (np.setdiff1d(self.blocks, group) for group in groups)
+        amounts = [self.lowest(middle, rest, moved, (FINE, FINE)) for rest in rests]
+        # The jackknife's standard error.
+        error = self.unit * float(np.std(amounts) * np.sqrt(len(groups) - 1))
+        reach = float(tails.student(level / 2, len(groups) - 1)) * error
+        sizes = (middle + moved) * self.unit, error, reach, self.step
+        delay = SignalDelay(self.signals, *sizes, 0.0, before.left**0.5, 0.0, {})
+        return delay.leaving(before, after)
 
     def descended(self, middle: int) -> tuple[int, float]:
         """The nearest amount that leaves least, as whole units and a part; NaN if not found."""
         moved = float("nan")
         for _ in range(STEPS):
-            moved = self.lowest(middle)
+            moved = self.lowest(middle, self.blocks, 0.0, (1.0, 0.3, FINE))
             if not np.isfinite(moved) or abs(moved) <= 0.75:
                 break
             middle = round(np.clip(middle + moved, 1 - self.most, self.most - 1))
         return middle, moved if abs(moved) <= 1 else float("nan")
 
-    def lowest(self, middle: int, left_out: np.ndarray | None = None, near: float = 0.0) -> float:
-        """Units from the middle amount to where least is left; NaN if there is no minimum."""
-        every = self.around(middle, left_out)
-        at, steps = near, (1.0, 0.3, 0.1) if left_out is None else (0.1, 0.1)
-        for h in steps:
-            low, here, high = (self.solve(every, at + k * h).left for k in (-1, 0, 1))
+    def lowest(self, middle: int, blocks: Blocks, at: float, units: Sequence[float]) -> float:
+        """Where blocks leave least, in units from the middle amount, by parabolas so wide; NaN if
+        there is no minimum."""
+        three = self.around(middle, blocks)
+        for h in units:
+            low, here, high = (self.solve(between(three, at + k * h)).left for k in (-1, 0, 1))
             bend = low - 2 * here + high
             if not bend > 0:
                 return float("nan")
@@ -175,70 +172,53 @@ class Search:
                 break  # a parabola through the three reaches no further
         return at
 
-    def around(self, middle: int, left_out: np.ndarray | None = None) -> list[Stages]:
-        """Sums over all blocks, but some, at an amount and one unit to either side of it."""
-        every = (self.sums(middle + k) for k in (-1, 0, 1))
-        return [[total(stage, left_out) for stage in stages] for stages in every]
+    def over(self, count: int, blocks: Blocks) -> Stages:
+        """Sums over some blocks with so much undone."""
+        return [stage.in_blocks(lambda values: values[blocks].sum(0)) for stage in self.sums(count)]
 
-    def solve(self, three: Sequence[Stages], at: float) -> Solved:
-        """Values and what is left at an amount from the middle one of three."""
-        return solve(between(three, at), self.estimate.known, self.reading)
+    def around(self, middle: int, blocks: Blocks) -> list[Stages]:
+        """The same at an amount and one unit to either side of it."""
+        return [self.over(middle + k, blocks) for k in (-1, 0, 1)]
 
     def solved(self, middle: int, at: float) -> Solved:
-        """Values and what is left at an amount, as energy that is not below zero."""
-        found = self.solve(self.around(middle), at)
-        return found._replace(left=float(np.maximum(found.left, 0.0)), noise=max(found.noise, 0.0))
+        """Values and what is left over all blocks, as energy that is not below zero."""
+        solved = self.solve(between(self.around(middle, self.blocks), at))
+        return solved._replace(left=float(np.maximum(solved.left, 0.0)), noise=max(solved.noise, 0))
+
+    def solve(self, stages: Stages) -> Solved:
+        """Values of all stages in turn, and what those that the fault reaches leave, as energy."""
+        known = self.estimate.known
+        values, left, noise = {n: float(v) for n, v in known.items()}, 0.0, 0.0
+        for i, stage in enumerate(stages):
+            equations = stage.fix(values)
+            clean = np.asarray(equations.clean)
+            if not np.isfinite(clean).all():
+                return Solved(values, float("nan"), 0.0)
+            sizes = np.diagonal(clean)
+            scale = 1 / np.sqrt(np.where(sizes > 0, sizes, 1.0))
+            scaled = clean * scale[:, None] * scale
+            theta = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-12)[0]
+            theta = theta * scale[1:] / scale[0]
+            values |= dict(zip(equations.parameters, theta.tolist()))
+            if i in self.reading and equations.parameters:
+                row = np.array([1.0, *-theta])
+                target = float(equations.energy) or 1.0
+                left += float(row @ clean @ row) / target
+                if equations.noise is not None:
+                    noise += float(row @ equations.noise @ row) / target
+        return Solved(values, left, noise, tuple(n for n in values if n not in known))
+
+    def energy(self, stages: Stages, values: Mapping[str, float]) -> float:
+        """What stages leave beyond noise with these values, in the squares of their units."""
+        return float(sum(stages[i].fix(values).clean[0, 0] for i in self.reading))
 
 
-def total(
-    stage: NormalEquations, left_out: np.ndarray | None = None, only: np.ndarray | None = None
-) -> NormalEquations:
-    """The sum over all blocks, over all but some, or over some only."""
-
-    def of(blocks: Any) -> Any:
-        if only is not None:
-            return blocks[only].sum(0)
-        every = blocks.sum(0)
-        return every if left_out is None else every - blocks[left_out].sum(0)
-
-    return stage.in_blocks(of)
-
-
-def between(parts: Sequence[Stages], at: float) -> list[NormalEquations]:
+def between(parts: Sequence[Stages], at: float) -> Stages:
     """Sums at an amount between three."""
     low, here, high = at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2
     return [
         jax.tree.map(lambda a, b, c: low * a + here * b + high * c, *three) for three in zip(*parts)
     ]
-
-
-def solve(stages: Stages, known: Mapping, reading: Sequence[int]) -> Solved:
-    """Values of all stages in turn, and what those that the fault reaches leave, as energy."""
-    values, left, noise = {n: float(v) for n, v in known.items()}, 0.0, 0.0
-    for i, stage in enumerate(stages):
-        equations = stage.fix(values)
-        clean = np.asarray(equations.clean)
-        if not np.isfinite(clean).all():
-            return Solved(values, float("nan"), 0.0)
-        sizes = np.diagonal(clean)
-        scale = 1 / np.sqrt(np.where(sizes > 0, sizes, 1.0))
-        scaled = clean * scale[:, None] * scale
-        theta = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-12)[0]
-        theta = theta * scale[1:] / scale[0]
-        values |= dict(zip(equations.parameters, theta.tolist()))
-        if i in reading and equations.parameters:
-            row = np.array([1.0, *-theta])
-            target = float(equations.energy) or 1.0
-            left += float(row @ clean @ row) / target
-            if equations.noise is not None:
-                noise += float(row @ equations.noise @ row) / target
-    return Solved(values, left, noise, tuple(n for n in values if n not in known))
-
-
-def energy(stages: Stages, values: Mapping[str, float], reading: Sequence[int]) -> float:
-    """What stages leave beyond noise with these values, in the squares of their units."""
-    left = (stages[i].fix(values).clean for i in reading)
-    return float(sum(moments[0, 0] for moments in left))
 
 
 PARTS = 16
@@ -256,52 +236,62 @@ FARTHEST = 20
 """Samples to either side of the delay of all that those of parts are looked for."""
 
 
-class FoundCourse(NamedTuple):
-    """A course, and what was found with each part at its own delay."""
-
-    course: Course
-    solved: Solved
-
-
-def course_of(search: Search, middle: int, samples: float) -> FoundCourse | None:
-    """The course of a delay, if it is none that stays.
+def course_of(search: Search, middle: int, samples: float) -> tuple[Course, Solved] | None:
+    """The course of a delay, if it is none that stays, and what is found with each part at its own.
 
     **Arguments:** `search` of the delay of one record; `middle`, whole samples of the delay of all
     of it; `samples` to a block.
     """
-    blocks = np.sort(np.concatenate(search.groups))
-    if blocks.size // 2 < FEWEST:
+    if search.blocks.size // 2 < FEWEST:
         return None
-    parts = np.array_split(blocks, min(PARTS, blocks.size // 2))
-    found = _found(search, parts, range(middle - 1, middle + 2), samples)
+    parts = np.array_split(search.blocks, min(PARTS, search.blocks.size // 2))
+    near = _course_among(search, parts, range(middle - 1, middle + 2), samples)
     # Parts whose delays are far from the middle one are not told by three delays next to it.
-    if found is not None and (found[1] < PERHAPS or abs(found[0].course.change) < SLIGHT):
+    if near is not None and (near[2] < PERHAPS or abs(near[0].change) < SLIGHT):
         return None
     first, last = max(middle - FARTHEST, 1 - search.most), min(middle + FARTHEST, search.most - 1)
-    found = _found(search, parts, range(first, last + 1), samples)
-    if found is None or found[1] < CERTAIN:
+    best = _course_among(search, parts, range(first, last + 1), samples)
+    if best is None or best[2] < CERTAIN:
         return None
-    course = found[0].course
-    return found[0] if abs(course.change) > LEAST[course.kind] else None
+    course, solved, _ = best
+    return (course, solved) if abs(course.change) > LEAST[course.kind] else None
 
 
-def _found(
-    search: Search, parts: Sequence[np.ndarray], counts: range, samples: float
-) -> tuple[FoundCourse, float] | None:
+def _course_among(
+    search: Search, parts: Sequence[Blocks], counts: range, samples: float
+) -> tuple[Course, Solved, float] | None:
     """The best course with delays among these, and its F-statistic against a steady one."""
-    sums = [[[total(s, only=part) for s in search.sums(k)] for part in parts] for k in counts]
-    at, bend = np.full(len(parts), len(counts) // 2, float), np.ones(len(parts))
-    solved = None
+    sums = [[search.over(k, part) for part in parts] for k in counts]
+    every = np.arange(len(parts))
+
+    def stages_of(part: int) -> Stages:
+        """Sums of a part at its place between the delays."""
+        nearest = int(np.clip(round(places[part]), 1, len(counts) - 2))
+        three = [sums[nearest + k][part] for k in (-1, 0, 1)]
+        return between(three, float(places[part]) - nearest)
+
+    def solved_of(some: np.ndarray) -> Solved:
+        stages = zip(*map(stages_of, some.tolist()))
+        return search.solve([functools.reduce(operator.add, stage) for stage in stages])
+
+    places, bend = np.full(every.size, len(counts) // 2, float), np.ones(every.size)
+    reach = 3.0 if len(counts) == 3 else 1.0
     for _ in range(TURNS):
-        solved = _solved(search, sums, at)
+        solved = solved_of(every)
         if not np.isfinite(solved.left):
             return None
-        at, bend = _delays(search, sums, solved.values)
-    assert solved is not None
+        # Where each part leaves least, and how sharply; not sharply at all where it is at an end.
+        left = [[search.energy(stages, solved.values) for stages in row] for row in sums]
+        lowest = np.clip(np.argmin(left, axis=0), 1, len(counts) - 2)
+        low, here, high = (np.array(left)[lowest + k, every] for k in (-1, 0, 1))
+        bend = low - 2 * here + high
+        moved = 0.5 * (low - high) / np.where(bend > 0, bend, 1.0)
+        bend = np.where((bend > 0) & (np.abs(moved) < reach), bend, 0.0)
+        places = lowest + np.clip(moved, -reach, reach)
     edges = [round(samples * float(edge)) for edge in (0, *(part[-1] + 1 for part in parts))]
     ends = np.array(list(itertools.pairwise(edges)), float).T
     told = bend > 0
-    delays = np.stack([at + counts[0], 1 / np.sqrt(np.where(told, bend, 1.0)), *ends])[:, told]
+    delays = np.stack([places + counts[0], 1 / np.sqrt(np.where(told, bend, 1.0)), *ends])[:, told]
     if delays.shape[1] < FEWEST:
         return None
     course, left = changing(delays, edges)
@@ -309,39 +299,9 @@ def _found(
     steady = float(weight @ (delays[0] - weight @ delays[0] / weight.sum()) ** 2)
     statistic = (steady - left) / max(left / (delays.shape[1] - 3), 1e-12 * steady, 1e-300)
     # Of all parts but the one that leaves most: a jump within it is not undone.
-    values = _solved(search, sums, at).values
-    energies = [energy(_at(sums, i, float(p)), values, search.reading) for i, p in enumerate(at)]
-    kept = np.flatnonzero(np.arange(at.size) != np.argmax(energies))
-    rest = _solved(search, [[row[i] for i in kept] for row in sums], at[kept])
-    return FoundCourse(course, rest), statistic
-
-
-def _solved(search: Search, sums: list, at: Float[np.ndarray, " parts"]) -> Solved:
-    parts = [_at(sums, i, float(place)) for i, place in enumerate(at)]
-    stages = [functools.reduce(operator.add, stage) for stage in zip(*parts)]
-    return solve(stages, search.estimate.known, search.reading)
-
-
-def _at(sums: list, part: int, place: float) -> list:
-    """Sums of a part at a place between the delays."""
-    nearest = int(np.clip(round(place), 1, len(sums) - 2))
-    three = [sums[nearest + k][part] for k in (-1, 0, 1)]
-    return between(three, place - nearest)
-
-
-def _delays(
-    search: Search, sums: list, values: Mapping[str, float]
-) -> tuple[Float[np.ndarray, " parts"], Float[np.ndarray, " parts"]]:
-    """Where each part leaves least, and how sharply; not sharply at all where it is at an end."""
-    left = np.array([[energy(stages, values, search.reading) for stages in row] for row in sums])
-    lowest = np.clip(np.argmin(left, axis=0), 1, len(sums) - 2)
-    parts = np.arange(left.shape[1])
-    low, here, high = (left[lowest + k, parts] for k in (-1, 0, 1))
-    bend = low - 2 * here + high
-    moved = 0.5 * (low - high) / np.where(bend > 0, bend, 1.0)
-    inside = (bend > 0) & (np.abs(moved) < (3.0 if len(sums) == 3 else 1.0))
-    reach = 3.0 if len(sums) == 3 else 1.0
-    return lowest + np.clip(moved, -reach, reach), np.where(inside, bend, 0.0)
+    values = solved_of(every).values
+    energies = [search.energy(stages_of(part), values) for part in every.tolist()]
+    return course, solved_of(np.delete(every, np.argmax(energies))), statistic
 
 
 LEVEL = 1e-3
@@ -442,7 +402,7 @@ def signal_delays(model: Model, records: Sequence[Record], estimate: Estimate) -
     """
     criterion, step = estimate.criterion, float(records[0].time_step)
     own = any(estimate.table[name].recording is not None for name in estimate.parameters)
-    if model.has_hidden or own or not criterion.in_closed_form or estimate.summary is None:
+    if model.has_hidden or own or criterion.all_windows is None or estimate.summary is None:
         return []
     records = [each.part(0, min(each.sample_count, MOST_SAMPLES)) for each in records]
     reach = min(LONGEST, min(each.sample_count for each in records) // LONGEST_SHARE)
@@ -453,42 +413,31 @@ def signal_delays(model: Model, records: Sequence[Record], estimate: Estimate) -
     level, unmoved = LEVEL / len(groups), {}
 
     def search(signals: tuple[str, ...], undo: Undo, unit: float, most: int) -> Search:
-        def undone(count: int) -> list[Record]:
-            return [undo(each, signals, count * unit / step, reach) for each in records]
-
         # Without a shift all are the same records. Filters describe their noise otherwise.
-        made = Search(model, estimate, undone, most, {**(unmoved if undo is advanced else {})})
+        kept = {**unmoved} if undo is advanced else {}
+        made = Search(model, estimate, records, signals, undo, unit, reach, most, kept)
         unmoved.setdefault(0, made.sums(0))
         return made
-
-    def of(searched: Search, signals: tuple[str, ...], unit: float) -> SignalDelay | None:
-        found = searched.found()
-        if found is None:
-            return None
-        quantile = float(tails.student(level / 2, found.without.size - 1))
-        sizes = found.at * unit, found.error * unit, quantile * found.error * unit, step
-        delay = SignalDelay(signals, *sizes, 0.0, found.before.left**0.5, 0.0, {})
-        return delay.leaving(found.before, found.after)
 
     every: list[tuple[SignalDelay, Search]] = []
     for signals in groups:
         searched = search(signals, advanced, step, reach)
-        late = of(searched, signals, step)
+        late = searched.delay(level)
         if late is not None and late.significant and late.seconds > 0:
-            lagged = of(search(signals, unfiltered, late.seconds, MOST_LAGS), signals, late.seconds)
+            lagged = search(signals, unfiltered, late.seconds, MOST_LAGS).delay(level)
             if lagged is not None:
-                one, other = sorted((late, lagged), key=lambda each: each.left)
-                late = one._replace(low_passed=one is lagged, otherwise=other.left)
+                nearer, other = sorted((late, lagged), key=lambda each: each.left)
+                late = nearer._replace(low_passed=nearer is lagged, otherwise=other.left)
         every += [] if late is None else [(late, searched)]
-    found = sorted((late for late, _ in every), key=lambda each: each.left)
-    if len(records) == 1 and found and not found[0].explains and found[0].left > VISIBLE:
-        best, searched = min(every, key=lambda each: each[0].left)
-        block = criterion.block_samples(records[0])
-        course = course_of(searched, round(best.samples), block)
+    every.sort(key=lambda each: each[0].left)
+    delays = [late for late, _ in every]
+    if len(records) == 1 and delays and not delays[0].explains and delays[0].left > VISIBLE:
+        best, searched = every[0]
+        course = course_of(searched, round(best.samples), criterion.block_samples(records[0]))
         if course is not None:
-            best = best._replace(course=course.course, low_passed=False)
-            found[0] = best.leaving(searched.solved(0, 0.0), course.solved)
-    return found
+            best = best._replace(course=course[0], low_passed=False)
+            delays[0] = best.leaving(searched.solved(0, 0.0), course[1])
+    return delays
 
 
 def late_signals(model: Model, records: Sequence[Record], estimate: Estimate) -> Iterator[Finding]:
@@ -608,6 +557,3 @@ def unfiltered(record: Record, signals: Sequence[str], lag: float, reach: int) -
     """The same with a first-order low-pass of a time constant in samples taken off them."""
     near = record.part(reach - SLOPE.size // 2, record.sample_count - reach + SLOPE.size // 2)
     return near.through(lead(near, lag * float(record.time_step)), *signals)
-
-
-Undo = Callable[[Record, Sequence[str], float, int], Record]

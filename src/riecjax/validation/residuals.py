@@ -29,15 +29,14 @@ model does not read changes a force, that signal times the velocity or its direc
 judged on parts of the recordings that it was not fitted to.
 """
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 import scipy.fft
 import scipy.signal
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from riecjax import tails
 from riecjax.criteria.windows import AbstractWindows
@@ -45,20 +44,17 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import accelerated, force_elements
 from riecjax.equations.memories import BoucWen, Dahl, pieces_of_way, usual_widths, with_memories
 from riecjax.equations.model import Model, as_model, told_apart
+from riecjax.equations.motions import Motion, motions_and_unread
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding
 from riecjax.records.record import Record, Records, as_records
 from riecjax.shows import Drawn
 from riecjax.validation.equation_errors import (
     EquationError,
-    Series,
     errors_over_records,
     joined,
     with_pads,
 )
-
-if TYPE_CHECKING:
-    from riecjax.equations.motions import Motion
 
 LEVEL = 0.05
 """Probability that chance alone passes a bound."""
@@ -79,35 +75,16 @@ LEVEL = 0.05
 # the variance then stays while m grows.
 
 
-class Autocorrelation(NamedTuple):
-    """Autocorrelation of an error.
+class Correlation(NamedTuple):
+    """Correlation of an error with one signal, or with itself.
 
     **Fields:**
 
-    - `lag` in seconds and `values`, shape `(lags + 1,)`, 1 at lag zero.
-    - `bound`: 95 % of the values of white noise lie within plus or minus this.
-    - `correlation_time`: sum of the squared values over lags of both signs, in seconds: how long
-      an error stays like itself, with either sign. One time step for white noise.
-    - `integrated`: sum of the values themselves over lags of both signs, tapered to the longest,
-      in seconds. One time step for white noise; near zero where only modes make the error.
-    """
-
-    lag: Float[np.ndarray, " lags"]
-    values: Float[np.ndarray, " lags"]
-    bound: float
-    correlation_time: float
-    integrated: float
-
-
-class CrossCorrelation(NamedTuple):
-    """Correlation of an error with one signal.
-
-    **Fields:**
-
-    - `signal`: its name.
-    - `lag` in seconds and `values`, shape `(2 lags + 1,)`; at a positive lag the error comes later.
-    - `bound`: two independent series with these autocorrelations stay below it at every lag of
-      every signal of the equation, with 95 % probability.
+    - `signal`: its name, empty of the error itself.
+    - `lag` in seconds and `values`, of the same shape; at a positive lag the error comes later.
+    - `bound`: of the error itself, 95 % of the values of white noise lie within plus or minus this;
+      with a signal, two independent series with these autocorrelations stay below it at every lag
+      of every signal of the equation, with 95 % probability.
     """
 
     signal: str
@@ -125,38 +102,87 @@ class CrossCorrelation(NamedTuple):
         """Its lag in seconds."""
         return float(self.lag[np.argmax(np.abs(self.values))])
 
+    @property
+    def correlation_time(self) -> float:
+        """Of the error itself, sum of the squared values over lags of both signs, in seconds.
 
-def autocorrelation(series: Series, lags: int, time_step: float) -> Autocorrelation:
+        How long it stays like itself, with either sign. One time step for white noise.
+        """
+        return float(self.lag[1] * (1 + 2 * np.sum(self.values[1:] ** 2)))
+
+    @property
+    def integrated(self) -> float:
+        """The sum of the values themselves, tapered to the longest lag, in seconds.
+
+        One time step for white noise; near zero where only modes make the error.
+        """
+        taper = 1 - np.arange(1, self.lag.size) / self.lag.size
+        return float(self.lag[1] * (1 + 2 * np.sum(taper * self.values[1:])))
+
+
+Series = Float[np.ndarray, " n"]
+"""Values in time, NaN where they are missing."""
+
+
+def autocorrelation(series: Series, lags: int, time_step: float) -> Correlation:
     """Autocorrelation about the mean at lags from zero; zeros of a series that does not vary."""
-    centred = series.centred()
-    forward = np.arange(lags + 1)
-    found = centred.correlation(centred, forward)
-    taper = 1 - forward[1:] / (lags + 1)
-    return Autocorrelation(
-        forward * time_step,
-        found,
-        float(tails.normal(LEVEL / 2) / np.sqrt(max(series.held, 1))),
-        time_step * float(1 + 2 * np.sum(found[1:] ** 2)),
-        time_step * float(1 + 2 * np.sum(taper * found[1:])),
-    )
+    held, forward = np.count_nonzero(~np.isnan(series)), np.arange(lags + 1)
+    bound = float(tails.normal(LEVEL / 2) / np.sqrt(max(held, 1)))
+    return Correlation("", forward * time_step, _correlation(series, series, forward), bound)
 
 
 def cross_correlation(
     error: Series, signal: Series, lags: int, time_step: float, *, name: str = "", signals: int = 1
-) -> CrossCorrelation:
+) -> Correlation:
     """Correlation of an error with a signal about their means, at lags of both signs.
 
     The bound takes Bartlett's variance, and Bonferroni's correction for as many lags as are
     independent, of this and of all `signals`.
     """
-    both = error.present & signal.present
-    error, signal = (Series(series.values, both).centred() for series in (error, signal))
+    missing = np.isnan(error) | np.isnan(signal)
+    error, signal = (np.where(missing, np.nan, series) for series in (error, signal))
     around = np.arange(-lags, lags + 1)
-    variance = bartlett_variance(error.values, signal.values)
-    apart = max(around.size / max(variance * error.held, 1.0), 1.0)
-    quantile = tails.normal(LEVEL / (2 * apart * signals))
-    bound = float(quantile * np.sqrt(variance))
-    return CrossCorrelation(name, around * time_step, error.correlation(signal, around), bound)
+    variance = bartlett_variance(_centred(error), _centred(signal))
+    apart = max(around.size / max(variance * np.count_nonzero(~missing), 1.0), 1.0)
+    bound = float(tails.normal(LEVEL / (2 * apart * signals)) * np.sqrt(variance))
+    return Correlation(name, around * time_step, _correlation(error, signal, around), bound)
+
+
+def _centred(series: Series) -> Float[np.ndarray, " n"]:
+    """The same about its mean, zero where it is missing."""
+    there = ~np.isnan(series)
+    mean = np.sum(series, where=there) / max(np.count_nonzero(there), 1)
+    return np.where(there, series - mean, 0.0)
+
+
+def _correlation(
+    error: Series, signal: Series, lags: Int[np.ndarray, " lags"]
+) -> Float[np.ndarray, " lags"]:
+    """Mean product of the pairs that are present at each lag, over the root mean squares."""
+    size = scipy.fft.next_fast_len(2 * error.size, real=True)
+
+    def products(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+        """Sum over t of mine[t + lag] theirs[t]."""
+        spectrum = np.fft.rfft(mine, size) * np.conj(np.fft.rfft(theirs, size))
+        return np.fft.irfft(spectrum, size)[lags % size]
+
+    present = [(~np.isnan(series)).astype(float) for series in (error, signal)]
+    centred = [_centred(series) for series in (error, signal)]
+    squares = (np.sum(c**2) / max(np.sum(p), 1) for c, p in zip(centred, present))
+    scale = np.sqrt(np.prod([*squares]))
+    if not scale > 0:
+        return np.where(lags == 0, 1.0 if error is signal else 0.0, 0.0)
+    pairs = np.round(products(*present))
+    return np.where(pairs > 0, products(*centred) / np.maximum(pairs, 1) / scale, 0.0)
+
+
+def averaged(series: Series, count: int) -> Series:
+    """Means of `count` successive values, of which those that are whole are present."""
+    missing = np.isnan(series)
+    running = np.concatenate([[0.0], np.cumsum(np.where(missing, 0.0, series))])
+    absent = np.concatenate([[0], np.cumsum(missing)])
+    means = (running[count:] - running[:-count]) / count
+    return np.where(absent[count:] == absent[:-count], means, np.nan)
 
 
 def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> float:
@@ -165,8 +191,9 @@ def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n
     Of series about their means, zero where a sample is missing; 0 of a silent one.
     """
     size = scipy.fft.next_fast_len(2 * one.size, real=True)
-    power = [np.abs(np.fft.rfft(series, size)) ** 2 for series in (one, other)]
-    first, second = (np.fft.irfft(p, size) for p in power)
+    first, second = (
+        np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size) for series in (one, other)
+    )
     scale = first[0] * second[0]
     count = np.count_nonzero((one != 0) | (other != 0))
     return float(np.sum(first * second) / (scale * count)) if scale > 0 and count else 0.0
@@ -175,7 +202,7 @@ def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n
 def _of_order_one(series: Sequence[np.ndarray]) -> list[np.ndarray]:
     """A signal's values in each record over one power of two, where only ratios matter: sums and
     squares of values near the largest number would overflow."""
-    largest = max(np.max(np.abs(values), initial=0.0) for values in series)
+    largest = max(np.nanmax(np.abs(values), initial=0.0) for values in series)
     return [np.ldexp(values, -np.frexp(largest)[1]) for values in series]
 
 
@@ -273,21 +300,18 @@ class ErrorSpectrum(NamedTuple):
         holds 30 % of the error's power there. A rise towards half the sampling rate, as of
         differentiated noise, is no peak, nor one that only ends where the excitation does.
         """
-        # Half a second, which the first answer need not wait.
-        from scipy.signal import find_peaks, peak_widths
-
         if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
             return None
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
         level = np.log(np.maximum(smooth, np.finfo(float).tiny))
-        tops, _ = find_peaks(level, prominence=np.log(PROMINENCE))
+        tops, _ = scipy.signal.find_peaks(level, prominence=np.log(PROMINENCE))
         # The mean is no oscillation, so it does not count.
         total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
         whole, genuine = np.sum(self.target), []
         for top in tops.tolist():
             # As prominence the whole height, so that half the prominence is half the power.
             height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
-            edges = peak_widths(smooth, [top], prominence_data=height)
+            edges = scipy.signal.peak_widths(smooth, [top], prominence_data=height)
             low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
             inside = (self.frequency >= low) & (self.frequency <= high)
             power = np.sum(self.error, where=inside)
@@ -310,9 +334,7 @@ def error_spectrum(
     **Arguments:** `parts`: a segment is this part of the record, 64 samples at least; shorter
     where unbroken stretches are. `detrend`: take each segment's mean off.
     """
-    from scipy.signal import csd
-
-    runs, length = error.series.runs(), SHORTEST_SEGMENT
+    runs, length = error.runs(), SHORTEST_SEGMENT
     if runs:
         # As wanted, unless half of all samples lie in shorter stretches.
         longest_first = np.sort([run.stop - run.start for run in runs])[::-1]
@@ -327,23 +349,17 @@ def error_spectrum(
         "common": (target, explained),
     }
     sums = {name: np.zeros(length // 2 + 1) for name in pairs}
-    count = 0
+    rate, count = 1 / float(error.time_step), 0
+    how: Any = {"nperseg": length, "detrend": "constant" if detrend else False}
     for run in runs:
         # A longer run of segments counts for more, as in one mean over all of them.
         segments = max((run.stop - run.start - length) // (length - length // 2) + 1, 0)
         count += segments
         for name, (one, other) in pairs.items() if segments else ():
-            _, density = csd(
-                one[run],
-                other[run],
-                fs=1 / float(error.time_step),
-                nperseg=length,
-                detrend="constant" if detrend else False,  # pyright: ignore[reportArgumentType]
-            )
+            _, density = scipy.signal.csd(one[run], other[run], rate, **how)
             sums[name] += segments * np.real(density)
-    frequency = np.fft.rfftfreq(length, float(error.time_step))
     means = {name: total / max(count, 1) for name, total in sums.items()}
-    return ErrorSpectrum(frequency, **means, segments=count)
+    return ErrorSpectrum(np.fft.rfftfreq(length, 1 / rate), **means, segments=count)
 
 
 # Why eq. (18) allows ordinary least squares. With n windows the errors' covariance is
@@ -413,15 +429,6 @@ class WindowErrors(NamedTuple):
         return _ratio(self.target_mean_square)
 
 
-class _Blocks(NamedTuple):
-    """Means over the windows in each block of time, shape `(blocks,)`; `start` in samples."""
-
-    start: np.ndarray
-    error: np.ndarray
-    error_square: np.ndarray
-    target_square: np.ndarray
-
-
 def window_errors(errors: list[EquationError], windows: AbstractWindows) -> WindowErrors | None:
     """Errors of boxcar windows over the records of one equation (not under jit).
 
@@ -433,54 +440,50 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     lags = np.unique(np.round(np.geomspace(max(alpha / step, 1), longest, LENGTHS)).astype(int))
     length = BLOCK_LENGTH * longest
     sizes = [error.error.size for error in errors]
+    # Of each record the first sample of each block of time; over the windows in it the mean error,
+    # and the mean squares of error and target.
     records = []
     for error, before in zip(errors, np.cumsum([0, *sizes[:-1]])):
         # Blocks of each unbroken stretch, the rest of it left out.
         starts = [
             start
-            for run in error.series.runs()
+            for run in error.runs()
             for start in range(run.start, run.stop - length + 1, length)
         ]
         starts = np.array(starts, int)
         mean, square = _rises(np.asarray(error.error) * step, starts, lags, length)
         _, of_target = _rises(np.asarray(error.target) * step, starts, lags, length)
-        records.append(_Blocks(starts + before, mean, square, of_target))
-    count = sum(blocks.start.size for blocks in records)
+        records.append(np.array([starts + before, mean, square, of_target]))
+    count = sum(blocks.shape[1] for blocks in records)
     if count < 2:
         return None
     size = max(BLOCKS_TO_STRETCH, -(-count // MOST_STRETCHES))
-    stretches: list[_Blocks] = []
+    stretches: list[np.ndarray] = []
     for blocks in records:  # each record's as equal as possible
-        parts = blocks.start.size // size
-        edges = np.linspace(0, blocks.start.size, parts + 1).astype(int)
-        pairs = itertools.pairwise(edges) if parts else ()
-        stretches += [_Blocks(*(values[a:b] for values in blocks)) for a, b in pairs]
+        if parts := blocks.shape[1] // size:
+            edges = np.linspace(0, blocks.shape[1], parts + 1).astype(int)
+            stretches += np.split(blocks, edges[1:-1], axis=1)
     # Analysis of variance of the logarithms of the blocks' mean squares. A mean square of nu
     # degrees of freedom scatters in proportion to its size, its logarithm by about sqrt(2 / nu)
     # whatever the size, as the analysis presumes; nor does one loud block decide.
-    squares = [part.error_square for part in stretches]
+    squares = [square for _, _, square, _ in stretches]
     p_value = float("nan")
     largest = max((square.max() for square in squares), default=0.0)
     if len(squares) >= FEWEST_STRETCHES and largest > min(square.min() for square in squares):
         logarithms = [np.log(np.maximum(square, SILENT * largest)) for square in squares]
         p_value = tails.equal_means(logarithms)
-    error, target = (
-        np.concatenate([getattr(blocks, field) for blocks in records]).mean()
-        for field in ("error_square", "target_square")
-    )
+    _, _, error, target = np.hstack(records).mean(axis=1)
     # Every block holds as many windows, so that means of blocks are means of windows.
-    shared = sum(
-        blocks.start.size * blocks.error.mean() ** 2 for blocks in records if len(blocks.start)
-    )
+    shared = sum(mean.size * mean.mean() ** 2 for _, mean, _, _ in records if mean.size)
     middle, half = np.asarray(joined(errors, 0).times), 0.5 * errors[0].span * step
+    first = np.array([start[0] for start, *_ in stretches], int)
+    last = np.array([start[-1] + length - 1 for start, *_ in stretches], int)
     return WindowErrors(
         relative_rms=float(np.sqrt(_share(error, target))),
-        start=np.array([middle[part.start[0]] for part in stretches]) - half,
-        stop=np.array([middle[part.start[-1] + length - 1] for part in stretches]) + half,
-        mean_square=np.array([_share(part.error_square.mean(), error) for part in stretches]),
-        target_mean_square=np.array(
-            [_share(part.target_square.mean(), target) for part in stretches]
-        ),
+        start=middle[first] - half,
+        stop=middle[last] + half,
+        mean_square=np.array([_share(square.mean(), error) for square in squares]),
+        target_mean_square=np.array([_share(part[3].mean(), target) for part in stretches]),
         p_value=p_value,
         correlation=_share(shared / count, error),
         window_share=float(np.mean(lags) * len(sizes) / np.sum(sizes)),
@@ -534,7 +537,7 @@ class Loop(NamedTuple):
     """
 
     law: str
-    motion: "Motion"
+    motion: Motion
     width: float
     by: str
     gain: float
@@ -575,7 +578,7 @@ class Loop(NamedTuple):
 def loop_of(
     errors: list[EquationError],
     records: list[Record],
-    motions: "Sequence[Motion]",
+    motions: Sequence[Motion],
     unread: Sequence[str],
     count: int,
 ) -> Loop | None:
@@ -585,25 +588,43 @@ def loop_of(
     signals that the model leaves `unread`; error and regressors are averaged over `count` samples.
     """
     error = joined(errors, count)
+    present = np.asarray(error.present)
+    whole = ~np.isnan(averaged(error.series, count))
 
-    def averaged(values: np.ndarray) -> np.ndarray:
-        means = Series(values, np.asarray(error.present)).averaged(count)
-        return means.values[means.present]
+    def column(values: np.ndarray | Array) -> Float[np.ndarray, " n"]:
+        """Means of values along the error, thinned to as many as are enough."""
+        means = averaged(np.where(present, values, np.nan), count)[whole]
+        return means[:: max(means.size // MOST_VALUES, 1)]
 
-    ends = [averaged(np.asarray(one)) for one in (error.error, error.target)]
-    loops = []
-    for motion in (one for one in motions if one.velocity):
-        kinds, columns = [], list(ends)
+    ends = [column(error.error), column(error.target)]
+    energy = float(np.sum(ends[1] ** 2))
+    part = np.arange(ends[0].size) * PARTS // max(ends[0].size, 1) % 2
+    best: Loop | None = None
+    for motion in (motion for motion in motions if motion.velocity):
+        kinds, columns = [], ends[:1]
         for kind, signals in _regressors(motion, unread, records):
-            values = [np.asarray(of.centred(np.asarray(one))) for of, one in zip(errors, signals)]
-            columns.append(averaged(with_pads(values, count)))
+            values = [np.asarray(of.centred(signal)) for of, signal in zip(errors, signals)]
+            columns.append(column(with_pads(values, count, 0)))
             kinds.append(kind)
-        loops.append(largest(columns, kinds))
-    return max(filter(None, loops), key=lambda one: one.size, default=None)
+        # Of those with a kind, the one that explains most of what the others leave of the error.
+        rows = np.stack(columns, axis=1)
+        grams = [rows[part == i].T @ rows[part == i] for i in (0, 1)]
+        base = [1 + i for i, kind in enumerate(kinds) if kind is None]
+        before, largest = _left(grams, base), None
+        for i, kind in enumerate(kinds):
+            if kind is None or not before > 0 or not energy > 0:
+                continue
+            gained = before - _left(grams, [*base, 1 + i])
+            size = float(np.sqrt(max(gained, 0) / energy))
+            if gained / before > max(NOTABLE_GAIN, 0.0 if largest is None else largest.gain):
+                largest = kind._replace(gain=gained / before, size=size)
+        if largest is not None and (best is None or largest.size > best.size):
+            best = largest
+    return best
 
 
 def _regressors(
-    motion: "Motion", unread: Sequence[str], records: Sequence[Record]
+    motion: Motion, unread: Sequence[str], records: Sequence[Record]
 ) -> Iterator[tuple[Loop | None, list[Float[np.ndarray, " n"]]]]:
     """What is taken out first, and each that may explain the rest, as signals of each record."""
     v = _each(records, motion.velocity)
@@ -630,29 +651,6 @@ def _regressors(
         for dry in (False, True):
             found = Loop("", motion, 0.0, name, 0.0, 0.0, dry)
             yield found, [one * (np.sign(w) if dry else w) for one, w in zip(s, v)]
-
-
-def largest(columns: list[Float[np.ndarray, " n"]], kinds: Sequence[Loop | None]) -> Loop | None:
-    """The one that explains most of what those without a kind leave of the first, if it is most.
-
-    **Arguments:** `columns`: the error, the target, and the regressors; `kinds` of the latter.
-    """
-    every = max(len(columns[0]) // MOST_VALUES, 1)
-    thinned = np.stack([column[::every] for column in columns], axis=1)
-    part = np.arange(len(thinned)) * PARTS // max(len(thinned), 1) % 2
-    error, energy = np.delete(thinned, 1, axis=1), float(np.sum(thinned[:, 1] ** 2))
-    grams = [error[part == i].T @ error[part == i] for i in (0, 1)]
-    base = [1 + i for i, kind in enumerate(kinds) if kind is None]
-    before = _left(grams, base)
-    best: Loop | None = None
-    for i, kind in enumerate(kinds):
-        if kind is None or not before > 0 or not energy > 0:
-            continue
-        gained = before - _left(grams, [*base, 1 + i])
-        found = kind._replace(gain=gained / before, size=float(np.sqrt(max(gained, 0) / energy)))
-        if found.gain > max(NOTABLE_GAIN, 0.0 if best is None else best.gain):
-            best = found
-    return best
 
 
 def _left(grams: Sequence[np.ndarray], columns: Sequence[int]) -> float:
@@ -697,7 +695,6 @@ class EquationResidual(NamedTuple):
       signals are averaged over half a period of the fastest motion in the model's band, or half
       the shortest window if that is longer, so that differentiated sensor noise does not hide what
       is left of the motion.
-    - `averaged`: seconds of that average.
     - `averaged_size`: root mean square of the averaged error relative to the averaged target.
     - `spectrum`, and its `peak` if there is a genuine one.
     - `windows`: eq. (18) on these records; `None` for a criterion without windows, or records too
@@ -715,9 +712,8 @@ class EquationResidual(NamedTuple):
     unit: str
     relative_rms: float
     error: EquationError
-    autocorrelation: Autocorrelation
-    follows: tuple[CrossCorrelation, ...]
-    averaged: float
+    autocorrelation: Correlation
+    follows: tuple[Correlation, ...]
     averaged_size: float
     spectrum: ErrorSpectrum
     peak: Peak | None
@@ -941,28 +937,27 @@ def residual_tests(
         shortest = 0.0 if windows is None else float(windows.alpha)
         period = 1 / spectrum.band if spectrum.band > 0 else 0.0
         count = min(max(round(max(period, shortest) / (2 * step)), 1), lags)
-        averaged = error.series.averaged(count)
-        target = Series(np.asarray(error.target), np.asarray(error.present)).averaged(count)
-        energy = np.sum(target.values**2)
-        size = float(np.sqrt(np.sum(averaged.values**2) / energy)) if energy > 0 else 0.0
+        smoothed = averaged(error.series, count)
+        target = averaged(np.where(error.present, error.target, np.nan), count)
+        energy = np.nansum(target**2)
+        size = float(np.sqrt(np.nansum(smoothed**2) / energy)) if energy > 0 else 0.0
         follows = []
         for other in common:
-            signals = [e.signal(record, other) for e, record in zip(of_equation, recordings)]
-            values = _of_order_one([signal.values for signal in signals])
-            present = [signal.present for signal in signals]
-            signal = Series(with_pads(values, lags), with_pads(present, lags)).averaged(count)
-            both = averaged.present & signal.present
-            if both.any() and np.ptp(signal.values[both]) > 0:
+            values = [
+                np.asarray(of.centred(record.signal(other).with_nan))
+                for of, record in zip(of_equation, recordings)
+            ]
+            signal = averaged(with_pads(_of_order_one(values), lags), count)
+            both = signal[~np.isnan(smoothed) & ~np.isnan(signal)]
+            if both.size and np.ptp(both) > 0:
                 among = {"name": other, "signals": len(common)}
-                follows.append(cross_correlation(averaged, signal, lags, step, **among))
+                follows.append(cross_correlation(smoothed, signal, lags, step, **among))
         # Where the equation could hide something.
         sprung = {spring.of for spring in model.springs}
         elements = force_elements(model.equations, [equation])
         free = {name: t for name, t in elements.items() if not sprung & {*t.parameters}}
         loop = None
         if size >= NOTABLE_SIZE:  # hysteresis, or a signal of no name that changes a force
-            from riecjax.equations.motions import motions_and_unread
-
             units = {name: unit for record in recordings for name, unit in record.units}
             unread = [name for name in common if name not in named]
             motions, unread = motions_and_unread(equation, first, {*common}, units, unread)
@@ -974,7 +969,6 @@ def residual_tests(
             error,
             autocorrelation(error.series, lags, step),
             tuple(sorted(follows, key=lambda one: -abs(one.largest))),
-            count * step,
             size,
             spectrum,
             spectrum.peak(),

@@ -34,7 +34,7 @@ from riecjax.summaries.normal_equations import (
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import ready, task
-from riecjax.uncertainty.block_statistics import block_influence
+from riecjax.uncertainty.covariances import block_influence
 
 # How estimates at two lengths are compared. Near the solution an estimate is a sum over blocks of
 # time, theta = theta_0 + sum_b d_b with the influence d_b = G^-1 A_b' e_b of each block (G the Gram
@@ -91,13 +91,25 @@ class WindowSweep(Drawn, eqx.Module):
     @property
     def standard_errors(self) -> Float[Array, "bands p"]:
         """Standard error of each estimate."""
-        xp = namespace(self.influence)
-        return xp.sqrt(self._factor * xp.sum(xp.square(self.influence), axis=1))
+        return self._scatter(namespace(self.influence).moveaxis(self.influence, 1, -1))
 
-    @property
-    def _factor(self) -> Array:
-        xp = namespace(self.block_count)
-        return xp.divide(self.block_count, xp.maximum(self.block_count - 1, 1))
+    def _scatter(self, influence: Float[Leaf, "*n blocks"]) -> Float[Array, "*n"]:
+        """Standard deviation of what blocks move by so much each."""
+        xp = namespace(influence, self.block_count)
+        factor = xp.divide(self.block_count, xp.maximum(self.block_count - 1, 1))
+        return xp.sqrt(factor * xp.sum(xp.square(influence), axis=-1))
+
+    def _limit(self, tests: float) -> float:
+        """Standard deviations that the largest of so many independent ones seldom exceeds."""
+        dof = max(int(self.block_count) - 1, 1)
+        return float(tails.student(LEVEL / (2 * tests), dof))
+
+    def _course(
+        self, name: str
+    ) -> tuple[Float[np.ndarray, " bands"], Float[np.ndarray, "bands blocks"]]:
+        """Estimates of one parameter, and how far each block moves them."""
+        j = self.parameters.index(name)
+        return np.asarray(self.theta[:, j]), np.asarray(self.influence[:, :, j])
 
     def drift(self, name: str) -> tuple[int, int, float, float]:
         """The two lengths between which a parameter differs most significantly (not under jit).
@@ -107,11 +119,9 @@ class WindowSweep(Drawn, eqx.Module):
         **Returns:** their indices, the difference of the estimates, and its standard error, in
         which what is common to both lengths cancels.
         """
-        j = self.parameters.index(name)
-        theta, influence = np.asarray(self.theta[:, j]), np.asarray(self.influence[:, :, j])
+        theta, influence = self._course(name)
         difference = theta[None, :] - theta[:, None]
-        apart = influence[None, :, :] - influence[:, None, :]
-        error = np.sqrt(float(self._factor) * np.sum(apart**2, axis=-1))
+        error = self._scatter(influence[None, :, :] - influence[:, None, :])
         significance = np.where(error > 0, np.abs(difference) / np.where(error > 0, error, 1), 0)
         largest = np.max(np.abs(theta), where=np.isfinite(theta), initial=0.0)
         relevant = np.abs(difference) > SMALLEST_DRIFT * largest
@@ -124,16 +134,12 @@ class WindowSweep(Drawn, eqx.Module):
 
         Scatter is that of the difference from the length whose estimate is nearest to the value.
         """
-        j = self.parameters.index(name)
-        theta, influence = np.asarray(self.theta[:, j]), np.asarray(self.influence[:, :, j])
+        theta, influence = self._course(name)
         if not np.isfinite(theta).any():
             return 0.0
         nearest = int(np.nanargmin(np.abs(theta - value)))
-        apart = influence - influence[nearest]
-        error = np.sqrt(float(self._factor) * np.sum(apart**2, axis=-1))
-        dof = max(int(self.block_count) - 1, 1)
-        limit = float(tails.student(LEVEL / (2 * max(theta.size - 1, 1)), dof))
-        return float(np.nanmax(np.maximum(np.abs(theta - value) - limit * error, 0.0)))
+        beyond = self._limit(max(theta.size - 1, 1)) * self._scatter(influence - influence[nearest])
+        return float(np.nanmax(np.maximum(np.abs(theta - value) - beyond, 0.0)))
 
     def findings(self) -> list[Finding]:
         """`window_sensitive`, once, if parameters drift by more than their uncertainty.
@@ -142,9 +148,7 @@ class WindowSweep(Drawn, eqx.Module):
         of at least half a percent.
         """
         bands = self.theta.shape[0]
-        pairs = bands * (bands - 1) / 2
-        dof = max(int(self.block_count) - 1, 1)
-        limit = float(tails.student(LEVEL / (2 * pairs), dof))
+        limit = self._limit(bands * (bands - 1) / 2)
         shares = {}
         for name in self.parameters:
             _, _, difference, error = self.drift(name)
@@ -180,7 +184,7 @@ class WindowSweep(Drawn, eqx.Module):
 
     def _range(self, name: str) -> tuple[int, int, float]:
         """Lengths with the least and the largest estimate, and their distance as a share."""
-        theta = np.asarray(self.theta[:, self.parameters.index(name)])
+        theta, _ = self._course(name)
         low, high = int(np.nanargmin(theta)), int(np.nanargmax(theta))
         return low, high, float((theta[high] - theta[low]) / np.nanmax(np.abs(theta)))
 

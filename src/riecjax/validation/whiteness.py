@@ -25,10 +25,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax import tails
-from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record
-from riecjax.refinement.output_error import OutputMisfit
-from riecjax.validation.equation_errors import Series
+from riecjax.refinement.output_error import OutputMisfit, noise_levels
 from riecjax.validation.residuals import autocorrelation
 
 LAGS = 20
@@ -106,7 +104,7 @@ def whiteness(
                 for one, by, there in zip(left, slopes, masks)
             )
         )
-    sigma = np.asarray(misfit.sigma)
+    sigma, levels = np.asarray(misfit.sigma), np.asarray(noise_levels(records, misfit.labels))
     statistics, chi_squared, shares = {}, {}, {}
     for j, name in enumerate(misfit.labels):
         tests = []
@@ -115,13 +113,11 @@ def whiteness(
             values, present = values[..., j], present[..., j]
             place = np.asarray(part.position)[present] // part.every
             length = int(place.max(initial=0)) + 1
-            series_in_time = Series(np.zeros(length), np.zeros(length, bool))
-            series_in_time.values[place], series_in_time.present[place] = values[present], True
-            tests.append(ljung_box(series_in_time))
+            in_time = np.full(length, np.nan)
+            in_time[place] = values[present]
+            tests.append(ljung_box(in_time))
         statistics[name] = max((t for t in tests if t == t), default=float("nan")) / LAGS
-        noise = [float(judged(record, "auto", name).noise.std(name)) for record in records]
-        level = float(np.sqrt(np.mean(np.square(noise))))
-        rms = float(size[j] * sigma[j])
+        rms, level = float(size[j] * sigma[j]), float(levels[j])
         chi_squared[name] = (rms / level) ** 2 if level > 0 else float("nan")
         spread = float(np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records])))
         shares[name] = rms / spread if spread > 0 else float("nan")
@@ -130,14 +126,16 @@ def whiteness(
     return Whiteness(statistics, threshold, chi_squared, shares)
 
 
-def ljung_box(series: Series) -> float:
-    """Q over 20 lags; NaN of fewer than 60 values, or of values that do not vary."""
-    (values, present), count = series, series.held
-    if count < FEWEST_RESIDUALS or not np.ptp(values[present]) > 0:
+def ljung_box(series: Float[np.ndarray, " n"]) -> float:
+    """Q over 20 lags of values that are NaN where they are missing; NaN of fewer than 60 values, or
+    of values that do not vary."""
+    present = ~np.isnan(series)
+    count = np.count_nonzero(present)
+    if count < FEWEST_RESIDUALS or not np.ptp(series[present]) > 0:
         return float("nan")
-    found = autocorrelation(series, LAGS, 1.0).values[1:]
+    correlations = autocorrelation(series, LAGS, 1.0).values[1:]
     pairs = np.array([np.sum(present[k:] & present[:-k]) for k in range(1, LAGS + 1)])
-    return float((count + 2) / count * np.sum(pairs * found**2))
+    return float((count + 2) / count * np.sum(pairs * correlations**2))
 
 
 def innovations(

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.equations.model import relation_of
+from riecjax.equations.expressions import relation_of
 from riecjax.records import align
 from riecjax.records.consistency import check_derivatives
 from riecjax.records.derived import derived
 from riecjax.records.faults.derivative_pairs import Pair, Relation, compare
-from riecjax.records.noise import Noise
 from riecjax.records.preparation import set_clocks, shift, unfilter
 from riecjax.records.preparation.alignment import declared_pairs
 from riecjax.records.preparation.steps import cut
 from riecjax.records.record import Record
+from riecjax.records.signal import Noise
 
 STEP, COUNT = 0.005, 6000
 TIME = STEP * np.arange(COUNT)
@@ -166,7 +166,7 @@ def test_a_delay_is_found_to_a_part_of_a_sample(noise, within, delay):
     assert pair.fit.delay == pytest.approx(delay, abs=within)
     assert pair.fit.gain == pytest.approx(1, abs=0.01)
     assert pair.is_late
-    assert not pair.lagged
+    assert not pair.fit.lagged
 
 
 def test_errors_are_what_delays_and_gains_scatter_by():

@@ -7,7 +7,6 @@ import scipy.signal
 from nightly import nightly
 from riecjax.errors import DataError
 from riecjax.records.linear_op import LinearOp
-from riecjax.records.noise import SignalNoise
 from riecjax.records.preparation.filtering import (
     derivative_taps,
     differentiate,
@@ -17,7 +16,7 @@ from riecjax.records.preparation.filtering import (
     with_local_derivative,
 )
 from riecjax.records.record import Record
-from riecjax.records.signal import Signal
+from riecjax.records.signal import Signal, SignalNoise
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from riecjax.records.noise import Noise
 from riecjax.records.preparation import (
     differentiate,
     low_pass,
@@ -14,6 +13,7 @@ from riecjax.records.preparation import (
 )
 from riecjax.records.preparation.resampling import resampled_taps, spline_taps
 from riecjax.records.record import Record
+from riecjax.records.signal import Noise
 
 STEP = 0.01
 LEVEL = 0.3

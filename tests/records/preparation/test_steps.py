@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.records.noise import Noise
 from riecjax.records.preparation import (
     differentiate,
     leave_out,
@@ -20,6 +19,7 @@ from riecjax.records.preparation import (
     with_local_derivative,
 )
 from riecjax.records.record import Record
+from riecjax.records.signal import Noise
 
 STEP, COUNT = 0.005, 4000
 OMEGA = 2 * np.pi * np.array([0.31, 0.83, 1.7, 2.9])

@@ -43,10 +43,9 @@ def rest_of(record: Record, name: str) -> Rest | None:
     values = record.signal(name).with_nan
     with np.errstate(all="ignore"):
         change = np.abs(np.diff(values))
-        moving = change[change > 0]
-        if not moving.size:
+        if not (change > 0).any():
             return None
-        noise, usual = float(record.noise.std(name)), float(np.median(moving))
+        noise, usual = float(record.noise.std(name)), float(np.median(change[change > 0]))
         near = max(NOISES * noise, MOVES * usual)
         about = np.where(np.abs(values) <= near, values / near, np.nan)
     if not np.isfinite(near) or np.isnan(about).mean() > 1 - LEAST:

@@ -37,9 +37,9 @@ import scipy
 from jaxtyping import Bool, Complex, Float
 
 from riecjax.findings import option_for
-from riecjax.records.noise import noise_level
 from riecjax.records.record import Record, run_lengths
 from riecjax.records.remembered import remembered
+from riecjax.records.signal import noise_level
 from riecjax.records.time_base import SHORTEST_PAUSE
 
 EDGE = 100
@@ -66,12 +66,12 @@ EVEN = (np.array([0.0, np.pi]), np.ones(2))
 
 
 class Piece(NamedTuple):
-    """An unbroken stretch of the signals, and the place of its first sample in the record."""
+    """An unbroken stretch of x, v and u, and the place of its first sample in the record."""
 
     start: int
     x: Float[np.ndarray, " n"]
     v: Float[np.ndarray, " n"]
-    u: Float[np.ndarray, " n"] | None = None
+    u: Float[np.ndarray, " n"]
 
 
 class Left(NamedTuple):
@@ -92,19 +92,19 @@ class Left(NamedTuple):
 class PairFit(NamedTuple):
     """How v follows x.
 
-    **Fields:** `delay` or `lag` in samples, the other being 0; `gain`; `offset` of v at the middle
-    of the record, and `drift` of v over the record; `errors`, the standard errors of delay or lag,
-    gain, offset and drift; `left` by frequency, and whether that `counted`.
+    **Fields:** `delay` in samples, of a low-pass where it is `lagged`; `gain`; `offset` of v at
+    the middle of the record, and `drift` of v over the record; `errors`, the standard errors of
+    these four; `left` by frequency, and whether that `counted`.
     """
 
     delay: float
-    lag: float
     gain: float
     offset: float
     drift: float
     errors: Float[np.ndarray, "4"]
     left: Left
     counted: Bool[np.ndarray, " bins"]
+    lagged: bool = False
 
 
 class _Bins(NamedTuple):
@@ -123,7 +123,6 @@ class _Bins(NamedTuple):
     energy: Float[np.ndarray, " bins"]
     """Of the taper."""
     lowest: Bool[np.ndarray, " bins"]
-    levels: Float[np.ndarray, "3"]
     shared: float
     """Times by which variances grow as tapers tie neighbouring bins together."""
 
@@ -142,16 +141,13 @@ def fit_pair(
     **Arguments:** `count`, samples of the record; `lagged`: fit a low-pass instead of a delay;
     `start` from this fit, not afresh; `known`, what will be left, from elsewhere.
     """
-    pieces = [p for p in pieces if p.x.size >= SHORTEST_PIECE]
     if not pieces:
         return None
     levels, rough = _levels(pieces)
     levels = levels if known is None else known.levels
-    afresh = start is None and known is None
-    whole, theta, found = 0, np.array([0.0, 1.0, 0.0, 0.0]), None
-    if start is not None:
-        theta[:] = start.delay + start.lag, start.gain, start.offset, start.drift
-    elif not lagged:
+    whole, fit = 0, None
+    theta = np.array([0.0, 1.0, 0.0, 0.0] if start is None else start[:4])
+    if start is None and not lagged:
         # From the peak of the longest piece's correlation; 0 where the correlation there is near
         # the peak: what is so near needs no start nearer.
         longest = max(pieces, key=lambda p: p.x.size)
@@ -162,40 +158,35 @@ def fit_pair(
         if penalised[size // 8] <= NEAR * np.max(penalised):
             whole = int(lags[np.argmax(penalised)])
     for iteration in range(steps):
-        first = afresh and iteration < ROUGH_ITERATIONS
+        first = start is None and known is None and iteration < ROUGH_ITERATIONS
         if abs(theta[0]) > 1 and not lagged:
             whole, theta[0] = whole + round(theta[0]), theta[0] - round(theta[0])
         moved = [p for p in (_shifted(p, whole) for p in pieces) if p.x.size >= SHORTEST_PIECE]
         if not moved:
             return None
-        expected = Left(rough, *EVEN) if first else known
-        bins = _bins(moved, 0.0 if lagged else theta[0], count, rough if first else levels)
-        stepped = _step(bins, theta, lagged, expected)
-        if stepped is None:
+        expected, noise = (Left(rough, *EVEN), rough) if first else (known, levels)
+        bins = _bins(moved, 0.0 if lagged else theta[0], count, noise)
+        fit = _step(bins, theta, lagged, expected, noise)
+        if fit is None:
             return None
-        step, covariance, left, counted = stepped
-        theta = theta + step
-        errors = np.sqrt(np.diag(covariance) * bins.shared)
-        gain, offset, drift = theta[1:].tolist()
-        delay, lag = (0.0, float(theta[0])) if lagged else (whole + float(theta[0]), 0.0)
-        found = PairFit(delay, lag, gain, offset, drift, errors, left, counted)
-        if not first and np.all(np.abs(step) < 1e-3 * errors):
+        step, theta = fit[:4] - theta, np.array(fit[:4])
+        if not first and np.all(np.abs(step) < 1e-3 * fit.errors):
             break
-    return found
+    return fit and fit._replace(delay=whole + fit.delay)
 
 
 def _levels(pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray]:
     """Noise of x, v and u, and what to begin with: of none, whatever is left is trusted."""
-    every = [[one for p in pieces if (one := getattr(p, a)) is not None] for a in "xvu"]
-    levels = np.array([np.median([noise_level(one) for one in some] or [0.0]) for some in every])
-    sizes = [max((np.std(one) for one in some), default=0.0) for some in every]
+    _, *every = zip(*pieces)
+    levels = np.array([np.median([noise_level(one) for one in some]) for some in every])
+    sizes = [max(map(np.std, some)) for some in every]
     return levels, np.maximum(levels, ROUGHLY * np.array(sizes))
 
 
 def _step(
-    bins: _Bins, theta: np.ndarray, lagged: bool, known: Left | None
-) -> tuple[np.ndarray, np.ndarray, Left, np.ndarray] | None:
-    """One step of Gauss and Newton, its covariance, what is left, and whether a bin counts."""
+    bins: _Bins, theta: np.ndarray, lagged: bool, known: Left | None, levels: np.ndarray
+) -> PairFit | None:
+    """The fit after one step of Gauss and Newton."""
     motion, rate, zero, slope = bins.motion, bins.rate, bins.zero, bins.slope
     if lagged and theta[0] >= 0:
         # v + T v' is what came in; divided by 1 + i omega T its noise stays what it was.
@@ -235,17 +226,17 @@ def _step(
     size = (1 + (bins.omega * theta[0]) ** 2) ** -np.sign(theta[0]) if lagged else 1.0
     more = (size * theta[1] ** 2 - 1) * bins.noise_of_motion
     unlike = smoothed * bins.noise / bins.energy / (1 + more / bins.noise)
-    found = Left(bins.levels, bins.omega, smoothed, left, unlike)
-    return step, covariance, found, counted
+    errors = np.sqrt(np.diag(covariance) * bins.shared)
+    after = Left(levels, bins.omega, smoothed, left, unlike)
+    delay, gain, offset, drift = (theta + step).tolist()
+    return PairFit(delay, gain, offset, drift, errors, after, counted, lagged)
 
 
 def _shifted(piece: Piece, whole: int) -> Piece:
     """The same with v so many samples earlier."""
-    start, x, v, u = piece
-    size = max(x.size - abs(whole), 0)
-    x, u = (None if one is None else one[max(-whole, 0) :][:size] for one in (x, u))
-    assert x is not None
-    return Piece(start + max(whole, 0), x, v[max(whole, 0) :][:size], u)
+    first, size = max(whole, 0), max(piece.x.size - abs(whole), 0)
+    x, u = (column[first - whole :][:size] for column in (piece.x, piece.u))
+    return Piece(piece.start + first, x, piece.v[first:][:size], u)
 
 
 def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
@@ -267,20 +258,17 @@ def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray)
         omega = 2 * np.pi * np.arange(size // 2) / size
         (w, slope, _), course = _taper(x.size, 0.0), (start + np.arange(x.size)) / count - 0.5
         moved = _taper(x.size, delay)
-        known = [] if u is None else list(moved[:2] * u)
-        columns = np.array([*moved * x, w * v, slope * v, w, w * course, *known])
+        columns = np.array([*moved * x, *moved[:2] * u, w * v, slope * v, w, w * course])
         transforms = np.asarray(scipy.fft.rfft(columns, size))[:, : size // 2]
-        whole, sloping, curved, rate, falling, zero, first, *known = transforms
+        whole, sloping, curved, known, knowing, rate, falling, zero, first = transforms
         turned, i_omega = np.exp(-1j * omega * delay), 1j * omega
-        motion, turning = i_omega * whole - sloping, i_omega * (i_omega * whole - 2 * sloping)
-        if known:
-            motion, turning = motion + known[0], turning + i_omega * known[0] - known[1]
+        turning = i_omega * (i_omega * whole - 2 * sloping) + (i_omega * known - knowing)
         energy = np.sum(w**2)
         noise = levels[0] ** 2 * (omega**2 * energy + np.sum(slope**2)) + levels[2] ** 2 * energy
         parts.append(
             (
                 omega,
-                turned * motion,
+                turned * (i_omega * whole - sloping + known),
                 -turned * (turning + curved),
                 rate,
                 i_omega * rate - falling,
@@ -295,8 +283,7 @@ def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray)
     joined = [np.concatenate(columns) for columns in zip(*parts)]
     order = np.argsort(joined[0], kind="stable")
     total, squares, fourth = map(sum, zip(*tapers))
-    shared = float(total * fourth / squares**2)
-    return _Bins._make([*(column[order] for column in joined), levels, shared])
+    return _Bins._make([*(c[order] for c in joined), float(total * fourth / squares**2)])
 
 
 def _smoothed(omega: np.ndarray, power: np.ndarray) -> np.ndarray:
@@ -404,21 +391,18 @@ def delay_course(
     if delays.shape[1] < FEWEST_PARTS:
         return Course(), spread
     steady, spread = _steady(delays)
-    found, left = changing(delays, edges)
+    course, left = changing(delays, edges)
     more = float(np.sqrt(max(1.0, left / (delays.shape[1] - 3))))
-    error = found.error * more
-    if steady - left > UNEVEN * more**2 and abs(found.change) > max(
-        LOST if found.kind == "rows" else CHANGE, SURE * error
-    ):
-        return found._replace(error=error), more
-    return Course(), spread
+    course = course._replace(error=course.error * more)
+    least = max(LOST if course.kind == "rows" else CHANGE, SURE * course.error)
+    uneven = steady - left > UNEVEN * more**2 and abs(course.change) > least
+    return (course, more) if uneven else (Course(), spread)
 
 
 def _steady(delays: Float[np.ndarray, "4 parts"]) -> tuple[float, float]:
     """Chi-square of delays about their mean; and times that they scatter more than they should."""
-    size = delays.shape[1]
-    left = _left(delays, np.ones((1, size)))[0] if size > 1 else 0.0
-    return left, float(np.sqrt(max(1.0, left / max(size - 1, 1))))
+    left = _left(delays, np.ones_like(delays[:1]))[0]
+    return left, float(np.sqrt(max(1.0, left / max(delays.shape[1] - 1, 1))))
 
 
 def _delays(fits: Sequence[PairFit | None], edges: Sequence[int]) -> Float[np.ndarray, "4 parts"]:
@@ -435,17 +419,15 @@ def changing(delays: Float[np.ndarray, "4 parts"], edges: Sequence[int]) -> tupl
     """The course that explains the delays best, and the chi-square that it leaves."""
     first, last = delays[2:]
     ones, size = np.ones(first.size), first.size
-    time = 0.5 * (first + last) / edges[-1]
-    left, coefficients, errors = _left(delays, np.array([ones, time]))
+    left, coefficients, errors = _left(delays, np.array([ones, 0.5 * (first + last) / edges[-1]]))
     best = Course("clocks", coefficients[1], errors[1], (0, edges[-1]), coefficients[0]), left
     # The change lies between two parts, or within one, which then says nothing; two are behind it.
-    for k, within in ((k, within) for k in range(2, size - 1) for within in (0, 1)):
-        if k + within <= size - 2:
-            after = np.arange(size) >= k + within
-            alone = np.eye(size)[k : k + within]
-            left, coefficients, errors = _left(delays, np.array([ones, after, *alone]))
+    for k, stop in ((k, k + within) for k in range(2, size - 1) for within in (0, 1)):
+        if stop <= size - 2:
+            rows = np.array([ones, np.arange(size) >= stop, *np.eye(size)[k:stop]])
+            left, coefficients, errors = _left(delays, rows)
             if left + 4 < best[1]:
-                place = int(first[k - 1 + within]), int(last[k])
+                place = int(first[stop - 1]), int(last[k])
                 best = Course("rows", coefficients[1], errors[1], place, coefficients[0]), left
     return best
 
@@ -576,25 +558,18 @@ class Pair(NamedTuple):
 
     **Fields:** `relation`; `suspect`, the one of its signals that alone explains best what is
     amiss; `fit` of it, or of the sum if it is the signal that is differentiated, in samples and
-    units of the signal's `scale`; `lagged` where a low-pass describes it better than a delay;
-    `course` of the delay; `rms` of the derivative, in the fit's unit; `step` of time in seconds;
-    `alike`, signals that explain it hardly worse.
+    the derivative's unit, lagged where a low-pass describes it better than a delay; `course` of the
+    delay; `rms` of the derivative; `step` of time in seconds; `alike`, signals that explain it
+    hardly worse.
     """
 
     relation: Relation
     suspect: str
     fit: PairFit
-    lagged: bool
     course: Course
-    scale: float
     rms: float
     step: float
     alike: tuple[str, ...] = ()
-
-    @property
-    def signal(self) -> str:
-        """What the derivative is of."""
-        return self.relation.signal
 
     @property
     def is_gross(self) -> bool:
@@ -604,7 +579,7 @@ class Pair(NamedTuple):
     @property
     def scaling(self) -> float:
         """What the suspect has to be multiplied by."""
-        return self.fit.gain ** (1 if self.suspect == self.signal else -1)
+        return self.fit.gain ** (1 if self.suspect == self.relation.signal else -1)
 
     @property
     def zeroed(self) -> tuple[str, float]:
@@ -625,26 +600,26 @@ class Pair(NamedTuple):
     @property
     def delay(self) -> float:
         """Seconds by which the derivative is surely late and steadily so, else 0."""
-        return self.fit.delay * self.step if self.is_late and not self.lagged else 0.0
+        return self.fit.delay * self.step if self.is_late and not self.fit.lagged else 0.0
 
     @property
     def _sure(self) -> float:
         """Standard errors that count: more where several may be wrong and none stands out."""
-        several = len(self.alike) + 1 == len(self.relation.names) > 2
-        return 2 * SURE if several else SURE
+        return 2 * SURE if len(self.alike) + 1 == len(self.relation.names) > 2 else SURE
 
     @property
     def is_late(self) -> bool:
         """Whether the derivative is surely late, or early, or lags, throughout the record."""
-        by, error = self.fit.delay + self.fit.lag, self.fit.errors[0]
-        return self.course.kind == "steady" and abs(by) > max(LATE, self._sure * error)
+        return self._is_off(self.fit.delay, LATE, 0)
 
     @property
     def gain_is_off(self) -> bool:
         """Whether the derivative's size is surely wrong."""
-        return self.course.kind == "steady" and abs(self.fit.gain - 1) > max(
-            GAIN, self._sure * self.fit.errors[1]
-        )
+        return self._is_off(self.fit.gain - 1, GAIN, 1)
+
+    def _is_off(self, size: float, least: float, which: int) -> bool:
+        sure = max(least, self._sure * self.fit.errors[which])
+        return self.course.kind == "steady" and abs(size) > sure
 
     @property
     def offset(self) -> float:
@@ -658,7 +633,7 @@ class Pair(NamedTuple):
 
     def _if_sure(self, size: float, share: float, error: float) -> float:
         sure = abs(size) > max(share * self.rms, TAILS * self._sure * error)
-        return size * self.scale / self.step if sure else 0.0
+        return size if sure else 0.0
 
 
 @remembered(
@@ -684,43 +659,39 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     step, count = float(record.time_step), x.size
     # What is too fast has an integral that depends on what it does between samples.
     rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in terms.values())
-    if len(terms) > 1 and any(rough):
+    if (len(terms) > 1 and any(rough)) or np.isnan(x).all():
         return None
-    centre = np.nanmedian(x) if not np.isnan(x).all() else 0.0
-    scale = float(np.nanquantile(np.abs(x - centre), 0.9)) if np.isfinite(centre) else 0.0
-    if not (np.isfinite(scale) and scale > 0):
+    centre = np.nanmedian(x)
+    scale = float(np.nanquantile(np.abs(x - centre), 0.9))
+    if not 0 < scale < np.inf:
         return None
     x, terms = (x - centre) / scale, {n: v / scale * step for n, v in terms.items()}
     # Samples that follow a pause.
     breaks = np.flatnonzero(np.diff(np.asarray(record.elapsed)) > SHORTEST_PAUSE * step) + 1
     every = (_held(relation, name, x, terms, breaks) for name in relation.suspects)
-    held = {one.suspect: one for one in every if one is not None}
-    if not held:
+    if not (held := {one.suspect: one for one in every if one is not None}):
         return None
     excess = _excess(held, {name: one.fit for name, one in held.items()})
     suspect = min(excess, key=excess.__getitem__)
     cycles = held[suspect].rms * count / (2 * np.pi)
     windows = min(WINDOWS, count // SHORTEST_WINDOW, int(cycles / CYCLES_OF_WINDOW))
-    edges = np.linspace(0, count, windows + 1).astype(int).tolist() if windows > 1 else []
     if max(excess.values()) > LIKELIER:
         # Where it matters which one is wrong, low-passes are looked at as well.
         filtered = {n: _low_pass(one.pieces, count, one.fit) or one.fit for n, one in held.items()}
         excess = _excess(held, filtered)
         suspect = min(excess, key=excess.__getitem__)
-    one = held[suspect]
-    course, spread = Course(), 1.0
-    if edges:
-        # Pieces between the edges.
-        most = MOST_SAMPLES // windows
-        ends = itertools.pairwise(edges)
-        parts = [list(_pieces(*one.columns, a, b, breaks, most)) for a, b in ends]
-        course, spread = delay_course(parts, edges, count, one.fit)
-    fit, rms = one.fit._replace(errors=one.fit.errors * spread), one.rms * abs(one.size)
+    one, edges = held[suspect], np.linspace(0, count, windows + 1).astype(int).tolist()
+    parts = [
+        list(_pieces(one.columns, first, last, breaks, MOST_SAMPLES // windows))
+        for first, last in itertools.pairwise(edges)
+    ]
+    course, spread = delay_course(parts, edges, count, one.fit)
+    fit, unit = one.fit._replace(errors=one.fit.errors * spread), scale / step
+    rms = one.rms * abs(one.size) * unit
     alike = tuple(n for n, more in excess.items() if n != suspect and more < LIKELIER)
-    pair = Pair(relation, suspect, one.sized(fit), False, course, scale, rms, step, alike)
-    if pair.is_late and (lag := _low_pass(one.pieces, count, fit)) is not None:
-        pair = pair._replace(fit=one.sized(lag), lagged=True)
-    return pair
+    pair = Pair(relation, suspect, one.sized(fit, unit), course, rms, step, alike)
+    lag = _low_pass(one.pieces, count, fit) if pair.is_late else None
+    return pair if lag is None else pair._replace(fit=one.sized(lag, unit))
 
 
 class _Held(NamedTuple):
@@ -731,17 +702,18 @@ class _Held(NamedTuple):
     """
 
     suspect: str
-    columns: tuple[np.ndarray, np.ndarray, np.ndarray | None]
+    columns: np.ndarray
     size: float
     unit: float
     pieces: list[Piece]
     rms: float
     fit: PairFit
 
-    def sized(self, fit: PairFit) -> PairFit:
-        """A fit of v as it is."""
-        size, errors = self.size, fit.errors * [1, *np.full(3, abs(self.size))]
-        gain, offset, drift = size * fit.gain, size * fit.offset, size * fit.drift
+    def sized(self, fit: PairFit, unit: float) -> PairFit:
+        """A fit of v as it is, offset and drift in their unit of which the fit's is so many."""
+        factors = self.size * np.array([1.0, unit, unit])
+        gain, offset, drift = (factors * fit[1:4]).tolist()
+        errors = fit.errors * np.abs([1.0, *factors])
         return fit._replace(gain=gain, offset=offset, drift=drift, errors=errors)
 
 
@@ -752,14 +724,14 @@ def _held(
     terms: dict[str, np.ndarray],
     breaks: np.ndarray,
 ) -> _Held | None:
-    factors, count, u, size = dict(relation.of), x.size, None, 1.0
+    factors, count, u, size = dict(relation.of), x.size, np.zeros(x.size), 1.0
     if suspect in terms:
-        rest = [-c / factors[suspect] * terms[n] for n, c in relation.of if n != suspect]
-        x, v, u = x / factors[suspect], terms[suspect], sum(rest[1:], rest[0]) if rest else None
+        rest = (-c / factors[suspect] * terms[n] for n, c in relation.of if n != suspect)
+        x, v, u = x / factors[suspect], terms[suspect], sum(rest, u)
     else:
-        v = sum((c * terms[n] for n, c in relation.of), np.zeros(count))
-    several = len(relation.suspects) > 1
-    pieces = list(_pieces(x, v, u, 0, count, breaks, MOST_SAMPLES // (1 + several)))
+        v = sum((c * terms[n] for n, c in relation.of), u)
+    several, columns = len(relation.suspects) > 1, np.array([x, v, u])
+    pieces = list(_pieces(columns, 0, count, breaks, MOST_SAMPLES // (1 + several)))
     if several and pieces:
         # Size of v over that of what it should be, with its sign, to begin with; 1 unless far off.
         bins = _bins(pieces, 0.0, pieces[0].x.size, _levels(pieces)[1])
@@ -768,15 +740,16 @@ def _held(
         motion, rate = (float(weight @ np.abs(one) ** 2) for one in (bins.motion, bins.rate))
         size = both / motion
         size = size if both**2 > NEAR**2 * motion * rate and not 0.5 < size < 2 else 1.0
-        v, pieces = v / size, [p._replace(v=p.v / size) for p in pieces]
-    every = [p.v if p.u is None else p.v - p.u for p in pieces]
+        columns[1] /= size
+        pieces = [p._replace(v=p.v / size) for p in pieces]
+    every = [p.v - p.u for p in pieces]
     rms = float(np.sqrt(np.mean(np.concatenate(every) ** 2))) if every else 0.0
     if not FEWEST_CYCLES < rms * count / (2 * np.pi) < np.inf:
         return None
     fit = fit_pair(pieces, count)
     if fit is None or not np.isfinite(fit.errors).all():
         return None
-    return _Held(suspect, (x, v, u), size, factors.get(suspect, size), pieces, rms, fit)
+    return _Held(suspect, columns, size, factors.get(suspect, size), pieces, rms, fit)
 
 
 def _excess(held: dict[str, _Held], fits: dict[str, PairFit]) -> dict[str, float]:
@@ -784,22 +757,17 @@ def _excess(held: dict[str, _Held], fits: dict[str, PairFit]) -> dict[str, float
     if len(fits) == 1:
         return dict.fromkeys(fits, 0.0)
     omega = next(iter(fits.values())).left.omega
-    powers, counted = [], np.zeros(omega.size, bool)
-    for name, fit in fits.items():
-        powers.append(held[name].unit ** 2 * np.interp(omega, fit.left.omega, fit.left.unlike))
-        counted |= np.interp(omega, fit.left.omega, fit.counted) > 0.5
-    logs = np.sum(np.log(powers), axis=1, where=counted)
+    powers = [
+        held[name].unit ** 2 * np.interp(omega, fit.left.omega, fit.left.unlike)
+        for name, fit in fits.items()
+    ]
+    counted = [np.interp(omega, fit.left.omega, fit.counted) > 0.5 for fit in fits.values()]
+    logs = np.sum(np.log(powers), axis=1, where=np.any(counted, axis=0))
     return dict(zip(fits, (logs - logs.min()).tolist()))
 
 
 def _pieces(
-    x: np.ndarray,
-    v: np.ndarray,
-    u: np.ndarray | None,
-    start: int,
-    stop: int,
-    breaks: np.ndarray,
-    most: int,
+    columns: Float[np.ndarray, "3 n"], start: int, stop: int, breaks: np.ndarray, most: int
 ) -> Iterator[Piece]:
     """Unbroken stretches of all, short gaps and spikes filled in; of many samples some."""
     ranges = [(start, stop)]
@@ -808,7 +776,7 @@ def _pieces(
         starts = np.linspace(start, stop - size, most // size).astype(int)
         ranges = [(first, first + size) for first in starts]
     for first, last in ranges:
-        every = [_filled(column[first:last]) for column in (x, v, u) if column is not None]
+        every = [_filled(column) for column in columns[:, first:last]]
         known = ~np.isnan(np.sum(every, axis=0))
         cuts = np.flatnonzero(np.diff(known)) + 1
         within = breaks[(breaks > first) & (breaks < last)] - first
@@ -819,8 +787,7 @@ def _pieces(
 
 def _filled(values: np.ndarray) -> np.ndarray:
     """Spikes and short gaps replaced by local cubics."""
-    found = values.copy()
-    half = 4
+    found, half = values.copy(), 4
     if values.size > 2 * half + 1:
         around = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1)
         off = np.abs(values[half:-half] - np.median(around[:, 2:-2], axis=1))
@@ -831,22 +798,20 @@ def _filled(values: np.ndarray) -> np.ndarray:
     gaps = np.isnan(found)
     if gaps.any() and np.sum(~gaps) > 4:
         at, short = np.arange(found.size), gaps & (run_lengths(gaps) <= SHORT_GAP)
-        cubics = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])
-        found[short] = cubics(at[short])
+        found[short] = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])(at[short])
     return found
 
 
 def _low_pass(pieces: Sequence[Piece], count: int, delayed: PairFit) -> PairFit | None:
     """The fit of a low-pass, if it describes the pair better than a delay."""
     lag = fit_pair(pieces, count, lagged=True)
-    if lag is None or not np.isfinite(lag.errors).all() or abs(lag.lag) < SURE * lag.errors[0]:
+    if lag is None or not np.isfinite(lag.errors).all() or abs(lag.delay) < SURE * lag.errors[0]:
         return None
     # The likelihood of noise whose power is what is left. A filter makes less of that of terms.
-    known = any(piece.u is not None for piece in pieces)
+    known = any(piece.u.any() for piece in pieces)
+    before, after = (fit.left.unlike if known else fit.left.smoothed for fit in (delayed, lag))
     power, counted = (
-        np.interp(delayed.left.omega, lag.left.omega, column)
-        for column in (lag.left.unlike if known else lag.left.smoothed, lag.counted)
+        np.interp(delayed.left.omega, lag.left.omega, column) for column in (after, lag.counted)
     )
     both = delayed.counted & (counted > 0.5)
-    left = delayed.left.unlike if known else delayed.left.smoothed
-    return lag if np.sum(np.log(left / power)[both]) > LIKELIER else None
+    return lag if np.sum(np.log(before / power)[both]) > LIKELIER else None

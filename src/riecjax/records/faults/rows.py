@@ -19,7 +19,7 @@ is held against what such jumps are all along the record.
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,8 +27,12 @@ from jaxtyping import Float
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
-from riecjax.records.noise import NORMAL
-from riecjax.records.record import HasRecord, Record
+from riecjax.records.linear_op import LinearOp
+from riecjax.records.record import Record
+from riecjax.records.signal import NORMAL
+
+if TYPE_CHECKING:
+    from riecjax.records.recording import Recording
 
 ROUNDED = 1e-3
 """Share of a standard deviation by which rounding may part a sample from its copy."""
@@ -50,15 +54,6 @@ AGREE = 0.3
 """Share by which a jump may differ between the two lengths."""
 HARMLESS = 0.003
 """Share of the signal's deviation up to which a jump does no harm."""
-
-
-class NamedRecord(HasRecord, Protocol):
-    """A record and what messages call it, such as a [`Recording`][riecjax.Recording]."""
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        ...
 
 
 class Repetition(NamedTuple):
@@ -119,21 +114,21 @@ def without_repetitions(record: Record) -> tuple[Record, list[Finding]]:
     if not repeated:
         return record, []
     time, step = np.asarray(record.elapsed), float(record.time_step)
-    for values in columns.values():
-        for stretch in repeated:
-            values[stretch.again : stretch.again + stretch.rows] = np.nan
-    first = repeated[0]
-    more = f", and {len(repeated) - 1} more such stretches" if len(repeated) > 1 else ""
+    for values, stretch in itertools.product(columns.values(), repeated):
+        values[stretch.again : stretch.again + stretch.rows] = np.nan
+    first, *others = repeated
+    more = f", and {len(others)} more such stretches" if others else ""
     said = Finding(
         "repeated_rows",
         f"all signals show from {time[first.again]:.6g} s on, for {first.rows * step:.4g} s, what "
         f"they showed from {time[first.first]:.6g} s on, to the last digit{more}: the logger wrote "
         f"those rows again. What stood there is lost; they count as missing. Check the logger.",
     )
-    return record.with_samples(columns), [said]
+    ops = {n: LinearOp.of_values("{}: repeated rows", v) for n, v in columns.items()}
+    return record.through(ops), [said]
 
 
-def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
+def duplicates(recordings: Sequence["Recording"]) -> list[Finding]:
     """Recordings that hold samples of another one, in all signals that both have.
 
     Whole, in part, rounded, or with other time stamps. Of several copies each is named beside the
@@ -153,11 +148,9 @@ def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
         for first, second, shift in _candidates(chosen):
             pair = members[first], members[second]
             across = names == others or (pair[0] in groups[names]) != (pair[1] in groups[names])
-            if across and pair not in found:
-                starts = max(shift, 0), max(-shift, 0)
-                rows = _rows_in_common(chosen[first], chosen[second], starts)
-                if not rows:
-                    continue
+            starts = max(shift, 0), max(-shift, 0)
+            new = across and pair not in found
+            if new and (rows := _rows_in_common(chosen[first], chosen[second], starts)):
                 one, other = (recordings[number] for number in pair)
                 counts = [each.record.sample_count for each in (one, other)]
                 shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
@@ -176,14 +169,15 @@ def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
     return [found[pair] for pair in sorted(found)]
 
 
-def refuse_duplicates(recordings: Sequence[NamedRecord]) -> None:
+def refuse_duplicates(recordings: Sequence["Recording"]) -> None:
     """Refuse recordings that were given twice.
 
     **Raises:** `DuplicateRecordingError` that names them.
     """
     for found in duplicates(recordings):
-        said = f"{found.message} Leave it out, or allow it: --allow-duplicates."
-        raise DuplicateRecordingError(said)
+        raise DuplicateRecordingError(
+            f"{found.message} Leave it out, or allow it: --allow-duplicates."
+        )
 
 
 def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[int, int, int]]:
@@ -193,10 +187,8 @@ def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[i
     16 rows are still the same. Offsets come by falling number of blocks, at most three of a pair.
     """
     block, coarse, tries = 16, 16 * ROUNDED, 3
-    quanta = {}
-    for name in columns[0]:
-        spreads = [spread for each in columns if (spread := _spread(each[name])) > 0]
-        quanta[name] = coarse * float(np.median(spreads)) if spreads else 1.0
+    spreads = {n: [s for each in columns if (s := _spread(each[n])) > 0] for n in columns[0]}
+    quanta = {n: coarse * float(np.median(sizes)) if sizes else 1.0 for n, sizes in spreads.items()}
     keys = [
         np.unique(row_keys([np.round(v / quanta[n]) for n, v in each.items()], block), True)
         for each in columns
@@ -234,16 +226,17 @@ def _rows_in_common(
     rows = min(sizes[0] - starts[0], sizes[1] - starts[1])
     short = second if sizes[1] <= sizes[0] else first
     near = {name: ROUNDED * _spread(v) for name, v in short.items() if np.ptp(v) > 0}
-    if not near or rows < max(LEAST * min(sizes), FEWEST):
-        return 0
+
+    def agree(name: str, stride: int) -> bool:
+        one, other = (
+            columns[name][start : start + rows : stride]
+            for columns, start in zip((first, second), starts)
+        )
+        return bool(np.mean(np.abs(one - other) <= near[name]) >= (ALIKE if stride == 1 else 0.5))
+
     # Some rows tell most apart.
-    for stride in (max(rows // 64, 1), 1):
-        for name, within in near.items():
-            one = first[name][starts[0] : starts[0] + rows : stride]
-            other = second[name][starts[1] : starts[1] + rows : stride]
-            if np.mean(np.abs(one - other) <= within) < (ALIKE if stride == 1 else 0.5):
-                return 0
-    return rows
+    strides = (max(rows // 64, 1), 1) if near and rows >= max(LEAST * min(sizes), FEWEST) else ()
+    return rows if strides and all(agree(n, stride) for stride in strides for n in near) else 0
 
 
 def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
@@ -254,8 +247,8 @@ def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
     """
     for one, other in itertools.combinations(signals, 2):
         stride = max(one.values.size // ENOUGH, 1)
-        some = _line(one.values[::stride], other.values[::stride], 1.0)
-        line = some and _line(one.values, other.values, SMOOTH)
+        line = _line(one.values[::stride], other.values[::stride], 1.0)
+        line = line and _line(one.values, other.values, SMOOTH)
         if line is None:
             continue
         factor, offset = line
@@ -306,17 +299,14 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
     if x.size < 4 * SIDES[1] or not (np.isfinite(size) and size > 0):
         return None
     moved = np.nan_to_num(0.5 * step * (v[1:] + v[:-1]))
-    left = (x - np.concatenate([[0.0], np.cumsum(moved)])) / size
-    left[np.isnan(v)] = np.nan
+    integral = np.concatenate([[0.0], np.cumsum(moved)])
+    left = np.where(np.isnan(v), np.nan, (x - integral) / size)
     short, long = (_jumps(left, side) for side in SIDES)
     if np.isnan(short).all() or np.isnan(long).all():  # nowhere so many samples without a gap
         return None
-    deviation = float(np.nanmedian(np.abs(short))) / NORMAL
-    least = max(SURE * deviation, HARMLESS)
-    if not np.isfinite(least):
-        return None
-    sure = (np.abs(short) > least) & (np.abs(long - short) < AGREE * np.abs(short))
-    sure &= np.abs(long) > SURE * float(np.nanmedian(np.abs(long))) / NORMAL
+    least_short, least_long = (SURE * np.nanmedian(np.abs(j)) / NORMAL for j in (short, long))
+    sure = (np.abs(short) > max(least_short, HARMLESS)) & (np.abs(long) > least_long)
+    sure &= np.abs(long - short) < AGREE * np.abs(short)
     # A spike of the derivative moves its integral alone.
     sure &= np.abs(_jumps(x / size, SIDES[0]) - short) < np.abs(short) / 2
     if not sure.any():

@@ -30,9 +30,7 @@ def rounding_of(samples: np.ndarray) -> float:
 def levels_of(samples: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
     """Distinct values, ascending, and how often each occurs."""
     distinct, counts = np.unique(samples, return_counts=True)
-    if not distinct.size:
-        return distinct, counts
-    new = np.concatenate([[True], np.diff(distinct) > rounding])
+    new = np.diff(distinct, prepend=-np.inf) > rounding
     return distinct[new], np.add.reduceat(counts, np.flatnonzero(new))
 
 
@@ -52,8 +50,7 @@ def resolution_of(levels: np.ndarray) -> float:
 def is_piecewise_linear(values: np.ndarray, levels: np.ndarray, rounding: float) -> bool:
     """Whether more than half of the samples lie on straight lines, as only commands do."""
     bend = np.diff(values, 2)
-    extreme = np.isin(values[1:-1], levels[[0, -1]])
-    inner = np.abs(bend[~extreme & ~np.isnan(bend)])
+    inner = np.abs(bend[~np.isin(values[1:-1], levels[[0, -1]]) & ~np.isnan(bend)])
     return not inner.size or bool(np.mean(inner <= rounding) > 0.5)
 
 
@@ -64,30 +61,28 @@ LONGEST_REST = 0.5
 
 
 class SampledSignal(NamedTuple):
-    """A signal of n samples with what several checks ask of it."""
+    """A signal of n samples with what several checks ask of it.
+
+    **Fields:** `values`, shape `(n,)`, NaN in gaps; `time` in seconds from the recording's first
+    sample, shape `(n,)`, and the `time_step`; `levels`, distinct values, ascending, and how often
+    each occurs, the `counts`; `rounding`, the distance within which values are one; `resolution`,
+    their distance where they are multiples of one, else 0; `run_starts`, the first sample of each
+    run, a stretch of one exact value, and `run_lengths`, the samples in it; `is_command`, whether
+    it takes few values, or lies on straight lines, as no sensor's signal does.
+    """
 
     name: str
     unit: str
     values: np.ndarray
-    """Shape (n,), NaN in gaps."""
     time: np.ndarray
-    """Seconds from the recording's first sample, shape (n,)."""
     time_step: float
-    """Seconds between samples."""
     levels: np.ndarray
-    """Distinct values, ascending."""
     counts: np.ndarray
-    """How often each level occurs."""
     rounding: float
-    """Distance within which values are one."""
     resolution: float
-    """Distance of values where they are multiples of one, else 0."""
     run_starts: np.ndarray
-    """First sample of each run, a stretch of one exact value."""
     run_lengths: np.ndarray
-    """Samples in each run."""
     is_command: bool
-    """Whether it takes few values, or lies on straight lines, as no sensor's signal does."""
 
     @property
     def sample_count(self) -> int:

@@ -1,25 +1,319 @@
 """Faults of sensors, converters and loggers, found in the samples alone.
 
-No check fires on what machines do: axes at rest, relays and steps, encoders that show one value for
-a while, bumps in a road. The message says what to do about a fault.
+A signal may sit at one value: at the end of its range, as of a converter, or as a sensor that is
+stuck does while the rest of the record moves. No check fires on what machines do: axes at rest,
+relays and steps, encoders that show one value for a while, bumps in a road. The message says what
+to do about a fault.
 """
 
-from collections.abc import Collection, Iterable, Iterator
+import shlex
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.faults.held_values import clipped, stuck
 from riecjax.records.faults.rows import copied_signals
 from riecjax.records.faults.sampled_signal import (
+    ENOUGH,
     FEW_LEVELS,
+    LONGEST_REST,
     SampledSignal,
     percent,
     sampled_signal,
 )
 from riecjax.records.faults.spikes import outliers
+from riecjax.records.linear_op import longest_stretch
 from riecjax.records.preparation.hum import hum
 from riecjax.records.record import Record, runs
+
+PILE_UP = 5.0
+"""Times more often than at the next four levels that a clipped signal sits at its extreme. The
+crest of a quantised signal, a parabola, sits there at most 3.2 times as often."""
+REPEATS = 2.5
+"""The same for a signal that is not quantised, in which no value comes twice but by a period."""
+FEWEST_VISITS = 3
+"""Times that a signal must have run into its limits, both together, to count as clipped; once where
+no other value of it comes twice."""
+FOLLOWED = 0.98
+"""Share of a signal that others must explain to tell what it does at its limit."""
+LAGS = range(-2, 3)
+BEYOND = 0.1
+"""Standard deviations beyond a limit where others must surely not say that a signal goes on."""
+MANY_VISITS = 10
+"""Visits to a limit that are enough to tell."""
+STEEP = 10.0
+"""Quanta by which a steep approach lies off the extreme two samples before, so that rounding does
+not hide it. A crest that stays within its last quantum for 3 samples comes from less than 9."""
+AWAY = 4
+"""Samples in which noise, and no motion, leaves an extreme and returns to it."""
+
+
+class Visits(NamedTuple):
+    """Times that a signal sits at an extreme where it does not just turn round."""
+
+    sign: float
+    """1 of the maximum, -1 of the minimum."""
+    extreme: float
+    starts: np.ndarray
+    samples: int
+    steep: int
+    """Visits that came from far off, and left for far off."""
+
+
+def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iterator[Finding]:
+    """Runs into an extreme from far off, which a crest never does, and sits there.
+
+    Unless other signals say that the limit is real, as the motion of a wheel that lifts does of the
+    force on its tyre.
+    """
+    for side in (one for one in limits(signal) if not is_real(signal, one, others)):
+        remedy, which = ("--leave-out", signal.name), "maximum" if side.sign > 0 else "minimum"
+        yield signal.finding(
+            "clipped",
+            f"sits at its {which} of {signal.with_unit(side.extreme)} in {side.starts.size} "
+            f"place(s), {percent(side.samples, signal.sample_count)} of the samples, first at "
+            f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does. "
+            f"Record with a larger range, or leave them out (on the command line: "
+            f"{shlex.join(remedy)}), unless the limit is real, as of a command or of a wheel that "
+            f"lifts.",
+            doubt=side.samples / signal.sample_count,
+            remedy=remedy,
+            step=f"Leave out what {signal.name} shows at the end of its range",
+        )
+
+
+def limits(signal: SampledSignal) -> list[Visits]:
+    """Extremes into which a signal ran, real ones too."""
+    if signal.is_command:
+        return []
+    sides = [side for sign in (1.0, -1.0) if (side := _visits(signal, sign)) and side.steep]
+    unique = not signal.resolution and np.mean(signal.counts == 1) > 0.999
+    return sides if sum(s.steep for s in sides) >= (1 if unique else FEWEST_VISITS) else []
+
+
+def _visits(signal: SampledSignal, sign: float) -> Visits | None:
+    """Visits to one extreme; `None` where it is a crest, or where the signal rests."""
+    outermost = slice(None, -6, -1) if sign > 0 else slice(5)
+    extreme, (samples, *others) = signal.levels[outermost][0], signal.counts[outermost].tolist()
+    ratio = PILE_UP if signal.resolution else REPEATS
+    if not ratio * np.mean(others) < samples <= LONGEST_REST * signal.sample_count:
+        return None
+    visits = np.abs(signal.run_values - extreme) <= signal.rounding
+    starts, lengths = signal.run_starts[visits], signal.run_lengths[visits]
+    quantum = max(signal.resolution, signal.rounding)
+    steep = np.ones(starts.size, bool)
+    inside = np.pad(sign * (extreme - signal.values), 4, constant_values=np.nan)
+    for edges, outward in ((starts, -1), (starts + lengths - 1, 1)):
+        near, far = (inside[4 + edges + k * outward] for k in (2, 4))
+        # At a deceleration a, k samples before the extreme seems reached, the distance is
+        # a (k + s)^2 / 2, where the last quantum q = a s^2 / 2 hides the end for s samples. Hence
+        # sqrt(far / near) = (4 + s) / (2 + s) = 2 - sqrt(q / near), and more where the deceleration
+        # falls. On a straight approach far / near is 2 to 3.
+        hidden = np.sqrt(np.minimum(quantum / np.maximum(near, quantum), 1.0))
+        steep &= (near > STEEP * quantum) & ~(near * (2 - hidden) ** 2 <= far)
+    # Noise takes it far off and back at once, which no motion does.
+    gaps = np.stack([starts[:-1] + lengths[:-1], starts[1:]], axis=1)
+    if len(gaps):
+        depth = np.fmax.reduceat(inside[4:-4], gaps.ravel())[::2]
+        away = (np.diff(gaps)[:, 0] <= AWAY) & (depth > STEEP * quantum)
+        steep |= np.pad(away, (0, 1)) | np.pad(away, (1, 0))
+    return Visits(sign, float(extreme), starts, samples, int(steep.sum()))
+
+
+def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]) -> bool:
+    """Whether other signals, at lags of two samples, stay at the limit with the signal.
+
+    Of a sensor at the end of its range all that follows the signal goes on beyond. Of a real limit
+    one balance may break there, such as that of a spring that parts, so that one signal and two are
+    left out in turn; the others, such as the masses that it moves, keep to it.
+    """
+    rows = [np.stack([np.roll(s.values, lag) for lag in LAGS]) for s in others if s.levels.size > 1]
+    if len(rows) < 2 or side.starts.size < MANY_VISITS:
+        return False
+    target, inside = signal.values, np.zeros(signal.values.size, bool)
+    inside[2:-2] = True
+    known = inside & ~np.isnan(np.concatenate([target[None], *rows])).any(axis=0)
+    held = known & (np.abs(target - side.extreme) <= signal.rounding)
+    free = np.flatnonzero(known & ~held)
+    free = free[:: max(free.size // ENOUGH, 1)]
+    if not held.any() or free.size < 100:
+        return False
+    size = float(np.std(target[free]))
+    for left_out in (*combinations(range(len(rows)), 1), *combinations(range(len(rows)), 2)):
+        kept = [row for i, row in enumerate(rows) if i not in left_out]
+        columns = np.concatenate([*kept, np.ones((1, target.size))])[:, known]
+        columns /= np.maximum(np.max(np.abs(columns), axis=1, keepdims=True), np.finfo(float).tiny)
+        outside, there = np.searchsorted(np.flatnonzero(known), free), held[known]
+        weights = np.linalg.lstsq(columns[:, outside].T, target[free] / size, rcond=1e-10)[0]
+        error = float(np.std(target[free] / size - weights @ columns[:, outside]))
+        beyond = side.sign * (weights @ columns[:, there] - side.extreme / size)
+        surely = np.mean(beyond) + 2 * np.std(beyond) / np.sqrt(side.starts.size)
+        if error**2 < 1 - FOLLOWED and surely < BEYOND:
+            return True
+    return False
+
+
+STUCK_SAMPLES = 20
+"""Samples of one value that may be a stuck sensor."""
+STUCK_RATIO = 10.0
+"""Times that a stuck run is longer than what is usual (19 of 20 runs) in the signal."""
+ABRUPT = 0.1
+"""Share of the usual step past which a run begins or ends abruptly. What comes to rest at a finite
+deceleration takes a last step far below."""
+ABRUPT_QUANTA = 3.0
+"""The same in quanta of the signal."""
+STEADY, JUMP = 0.99, 2.0
+"""Share of a signal's steps that are usual; times such a step past which it jumps."""
+SHORT, PLACES = 3, 3
+"""Samples of one value, and places with it, that may be where a signal drops out: at 0, or at a
+number that its logger writes for none."""
+TURNING = 0.5
+"""Usual steps below which motion goes on so slowly that it turns there, and an encoder shows no
+change."""
+UNIQUE = 0.95
+"""Share of values that come once in a signal that is not quantised."""
+MOVES = 0.3
+"""Share of its usual sample-to-sample change past which another signal moves meanwhile."""
+
+
+def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Finding]:
+    """A long run of one value, begun or left by a jump, while another signal moves on; or short
+    ones of the same value, all begun and left by jumps."""
+    remedy = ("--leave-out", signal.name)
+    how = (
+        f"Leave them out (on the command line: {shlex.join(remedy)}), and check the sensor, its "
+        f"cable and the logger."
+    )
+    if (runs := dropouts(signal)).size:
+        starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
+        shown = np.unique(signal.run_values[runs])
+        value = signal.with_unit(float(shown[0])) if shown.size == 1 else "one value"
+        yield signal.finding(
+            "stuck_sensor",
+            f"drops out: it shows exactly {value} for {int(np.median(lengths))} samples (median) "
+            f"in {runs.size} places, and goes on elsewhere, first at "
+            f"{signal.time[starts[0]]:.4g} s ({percent(int(lengths.sum()), signal.sample_count)} "
+            f"of the samples). {how}",
+            # They are far off: each counts for several.
+            doubt=1.0,
+            remedy=remedy,
+            step=f"Leave out what {signal.name} showed while it dropped out",
+        )
+    if (runs := long_runs(signal, others)).size:
+        starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
+        samples = int(lengths.sum())
+        yield signal.finding(
+            "stuck_sensor",
+            f"stays at exactly {signal.with_unit(float(signal.run_values[runs[0]]))} "
+            f"for {lengths[0]} samples from {signal.time[starts[0]]:.4g} s on "
+            f"while the rest of the record {_rest_of_record(others, starts[0], lengths[0])} "
+            f"({samples} samples in {runs.size} place(s), "
+            f"{percent(samples, signal.sample_count)}). {how}",
+            doubt=samples / signal.sample_count,
+            remedy=remedy,
+            step=f"Leave out what {signal.name} showed while it was stuck",
+        )
+
+
+def dropouts(signal: SampledSignal) -> np.ndarray:
+    """Runs of a value that is entered and left by jumps, several times, and shown in no other way.
+
+    A motion that comes to rest, or runs into a limit, gets there by steps as small as any other.
+    """
+    starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
+    several, steps = np.flatnonzero(lengths >= SHORT), np.abs(np.diff(signal.values))
+    moving = _moving(signal, steps, several, beside=1)
+    if not moving.size:
+        return np.zeros(0, int)
+    usual = float(np.quantile(moving, STEADY))
+    padded = np.pad(steps, 1, constant_values=np.inf)
+    into, out = padded[starts], padded[starts + lengths]
+    least, most = np.fmin(into, out), np.where(np.isfinite(into + out), np.fmax(into, out), 0.0)
+    found = [np.zeros(0, int)]
+    # An encoder has thousands of values: those are looked at that are entered or left by jumps.
+    for value in np.unique(values[several[most[several] > JUMP * usual]]):
+        own = np.flatnonzero(values == value)
+        long = own[lengths[own] >= SHORT]
+        # A signal that was near the value may enter it gently at one end, and not mostly at both.
+        jumps = np.median(most[long]) > JUMP * usual and np.median(least[long]) > np.median(moving)
+        if long.size >= PLACES and jumps and 2 * long.size > own.size:
+            found.append(long)
+    # Of a signal whose values come once, another one each time: the last is written again.
+    if np.mean(signal.counts == 1) > UNIQUE:
+        again = np.flatnonzero(lengths > SHORT)
+        own = np.isin(values[again], values[np.setdiff1d(np.arange(lengths.size), again)])
+        ends = padded[starts + lengths][again]
+        if (
+            np.unique(values[again]).size >= PLACES
+            and not own.any()
+            and np.median(ends) > TURNING * np.median(moving)
+        ):
+            found.append(again)
+    return np.unique(np.concatenate(found))
+
+
+def long_runs(signal: SampledSignal, others: Sequence[SampledSignal]) -> np.ndarray:
+    """Which of the signal's runs a stuck sensor showed."""
+    starts, lengths, values = signal.run_starts, signal.run_lengths, signal.run_values
+    usual, steps = float(np.quantile(lengths, 0.95)), np.abs(np.diff(signal.values))
+    long = np.flatnonzero(lengths >= max(STUCK_SAMPLES, STUCK_RATIO * usual))
+    moving = _moving(signal, steps, long)
+    if not (long.size and moving.size):
+        return np.zeros(0, int)
+    least = max(ABRUPT * float(np.median(moving[moving > 0])), ABRUPT_QUANTA * signal.resolution)
+    # The larger one of the steps into and out of each run.
+    padded = np.pad(steps, 1, constant_values=np.nan)
+    edges = np.fmax(padded[starts], padded[starts + lengths])
+    # What is held at an extreme and entered and left by no more than usual steps is clipped.
+    usual = float(np.quantile(moving, STEADY))
+    ends = np.abs(values[:, None] - signal.levels[[0, -1]]).min(axis=1) <= signal.rounding
+    edges = np.where(ends & (edges <= JUMP * usual), 0.0, edges)
+    # A machine comes to rest and leaves it gently, and rests in the same place more than once.
+    stuck = [
+        np.sum(values[long] == values[run]) == 1
+        and edges[run] > least
+        and bool(_rest_of_record(others, starts[run], lengths[run]))
+        for run in long
+    ]
+    return long[stuck]
+
+
+def _moving(
+    signal: SampledSignal, steps: np.ndarray, runs: np.ndarray, beside: int = 0
+) -> np.ndarray:
+    """The steps outside of some runs, and not so many beside them, in a signal that moves; none of
+    a command, or of what mostly rests."""
+    if signal.is_command:
+        return steps[:0]
+    inside = np.zeros(steps.size, bool)
+    for start, length in zip(signal.run_starts[runs], signal.run_lengths[runs]):
+        inside[max(start - beside, 0) : start + length - 1 + beside] = True
+    moving = steps[~inside & ~np.isnan(steps)]
+    return moving if moving.size and np.mean(moving == 0) <= LONGEST_REST else steps[:0]
+
+
+def _rest_of_record(others: Sequence[SampledSignal], start: int, length: int) -> str:
+    """What the other sensors do during a run, if it suggests a fault; else empty.
+
+    Either one of them changes from sample to sample, or every one shows one value to the last
+    digit, as when a logger writes one row again and again. Quiet sensors suggest no fault.
+    """
+    sensors = [s for s in others if s.levels.size > FEW_LEVELS]
+    still = []
+    for other in sensors:
+        steps = np.diff(other.values)
+        meanwhile = steps[start : start + length - 1]
+        if np.isnan(meanwhile).all():
+            continue
+        if np.nanstd(meanwhile) > MOVES * np.nanstd(steps):
+            return "moves"
+        still.append(not np.nanmax(np.abs(meanwhile)))
+    if not sensors:
+        return "moves"
+    return "stands as still" if still and all(still) else ""
+
 
 COARSE = 0.01
 """Share of a signal's rms past which its resolution matters."""
@@ -46,7 +340,7 @@ def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterato
         first = float(before[0] + step if starts[0] > 0 else time[0])
         count = int(lost.sum())
         total = count + int((~mask).sum())
-        longest = max((s.stop - s.start for s in record.segments([group[0].name])), default=1)
+        longest = max(longest_stretch(record, group[0].name), 1)
         names = tuple(signal.name for signal in group)
         yield Finding(
             "missing_samples",

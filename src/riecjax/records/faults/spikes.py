@@ -19,7 +19,7 @@ levels or slopes part further than they do elsewhere, the spike acted.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -36,9 +36,9 @@ from riecjax.records.faults.sampled_signal import (
     levels_of,
     resolution_of,
 )
-from riecjax.records.noise import DIFFERENCE_ORDER, NORMAL
 from riecjax.records.record import run_lengths
 from riecjax.records.remembered import remembered
+from riecjax.records.signal import DIFFERENCE_ORDER, GAIN, NORMAL
 
 SUSPECT = 4.5
 """Standard deviations past which a sixth difference makes suspects of the samples around it."""
@@ -88,7 +88,6 @@ PASSES = 12
 """Times that suspects are found anew, once spikes do not hide others."""
 LARGEST = 1e60
 """Robust scales at which values are cut off, so that their squares are numbers."""
-GAIN = float(np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2)))
 GAIN_OF_TWO = float(np.linalg.norm(np.convolve(np.poly([1.0] * DIFFERENCE_ORDER), [1, 1])))
 LARGE = 6.5
 """Standard deviations of the sum of two neighbouring differences that make suspects, too: two equal
@@ -140,9 +139,8 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
     values = np.asarray(values, float)
     known = values[~np.isnan(values)]
-    none = Spikes(np.zeros(0, int), *(np.zeros(0) for _ in range(3)))
     if known.size < FEWEST:
-        return none
+        return Spikes(np.zeros(0, int), *np.zeros((3, 0)))
     # How widely values spread that are not spikes.
     low, high = (np.quantile(known, side) for side in ([0.1, 0.01, 0.0], [0.9, 0.99, 1.0]))
     scale = float(min(next((s for s in high - low if s > 0), 1.0), np.finfo(float).max))
@@ -150,34 +148,21 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
     scaled = np.clip((values - centre) / scale, -LARGEST, LARGEST)
     levels = levels_of(scaled[np.abs(scaled) < BEYOND], ROUNDING)[0]
     if levels.size <= FEW_LEVELS or is_piecewise_linear(scaled, levels, ROUNDING):
-        return _beyond_all(values) or none
-    local = min(map(Local.of, DEGREES), key=lambda each: each.error(scaled))
-    spikes, noise = _judged(scaled, resolution_of(levels), local)
-    places = np.flatnonzero(spikes)
-    if not places.size:
-        return none
-    stretch = np.cumsum(np.isnan(scaled))
-    repaired = fits(np.where(spikes, np.nan, scaled), places, noise, stretch, local).value
-    repaired = centre + scale * repaired
+        # What is far beyond all other values; the value before takes its place.
+        ranked = np.sort(np.abs(known))[::-1][: known.size // 10 + 2]
+        apart = ranked[:-1] > np.where(ranked[1:] > 0, BEYOND * ranked[1:], IMPOSSIBLE)
+        far = np.abs(values) >= np.min(ranked[:-1], where=apart, initial=np.inf)
+        far &= run_lengths(far) <= LONGEST
+        places, there = np.flatnonzero(far), np.flatnonzero(~far & ~np.isnan(values))
+        repaired = values[there[np.maximum(np.searchsorted(there, places) - 1, 0)]]
+        noise = np.zeros(values.size)
+    else:
+        local = min(map(Local.of, DEGREES), key=lambda each: each.error(scaled))
+        spikes, noise = _judged(scaled, resolution_of(levels), local)
+        places, stretch = np.flatnonzero(spikes), np.cumsum(np.isnan(scaled))
+        fit, *_ = fits(np.where(spikes, np.nan, scaled), places, noise, stretch, local)
+        repaired = centre + scale * fit
     return Spikes(places, repaired, np.abs(values[places] - repaired), scale * noise[places])
-
-
-def _beyond_all(values: np.ndarray) -> Spikes | None:
-    """Of a command, what is far beyond all other values; the value before takes its place."""
-    sizes = np.abs(values)
-    ranked = np.sort(sizes[~np.isnan(sizes)])[::-1]
-    ranked = ranked[: ranked.size // 10 + 2]
-    apart = ranked[:-1] > np.where(ranked[1:] > 0, BEYOND * ranked[1:], IMPOSSIBLE)
-    if not apart.any():
-        return None
-    far = sizes >= ranked[np.flatnonzero(apart)[-1]]
-    far &= run_lengths(far) <= LONGEST
-    places = np.flatnonzero(far)
-    if not places.size:
-        return None
-    there = np.flatnonzero(~far & ~np.isnan(values))
-    held = values[there[np.maximum(np.searchsorted(there, places) - 1, 0)]]
-    return Spikes(places, held, np.abs(values[places] - held), np.zeros(places.size))
 
 
 def _judged(
@@ -187,19 +172,19 @@ def _judged(
     cleaned, sizes = scaled.copy(), np.zeros(scaled.size)
     noise, stretch, half = sizes, np.cumsum(np.isnan(scaled)), DIFFERENCE_ORDER // 2
     # Fits are made anew where something changed that they depend on.
-    kept, noise_of_kept = np.full((len(Fits._fields), scaled.size), np.nan), sizes.copy()
+    kept, noise_of_kept = np.full((4, scaled.size), np.nan), sizes.copy()
     # Up to two samples from an end or a gap the differences hold a fifth of a spike at the most.
     ends = np.convolve(~np.isnan(scaled), np.ones(5), "same") < 5
     for _ in range(PASSES):
         differences = np.diff(cleaned, DIFFERENCE_ORDER)
         sixth = np.abs(differences) / GAIN
-        of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
-        around = _local(sixth, scaled.size)
+        around = _by_block(sixth, BLOCK, scaled.size) / NORMAL
         usual = np.median(around[around > 0]) if np.any(around > 0) else 0.0
         around = np.maximum(np.where(np.isnan(around), usual, around), STEADIEST * usual)
         noise = np.maximum(around, quantum)
         large = np.zeros(scaled.size, bool)
         large[half:-half] = sixth > SUSPECT * noise[half:-half]
+        of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
         pairs = of_two > LARGE * noise[half : -half - 1]
         if pairs.any() and np.median(noise) > local.error(cleaned) / 2:
             large[half : -half - 1] |= pairs
@@ -211,9 +196,7 @@ def _judged(
         before, now = noise_of_kept[suspects], noise[suspects]
         matters = (now != before) & (np.maximum(now, before) > kept[3, suspects])
         anew = suspects[matters | np.isnan(kept[0, suspects])]
-        if anew.size:
-            held = np.where(sizes > 0, np.nan, scaled)
-            kept[:, anew] = fits(held, anew, noise, stretch, local)
+        kept[:, anew] = fits(np.where(sizes > 0, np.nan, scaled), anew, noise, stretch, local)
         noise_of_kept[anew] = noise[anew]
         fit, scale, *_ = kept[:, suspects]
         off = np.abs(scaled[suspects] - fit)
@@ -238,10 +221,7 @@ def _judged(
     sixth = np.abs(np.diff(cleaned, DIFFERENCE_ORDER)) / GAIN
     rest = local.off(cleaned)
     for sizes_there, gain in ((sixth, 1.0), (rest, local.gain)):
-        rows = _rows(sizes_there, TAIL_BLOCK)
-        ordered = np.sort(np.nan_to_num(rows), axis=1)
-        tail = _spread_out(ordered[:, -1 - int(FEW * rows.shape[1])], rows.shape[1], off.size)
-        spikes &= off > USUAL_TAIL * gain * tail
+        spikes &= off > USUAL_TAIL * gain * _by_block(sizes_there, TAIL_BLOCK, off.size, _tail)
     # Where noise changes within a block, the block's own is too small for a part of it.
     edged = np.pad(noise, BLOCK, mode="edge")
     most = np.maximum(noise, np.maximum(edged[: -2 * BLOCK], edged[2 * BLOCK :]))
@@ -254,23 +234,32 @@ def _judged(
     return spikes & (elsewhere < own), noise
 
 
-def _local(sizes: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, " count"]:
-    """Standard deviation of what has these sizes, around each of so many samples."""
-    rows = _rows(sizes, BLOCK)
-    return _spread_out(medians(rows) / NORMAL, rows.shape[1], count)
+def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
+    """Of each row what is no NaN; NaN where nothing is."""
+    ordered = np.sort(rows, axis=1)
+    count = np.sum(~np.isnan(rows), axis=1)
+    at = np.arange(len(rows))
+    return (
+        ordered[at, np.maximum(count - 1, 0) // 2] + ordered[at, count // 2 % rows.shape[1]]
+    ) / 2
 
 
-def _rows(sizes: Float[np.ndarray, " m"], length: int) -> Float[np.ndarray, "blocks about_length"]:
-    """In blocks of about one length, the last filled up with NaN."""
+def _tail(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
+    """Of each row what few of it reach."""
+    return np.sort(np.nan_to_num(rows), axis=1)[:, -1 - int(FEW * rows.shape[1])]
+
+
+def _by_block(
+    sizes: Float[np.ndarray, " m"], length: int, count: int, statistic: Callable = medians
+) -> Float[np.ndarray, " count"]:
+    """At each of so many samples a statistic of the sizes in its block of about this length.
+
+    Of rows, the last filled up with NaN, it makes a number each.
+    """
     blocks = max(sizes.size // length, 1)
     size = -(-sizes.size // blocks)
     padded = np.pad(sizes, (0, blocks * size - sizes.size), constant_values=np.nan)
-    return padded.reshape(blocks, size)
-
-
-def _spread_out(values: Float[np.ndarray, " blocks"], length: int, count: int) -> np.ndarray:
-    """Of each of so many samples what its block of a length has."""
-    local = np.repeat(values, length)
+    local = np.repeat(statistic(padded.reshape(blocks, size)), size)
     return np.pad(local, (0, max(count - local.size, 0)), mode="edge")[:count]
 
 
@@ -278,7 +267,7 @@ def _threshold(
     rest: Float[np.ndarray, " n"], sizes: Float[np.ndarray, " k"], noise: Float[np.ndarray, " n"]
 ) -> float:
     """Standard deviations past which spikes stand apart from the noise's own tail."""
-    rest = rest / np.maximum(noise, _local(rest, rest.size))
+    rest = rest / np.maximum(noise, _by_block(rest, BLOCK, rest.size) / NORMAL)
     threshold = SPIKE
     while sizes.size and threshold <= np.max(sizes):
         low = threshold / 1.5
@@ -291,22 +280,15 @@ def _threshold(
 
 
 class Local(NamedTuple):
-    """Polynomials of one degree over the samples of a window.
-
-    **Fields:** orthonormal `columns`, shape `(samples, degree + 1)`; `products` of each two, a row
-    for each sample.
-    """
+    """Polynomials of one degree over the samples of a window, by orthonormal `columns`."""
 
     columns: Float[np.ndarray, "samples coefficients"]
-    products: Float[np.ndarray, "samples pairs"]
 
     @classmethod
     def of(cls, degree: int) -> "Local":
         """Of a degree, over `BESIDE` samples to each side."""
         places = np.arange(-BESIDE, BESIDE + 1)[:, None] / BESIDE
-        columns = np.linalg.qr(places ** np.arange(degree + 1))[0]
-        products = columns[:, :, None] * columns[:, None, :]
-        return cls(columns, products.reshape(len(columns), -1))
+        return cls(np.linalg.qr(places ** np.arange(degree + 1))[0])
 
     def off(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """How far each sample is off the one through all, over its gain for white noise.
@@ -328,29 +310,20 @@ class Local(NamedTuple):
         return float(self.gain * np.median(self.off(values)))
 
 
-class Fits(NamedTuple):
-    """At each place the polynomial through the other samples of its unbroken stretch.
-
-    **Fields:** its `value`; `scale`, the standard deviation off it; `clear`, by how much a spike
-    stands clear of all others; `spread`, what noise must be below so as not to matter to it.
-    """
-
-    value: Float[np.ndarray, " k"]
-    scale: Float[np.ndarray, " k"]
-    clear: Float[np.ndarray, " k"]
-    spread: Float[np.ndarray, " k"]
-
-
 def fits(
     values: Float[np.ndarray, " n"],
     places: Int[np.ndarray, " k"],
     noise: Float[np.ndarray, " n"],
     stretch: Int[np.ndarray, " n"],
     local: Local,
-) -> Fits:
-    """The polynomials at some places, of which `stretch` numbers the unbroken stretch.
+) -> Float[np.ndarray, "4 k"]:
+    """At some places the polynomial through the other samples of the unbroken stretch, which
+    `stretch` numbers.
 
-    They are weighed by Tukey's biweight, which no neighbouring spike moves.
+    It is weighed by Tukey's biweight, which no neighbouring spike moves.
+
+    **Returns:** its value; the standard deviation off it; by how much a spike stands clear of all
+    others; and what noise must be below so as not to matter to it.
     """
     # The median of the seven samples around each that is near, which no spike of up to three moves.
     near = places[:, None] + np.arange(-BESIDE, BESIDE + 1)
@@ -360,6 +333,7 @@ def fits(
     median[used] = medians(np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used])
     offsets, parts = np.arange(-BESIDE, BESIDE + 1), []
     count, middle = local.columns.shape[1], local.columns[BESIDE]
+    products = (local.columns[:, :, None] * local.columns[:, None, :]).reshape(offsets.size, -1)
     for some in np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE)):
         near = some[:, None] + offsets
         inside = np.clip(near, 0, values.size - 1)
@@ -374,7 +348,7 @@ def fits(
         start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
         weight, grams, fitted, scale = start, *(np.zeros(0) for _ in range(3))
         for i in range(ROUNDS):
-            grams = (weight @ local.products).reshape(-1, count, count) + RIDGE * np.eye(count)
+            grams = (weight @ products).reshape(-1, count, count) + RIDGE * np.eye(count)
             fitted = np.linalg.solve(grams, (weight * window @ local.columns)[..., None])[..., 0]
             off = np.where(there, np.abs(window - fitted @ local.columns.T), np.nan)
             own = medians(off) / NORMAL
@@ -394,18 +368,8 @@ def fits(
             nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
             clear = np.fmax(clear, NEIGHBOUR * nearest)
         scale = np.where(enough, scale, np.inf) * np.sqrt(1 + reach)
-        parts.append((fitted @ middle, scale, clear, np.nan_to_num(spread - digits)))
-    return Fits(*map(np.concatenate, zip(*parts)))
-
-
-def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
-    """Of each row what is no NaN; NaN where nothing is."""
-    ordered = np.sort(rows, axis=1)
-    count = np.sum(~np.isnan(rows), axis=1)
-    at = np.arange(len(rows))
-    return (
-        ordered[at, np.maximum(count - 1, 0) // 2] + ordered[at, count // 2 % rows.shape[1]]
-    ) / 2
+        parts.append([fitted @ middle, scale, clear, np.nan_to_num(spread - digits)])
+    return np.concatenate(parts, axis=1)
 
 
 def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarray, " n"]]) -> bool:
@@ -421,8 +385,7 @@ def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarra
     others, near = list(others), 2 * (GAP + SIDE)
     # The middle sample of each group of neighbours.
     groups = np.split(places, np.flatnonzero(np.diff(places) > LONGEST) + 1)
-    middles = np.array([group[group.size // 2] for group in groups if group.size], int)
-    middles = middles[:MOST_BLOWS]
+    middles = np.array([g[g.size // 2] for g in groups if g.size], int)[:MOST_BLOWS]
     offsets = np.arange(GAP + 1, GAP + SIDE + 1)
     # Level and slope of lines and of parabolas, before each sample and behind; before it time runs
     # the other way: there levels are alike, slopes opposite.
@@ -435,34 +398,23 @@ def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarra
     ]
     level = LEVEL / max(len(kernels) * len(others), 1)
     for values in (values for values in others if values.size >= near):
+        beside = np.zeros(values.size, bool)
+        for place in places:
+            beside[max(place - near, 0) : place + near + 1] = True
         for kernel in kernels:
             inside = np.convolve(values, kernel[::-1], "valid")
             parting = np.abs(np.pad(inside, GAP + SIDE, constant_values=np.nan))
-            if _by_chance(middles, places, parting, near) < level:
+            known = ~np.isnan(parting)
+            usual, at_spikes = np.sort(parting[known]), parting[middles[known[middles]]]
+            if not at_spikes.size:
+                continue
+            elsewhere = np.max(parting, where=known & ~beside, initial=0.0)
+            beyond = usual.size - np.searchsorted(usual, at_spikes)
+            total = -float(np.sum(np.log((1 + beyond) / (1 + usual.size))))
+            by_chance = scipy.special.gammaincc(at_spikes.size, total)
+            if np.median(at_spikes) > PARTING * elsewhere or by_chance < level:
                 return True
     return False
-
-
-def _by_chance(
-    middles: Int[np.ndarray, " groups"],
-    places: Int[np.ndarray, " k"],
-    parting: Float[np.ndarray, " n"],
-    near: int,
-) -> float:
-    """Probability that lines part so far at samples that are none in particular."""
-    elsewhere = ~np.isnan(parting)
-    usual = np.sort(parting[elsewhere])
-    at_spikes = parting[middles]
-    at_spikes = at_spikes[~np.isnan(at_spikes)]
-    if not at_spikes.size:
-        return 1.0
-    for place in places:
-        elsewhere[max(place - near, 0) : place + near + 1] = False
-    if np.median(at_spikes) > PARTING * np.max(parting, where=elsewhere, initial=0.0):
-        return 0.0
-    beyond = usual.size - np.searchsorted(usual, at_spikes)
-    total = -float(np.sum(np.log((1 + beyond) / (1 + usual.size))))
-    return float(scipy.special.gammaincc(at_spikes.size, total))
 
 
 def too_many(spikes: Spikes, values: Float[np.ndarray, " n"]) -> bool:

@@ -1,7 +1,6 @@
 """Signals brought forward in time, by what is asked or by what recorded derivatives tell."""
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -69,15 +68,14 @@ def shift(record: Record, seconds: Mapping[str, float]) -> Operations:
                 f"cannot shift '{name}' by {late:g} s, which is {by:.4g} samples of "
                 f"{record.sample_count}. Give seconds, less than half the record."
             )
-        whole = math.floor(by + SAME_TIME)
+        whole = int(np.floor(by + SAME_TIME))
         between, at, taps = by - whole, np.zeros(1, int), np.ones(1)
-        if between >= 2 * SAME_TIME:
-            if longest_stretch(record, name) >= 2 * MOST_LOST * reach:
-                at = np.arange(1 - reach, reach + 1)
-                taps = response(at - between, 1.0)
-            else:
-                at = POINTS
-                taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
+        if between >= 2 * SAME_TIME and longest_stretch(record, name) >= 2 * MOST_LOST * reach:
+            at = np.arange(1 - reach, reach + 1)
+            taps = response(at - between, 1.0)
+        elif between >= 2 * SAME_TIME:
+            at = POINTS
+            taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
         taps = taps / taps.sum()
         # A shift between samples leaves white noise nearly white, but a little less of it.
         noise = convolved_with(float(np.linalg.norm(taps)))
@@ -109,7 +107,7 @@ def set_clocks(record: Record, ppm: Mapping[str, float]) -> Operations:
                 f"of the time, less than {MOST_PPM:g}."
             )
         late = PPM * rate * np.asarray(record.elapsed) / float(record.time_step)
-        lost = reach + math.ceil(np.max(np.abs(late[[0, -1]])))
+        lost = reach + int(np.ceil(np.max(np.abs(late[[0, -1]]))))
         yield (
             name,
             LinearOp.of_stretches(
@@ -140,7 +138,7 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     names = () if isinstance(how, str) else tuple(how)
     if isinstance(how, str) and how not in ("auto", "none"):
         raise DataError(f"align is 'auto', 'none' or a tuple of signals; got '{how}'.")
-    every = [one for one in relations(pairs) if set(one.names) <= set(record.arrays)]
+    every = [one for one in relations(pairs) if {*one.names} <= {*record.arrays}]
     for name in names:
         if not any(name in one.names for one in every):
             raise DataError(
@@ -153,16 +151,15 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     for relation in every:
         # Signals that belong to each other, and of which no lost rows look like a delay.
         _, pair = compared(record, relation)
-        if pair is None or pair.is_gross:
-            continue
-        if not pair.is_late or not cut_rows(*with_sum(record, relation)):
-            found.append(pair)
+        if pair is not None and not pair.is_gross:
+            lost = pair.is_late and cut_rows(*with_sum(record, relation))
+            found += [] if lost else [pair]
     late: dict[str, float] = {}
     # By which each of these signals is later than the first one it is paired with.
     for name, pair in itertools.product(names, found):
         if name in pair.relation.names:
             mine, _ = pair.relation.side(pair.suspect)
-            seconds = (pair.fit.delay + pair.fit.lag) * pair.step
+            seconds = pair.fit.delay * pair.step
             late.setdefault(name, seconds if name in mine else -seconds)
     if not names:
         # By which signals are later than the earliest of those that they belong to.
@@ -172,8 +169,7 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
             if group is None:
                 groups.append(group := {})
             # By a signal that both know.
-            both = (group[name] - seconds for name, seconds in pair.late.items() if name in group)
-            ahead = next(both, 0.0)
+            ahead = next((group[name] - s for name, s in pair.late.items() if name in group), 0.0)
             for name, seconds in pair.late.items():
                 group.setdefault(name, ahead + seconds)
         after = ((name, s - min(g.values())) for g in groups for name, s in g.items())
@@ -200,6 +196,5 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
 def declared_pairs(model: Any) -> list[tuple[str, str] | Relation]:
     """Signals and their derivatives, as a `Model` or its equations call them."""
     pairs: list[Any] = [(of, name) for name, of in getattr(model, "derived", {}).items()]
-    if hasattr(model, "stages"):
-        pairs += model.derivatives
+    pairs += model.derivatives if hasattr(model, "stages") else ()
     return list(dict.fromkeys(pairs))

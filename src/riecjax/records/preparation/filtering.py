@@ -1,7 +1,5 @@
 """Filters without phase, offsets, drifts and derivatives."""
 
-import functools
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -42,7 +40,7 @@ def low_pass(record: Record, cutoffs: Mapping[str, float]) -> Operations:
                 f"cannot filter '{name}' at {cutoff:g} Hz: the cut-off must lie between 0 and half "
                 f"the sampling rate, {nyquist:g} Hz."
             )
-        lost = math.ceil(SETTLING_PERIODS / cutoff / float(record.time_step))
+        lost = int(np.ceil(SETTLING_PERIODS / cutoff / float(record.time_step)))
         shortest = max(2 * lost + 2, FILTER_PADDING) + 1
         if record.sample_count < shortest:
             raise DataError(
@@ -52,22 +50,22 @@ def low_pass(record: Record, cutoffs: Mapping[str, float]) -> Operations:
         sections = scipy.signal.butter(FILTER_ORDER, cutoff / nyquist, output="sos")
         impulse = np.zeros(4 * lost + FILTER_PADDING + 1)
         impulse[impulse.size // 2] = 1.0
+
+        def settled(samples: np.ndarray, *_: object, by=sections, lost=lost) -> np.ndarray:
+            """Filtered both ways, NaN where the ends are still felt."""
+            inner = scipy.signal.sosfiltfilt(by, samples)[lost:-lost]
+            return np.pad(inner, lost, constant_values=np.nan)
+
         yield (
             name,
             LinearOp.of_stretches(
                 f"zero-phase {FILTER_ORDER}th-order Butterworth low-pass: {{}} at {cutoff:g} Hz",
-                functools.partial(_settled, sections, lost),
+                settled,
                 lost=(lost, lost),
                 noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
                 shortest=shortest,
             ),
         )
-
-
-def _settled(sections: np.ndarray, lost: int, samples: np.ndarray, *_: object) -> np.ndarray:
-    """Samples through a filter both ways, NaN where it still feels the ends."""
-    settled = scipy.signal.sosfiltfilt(sections, samples)[lost:-lost]
-    return np.pad(settled, lost, constant_values=np.nan)
 
 
 @step
@@ -93,10 +91,9 @@ def unfilter(record: Record, lags: Mapping[str, float]) -> Operations:
 
 def lead(record: Record, seconds: float) -> LinearOp:
     """What [`unfilter`][] does, with any time constant."""
-    half = SLOPE.size // 2
     taps = seconds / float(record.time_step) * SLOPE
-    taps[half] += 1.0
-    return LinearOp.of_taps(f"low-pass undone: {{}} of {seconds:g} s", taps, -half)
+    taps[taps.size // 2] += 1.0
+    return LinearOp.of_taps(f"low-pass undone: {{}} of {seconds:g} s", taps, -(taps.size // 2))
 
 
 @step
@@ -151,15 +148,11 @@ def differentiate(record: Record, signal: str, name: str) -> Operations:
     **Raises:** `DataError` for a missing signal, or one without two samples in succession.
     """
     spacing = float(record.time_step)
-
-    def differences(samples: np.ndarray, *_: object) -> np.ndarray:
-        return np.gradient(samples, spacing, edge_order=2 if samples.size > 2 else 1)
-
     yield (
         name,
         LinearOp.of_stretches(
             f"{{}}: central differences of {signal}",
-            differences,
+            lambda x, *_: np.gradient(x, spacing, edge_order=2 if x.size > 2 else 1),
             noise=convolved_with(0.5 / spacing, 0.0, -0.5 / spacing),
             source=signal,
             unit="/s",

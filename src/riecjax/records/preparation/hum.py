@@ -44,25 +44,28 @@ STEADY = 10.0
 
 
 class Line(NamedTuple):
-    """A line of a grid: where it should be, where it is seen, and its amplitude."""
+    """A line of a grid.
+
+    **Fields:** Hz of the harmonic, `nominal` and as `seen`, folded where sampling does so; its
+    `amplitude`.
+    """
 
     nominal: float
-    """Hz of the harmonic."""
     seen: float
-    """Hz, folded where sampling does so."""
     amplitude: float
 
 
 class Spectrum(NamedTuple):
-    """Power of a signal through Hann's window, the mean over its stretches."""
+    """Power of a signal through Hann's window, the mean over its stretches.
+
+    **Fields:** `power`, the squared amplitude of a line at each bin, over the squared `rms`;
+    `chance`, the probability that noise stands out of what surrounds a bin as far as it does, 1 for
+    more than 0.01; `resolution`, Hz between bins.
+    """
 
     power: np.ndarray
-    """Squared amplitude of a line at each bin, over the squared rms."""
     chance: np.ndarray
-    """Probability that noise stands out of what surrounds a bin as far as it does; 1 for more
-    than 0.01."""
     resolution: float
-    """Hz between bins."""
     rms: float
 
     def folded(self, frequency: float) -> float:
@@ -72,8 +75,7 @@ class Spectrum(NamedTuple):
 
     def line(self, frequency: float, chance: float) -> Line | None:
         """The line about a frequency, `None` where none stands out alone."""
-        seen = self.folded(frequency)
-        tolerance = DRIFT * frequency
+        seen, tolerance = self.folded(frequency), DRIFT * frequency
         low = int(np.floor((seen - tolerance) / self.resolution))
         high = int(np.ceil((seen + tolerance) / self.resolution))
         if low < LOBE + 2 or high > self.power.size - 2 - LOBE:
@@ -107,12 +109,10 @@ class Spectrum(NamedTuple):
 
 def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     """The spectrum of samples, straight across gaps; `None` where there is none to speak of."""
-    missing = np.isnan(values)
-    if missing.all() or values.size < 4 * AROUND:
+    known = np.flatnonzero(~np.isnan(values))
+    if not known.size or values.size < 4 * AROUND:
         return None
-    if missing.any():
-        index = np.arange(values.size)
-        values = np.interp(index, index[~missing], values[~missing])
+    values = np.interp(np.arange(values.size), known, values[known])
     size = float(np.max(np.abs(values))) or 1.0
     values = values / size
     rms = float(np.std(values))
@@ -124,8 +124,7 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     rows = (values[: stretches * length].reshape(stretches, length) - np.mean(values)) / rms
     rows = rows - np.mean(rows, axis=1, keepdims=True)
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
-    transform = np.fft.rfft(rows * window, axis=1)
-    power = np.mean(np.abs(transform) ** 2, axis=0) * (4 / length) ** 2
+    power = np.mean(np.abs(np.fft.rfft(rows * window, axis=1)) ** 2, axis=0) * (4 / length) ** 2
     usual = scipy.ndimage.median_filter(power, 2 * AROUND + 1, mode="nearest")
     ratio = power / np.maximum(
         usual * stretches / scipy.special.gammaincinv(stretches, 0.5), np.finfo(float).tiny
@@ -163,9 +162,12 @@ def hum(
     **Arguments:** `pairs` of a signal and its derivative; `names` of those to report on.
     """
     # Steps of commands have lines of their own.
-    sensors = {name: signal for name, signal in signals.items() if not signal.is_command}
-    spectra = {name: spectrum_of(s.values, s.time_step) for name, s in sensors.items()}
-    known = {name: spectrum for name, spectrum in spectra.items() if spectrum is not None}
+    known = {
+        name: spectrum
+        for name, signal in signals.items()
+        if not signal.is_command
+        and (spectrum := spectrum_of(signal.values, signal.time_step)) is not None
+    }
     by_grid = {name: _foreign(spectrum) for name, spectrum in known.items()}
     for grid in MAINS:
         lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
@@ -174,14 +176,15 @@ def hum(
         for name in (n for n in names if n in lines):
             others = {verdicts[other] for other in lines if other != name}
             hums = not others or (False in others and True not in others)
-            if not (verdicts[name] is False or (verdicts[name] is None and hums)):
+            if verdicts[name] or (verdicts[name] is None and not hums):
                 continue
             amplitude, rms = largest[name].amplitude, known[name].rms
             share = sum((line.amplitude / rms) ** 2 for line in lines[name]) / 2
-            folded = (abs(line.seen - line.nominal) > 0.1 * grid for line in lines[name])
             at = ", ".join(
-                f"{line.nominal:.4g} Hz" + (f" (seen at {line.seen:.4g} Hz)" if is_folded else "")
-                for line, is_folded in zip(lines[name], folded)
+                f"{line.nominal:.4g} Hz"
+                if abs(line.seen - line.nominal) <= 0.1 * grid
+                else f"{line.nominal:.4g} Hz (seen at {line.seen:.4g} Hz)"
+                for line in lines[name]
             )
             yield signals[name].finding(
                 "hum",
@@ -203,18 +206,17 @@ def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
     lobe = LOBE * spectrum.resolution
     strongest = LOBE + 2 + int(np.argmax(spectrum.power[LOBE + 2 : -LOBE - 2]))
     own = spectrum.interpolated(strongest)
-
     stands_out = spectrum.chance[strongest] <= BY_CHANCE
-    found = []
-    for grid, line in [(hz, line) for hz in MAINS for line in lines_of(spectrum, hz)]:
+
+    def matters(line: Line) -> bool:
         order = line.seen / own
-        overtone = 1.5 < order < OVERTONES and (
-            abs(order - round(order)) * own < 0.1 * order * spectrum.resolution
-        )
-        if line.amplitude > SMALLEST * spectrum.rms and not (stands_out and overtone):
-            found.append((line.nominal / grid, grid, line))
+        off = abs(order - round(order)) * own
+        overtone = 1.5 < order < OVERTONES and off < 0.1 * order * spectrum.resolution
+        return line.amplitude > SMALLEST * spectrum.rms and not (stands_out and overtone)
+
+    every = [(grid, line) for grid in MAINS for line in lines_of(spectrum, grid) if matters(line)]
     claimed: dict[float, list[Line]] = {}
-    for _, grid, line in sorted(found, key=lambda one: round(one[0])):
+    for grid, line in sorted(every, key=lambda one: round(one[1].nominal / one[0])):
         others = [one for other, of in claimed.items() if other != grid for one in of]
         if all(abs(line.seen - one.seen) > lobe for one in others):
             claimed.setdefault(grid, []).append(line)
@@ -259,14 +261,13 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Operations:
 
     **Raises:** `DataError` for a frequency that is no positive number, or is seen as none.
     """
-    if frequency != "auto" and not (np.isfinite(frequency) and frequency > 0):
+    if frequency != "auto" and not 0 < frequency < np.inf:
         raise DataError(f"the frequency to notch is a positive number of Hz; got {frequency}.")
     time_step = float(record.time_step)
     at = "" if frequency == "auto" else f" at {frequency:g} Hz"
     for name in record.arrays:
         values = record.signal(name).with_nan
-        spectrum = spectrum_of(values, time_step)
-        if spectrum is None:
+        if (spectrum := spectrum_of(values, time_step)) is None:
             continue
         grids = MAINS if frequency == "auto" else (frequency,)
         lines = [line for grid in grids for line in lines_of(spectrum, grid)]
@@ -297,15 +298,13 @@ def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[fl
     mean = np.sum(left) / known.sum()
     length = min((values.size + 1) // 2, int(STEADY / time_step))
     window = np.hanning(length + 2)[1:-1]
-
     weight = scipy.signal.oaconvolve(known.astype(float), window, mode="valid")
     weight = np.maximum(weight, 1e-9 * weight.max())
     before = (values.size - weight.size) // 2
     after = values.size - weight.size - before
     time = np.arange(values.size) * time_step
     for frequency in dict.fromkeys(frequencies):
-        turn = np.exp(2j * np.pi * frequency * time)
-        centred = np.where(known, left - mean, 0.0)
+        turn, centred = np.exp(2j * np.pi * frequency * time), np.where(known, left - mean, 0.0)
         inner = 2 * scipy.signal.oaconvolve(centred * turn.conj(), window, mode="valid") / weight
         reach = min(length, inner.size) - 1
         first, last = (

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.held_values import limits, stuck_runs
 from riecjax.records.faults.sampled_signal import sampled_signal
+from riecjax.records.faults.signals import dropouts, limits, long_runs
 from riecjax.records.faults.spikes import (
     DONE,
     Spikes,
@@ -46,8 +46,7 @@ def unwrapped(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"],
         jumps = sizes > turn / 2
         if not jumps.any() or np.mean(jumps) > MOST:
             continue
-        usual = float(np.max(sizes[~jumps], initial=0.0))
-        reach = float(np.ptp(values[known]))
+        usual, reach = np.max(sizes[~jumps], initial=0.0), np.ptp(values[known])
         around = np.abs(sizes[jumps] - turn) <= 2 * usual
         if usual < QUICKEST * turn and turn - 2 * usual <= reach <= turn + usual and around.all():
             whole = values.copy()
@@ -65,12 +64,10 @@ def signed(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], in
     known = values[~np.isnan(values)]
     for bits in REGISTERS:
         count = 2.0**bits
-        if known.size < 2 or not (known.max() > count / 2 and (known >= 0).all()):
+        inside = known.size > 1 and known.min() >= 0 and count / 2 < known.max() < count
+        if not inside or (known != np.floor(known)).any():
             continue
-        if known.max() >= count or (known != np.floor(known)).any():
-            continue
-        below = values >= count / 2
-        whole = np.where(below, values - count, values)
+        whole = np.where(values >= count / 2, values - count, values)
         leaps = np.abs(np.diff(known)) > count / 2
         steps = np.abs(np.diff(whole[~np.isnan(values)]))
         usual = np.max(steps[~leaps], initial=0.0)
@@ -80,15 +77,16 @@ def signed(values: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], in
 
 
 class Treated(NamedTuple):
-    """Samples as they are after treatment; spikes among them as they were recorded, if there were
-    some, and whether they acted: then they are still there."""
+    """Samples as they are after treatment, their spikes as they were recorded, and whether these
+    acted: then they are still there."""
 
     values: Float[np.ndarray, " n"]
-    spikes: Spikes | None = None
+    spikes: Spikes
     acted: bool = False
 
 
-def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") -> Record:
+@step
+def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") -> Operations:
     """Replace spikes of one to three samples by what the samples around them say.
 
     A spike is found against the noise around it: its sixth differences stand out by 4.5 standard
@@ -104,9 +102,9 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     """
     columns = {n: record.signal(n).with_nan for n in {**dict.fromkeys(signals), **record.arrays}}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
-    treated = _treated(signals or tuple(columns), columns, times, how)
-    changed = {n: one.values for n, one in treated.items() if one.spikes and not one.acted}
-    return record.with_samples(changed) if changed else record
+    for name, one in _treated(signals or tuple(columns), columns, times, how).items():
+        if not one.acted:
+            yield name, LinearOp.of_values("{}: without outliers", one.values)
 
 
 @step
@@ -128,12 +126,12 @@ def leave_out(record: Record, *signals: str) -> Operations:
         signal = every[name]
         others = [every[other] for other in record.arrays if other != name]
         values = signal.values.copy()
-        stuck = np.isin(np.arange(signal.run_starts.size), stuck_runs(signal, others))
+        stuck = np.zeros(signal.run_starts.size, bool)
+        stuck[[*long_runs(signal, others), *dropouts(signal)]] = True
         values[np.repeat(stuck, signal.run_lengths)] = np.nan
         # Limits that may be real among them.
         for side in limits(signal):
-            sign = 1.0 if side.which == "maximum" else -1.0
-            values[sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
+            values[side.sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
         if np.isnan(values).all():
             raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
         yield name, LinearOp.of_values("{}: left out where it is stuck or at its limit", values)
@@ -159,24 +157,21 @@ def treat_all(
     """
     turns = {name: unwrapped(column) for name, column in columns.items()}
     columns = {name: column for name, (column, _) in turns.items()}
-    even = {name: (step or 1.0) * np.arange(column.size) for name, column in columns.items()}
-    every, findings = {**even, **times}, []
+    every = {n: times.get(n, (step or 1.0) * np.arange(v.size)) for n, v in columns.items()}
     words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
-    treated = _treated(tuple(columns), columns, every, how)
+    treated, findings = _treated(tuple(columns), columns, every, how), []
     for name, (_, spikes, acted) in treated.items():
-        if spikes is None:
-            continue
         count = spikes.places.size
-        time = every[name]
         if acted:
             words.append(f"{name}: {count} samples of short pulses kept, which other signals show")
-            continue
-        done = "repaired" if how == "repair" else "marked as missing"
-        words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
-        used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
-        found = finding_of(name, spikes, columns[name], time - time[0], units.get(name, ""), how)
-        findings.append(found._replace(signals=(name, *used)))
-    return {name: one.values for name, one in treated.items()}, words, findings
+        else:
+            done = "repaired" if how == "repair" else "marked as missing"
+            words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
+            used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
+            time, unit = every[name] - every[name][0], units.get(name, "")
+            finding = finding_of(name, spikes, columns[name], time, unit, how)
+            findings.append(finding._replace(signals=(name, *used)))
+    return {**columns, **{name: one.values for name, one in treated.items()}}, words, findings
 
 
 def _treated(
@@ -185,32 +180,27 @@ def _treated(
     times: Mapping[str, Float[np.ndarray, " n"]],
     how: Treatment,
 ) -> dict[str, Treated]:
-    """These signals without spikes; as they are where there are none, too many, or they acted.
+    """Of these signals those with spikes, unless there are too many.
 
     **Raises:** `DataError` for another treatment.
     """
     if how not in DONE:
         raise DataError(f"outliers are for {', '.join(DONE)}; got '{how}'.")
-    treated = {name: Treated(columns[name]) for name in names}
-    if how == "keep":
-        return treated
-    for name in names:
+    treated: dict[str, Treated] = {}
+    for name in names if how != "keep" else ():
         values, time = columns[name], times[name]
         steps = np.diff(time) if time.size > 1 else np.ones(1)
         pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
         # No polynomial reaches across a pause.
         spikes = find_spikes(np.insert(values, pauses, np.nan))
-        if not spikes.places.size or too_many(spikes, values):
-            continue
-        places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
-        changed = values.copy()
-        changed[places] = spikes.repaired if how == "repair" else np.nan
-        treated[name] = Treated(changed, spikes._replace(places=places))
+        if spikes.places.size and not too_many(spikes, values):
+            places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
+            changed = values.copy()
+            changed[places] = spikes.repaired if how == "repair" else np.nan
+            treated[name] = Treated(changed, spikes._replace(places=places))
     without = {**columns, **{name: one.values for name, one in treated.items()}}
-    for name, one in treated.items():
-        if one.spikes is None:
-            continue
-        together = (other for other in without if np.array_equal(times[other], times[name]))
-        if are_answered(one.spikes.places, [without[n] for n in together if n != name]):
-            treated[name] = Treated(columns[name], one.spikes, acted=True)
+    for name, (_, spikes, _) in treated.items():
+        others = (n for n in without if n != name and np.array_equal(times[n], times[name]))
+        if are_answered(spikes.places, [without[other] for other in others]):
+            treated[name] = Treated(columns[name], spikes, acted=True)
     return treated

@@ -25,17 +25,17 @@ from jaxtyping import Float
 from riecjax.errors import DataError
 from riecjax.memory import in_gigabytes, require_memory
 from riecjax.records.linear_op import SAME_TIME, LinearOp, Operations, step
-from riecjax.records.noise import (
+from riecjax.records.noise_judgement import noise_of_level
+from riecjax.records.record import Record
+from riecjax.records.signal import (
     DIFFERENCE_ORDER,
     STRETCH,
     STRETCHES,
     Noise,
+    Signal,
     shortened,
     usual_size,
 )
-from riecjax.records.noise_judgement import noise_of_level
-from riecjax.records.record import Record
-from riecjax.records.signal import Signal
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""
@@ -89,8 +89,7 @@ def resample(record: Record, rate: float) -> Operations:
     stretches are all too short.
     """
     _check_rate(rate)
-    spacing = 1.0 / (rate * float(record.time_step))
-    yield from _spaced(record, f"resampled to {rate:g} Hz", spacing)
+    yield from _spaced(record, f"resampled to {rate:g} Hz", 1.0 / (rate * float(record.time_step)))
 
 
 @step
@@ -194,8 +193,7 @@ def on_grid(
             f"Choose a higher rate, or leave this channel out."
         )
     rows = slice(full[0], full[-1] + 1)
-    kept = {name: values[rows] for name, values in columns.items()}
-    return grid[rows], {name: v for name, v in kept.items() if not np.isnan(v).all()}
+    return grid[rows], {n: v[rows] for n, v in columns.items() if not np.isnan(v[rows]).all()}
 
 
 def on_grid_noise(
@@ -210,14 +208,15 @@ def on_grid_noise(
     """
     on_grid = {}
     for name, (time, values) in channels.items():
-        if name in given.kernels:
-            noise = given[name]
-        else:
-            noise = noise_of_level(name, uneven_level(time, values), Signal.of(values))
-        channel = _channel(name, time, values)
+        noise = (
+            given[name]
+            if name in given.kernels
+            else noise_of_level(name, uneven_level(time, values), Signal.of(values))
+        )
+        step = float(np.median(np.diff(time)))
         taps = (
-            resampled_taps(np.ones(1), 1 / (rate * channel.step))
-            if channel.step * rate < 1 - SAME_RATE
+            resampled_taps(np.ones(1), 1 / (rate * step))
+            if step * rate < 1 - SAME_RATE
             else spline_taps(np.interp(grid, time, np.arange(time.size)))
         )
         on_grid[name] = noise.convolved(taps)
@@ -285,13 +284,11 @@ def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> 
 
     **Returns:** values of shape `(m,)`, NaN where the weights would reach beyond the samples.
     """
-    reach = reach_beyond(spacing)
-    positions = np.round(positions, PHASE_DIGITS)
-    found = np.full(positions.size, np.nan)
+    reach, positions = reach_beyond(spacing), np.round(positions, PHASE_DIGITS)
+    values, offsets = np.full(positions.size, np.nan), np.arange(-reach + 1, reach + 1)
     inside = np.flatnonzero((positions >= reach) & (positions <= samples.size - 1 - reach))
     if not inside.size:
-        return found
-    offsets = np.arange(-reach + 1, reach + 1)
+        return values
     neighbours = np.lib.stride_tricks.sliding_window_view(samples, offsets.size)
     for block in np.array_split(inside, math.ceil(inside.size * offsets.size / LARGEST_BLOCK)):
         before = np.floor(positions[block]).astype(int)
@@ -300,8 +297,8 @@ def band_limited(samples: np.ndarray, positions: np.ndarray, spacing: float) -> 
         )
         weights = _weights(offsets - phases[:, None], spacing)
         weights /= weights.sum(axis=1, keepdims=True)
-        found[block] = np.einsum("ij,ij->i", weights[which], neighbours[before - reach + 1])
-    return found
+        values[block] = np.einsum("ij,ij->i", weights[which], neighbours[before - reach + 1])
+    return values
 
 
 @functools.lru_cache(64)
@@ -407,26 +404,21 @@ def _sampled_on(channel: _Channel, grid: np.ndarray, rate: float) -> np.ndarray:
     sampled = np.full(grid.size, np.nan)
     for time, values in channel.stretches:
         a, b = np.searchsorted(grid, [time[0] - same_time, time[-1] + same_time])
-        there, few = grid[a:b], time.size < FEWEST_KNOTS
+        there, since, few = grid[a:b], time - time[0], time.size < FEWEST_KNOTS
+        step = float(since[-1]) / max(time.size - 1, 1)
+        uneven = np.max(np.abs(since - step * np.arange(time.size))) > EVEN * step
         if not faster:
             if not few:
-                sampled[a:b] = scipy.interpolate.CubicSpline(time - time[0], values)(
-                    there - time[0]
-                )
+                sampled[a:b] = scipy.interpolate.CubicSpline(since, values)(there - time[0])
             nearest = np.clip(np.searchsorted(time, there - same_time), 0, time.size - 1)
             same = np.abs(time[nearest] - there) <= same_time
             sampled[a:b][same] = values[nearest[same]]
-            continue
-        step = float(time[-1] - time[0]) / max(time.size - 1, 1)
-        uneven = np.max(np.abs(time - time[0] - step * np.arange(time.size))) > EVEN * step
-        if not step or (uneven and few):
-            continue
-        if uneven:
-            # Twice as dense, so that the denser parts of uneven times lose nothing.
-            step = channel.step / 2
-            even = np.arange(0, time[-1] - time[0], step)
-            values = scipy.interpolate.CubicSpline(time - time[0], values)(even)
-        sampled[a:b] = band_limited(values, (there - time[0]) / step, 1 / (rate * step))
+        elif step and not (uneven and few):
+            if uneven:
+                # Twice as dense, so that the denser parts of uneven times lose nothing.
+                step = channel.step / 2
+                values = scipy.interpolate.CubicSpline(since, values)(np.arange(0, since[-1], step))
+            sampled[a:b] = band_limited(values, (there - time[0]) / step, 1 / (rate * step))
     return sampled
 
 

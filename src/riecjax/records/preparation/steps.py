@@ -10,18 +10,19 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.records.linear_op import Step, words_of
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation.alignment import set_clocks, shift
-from riecjax.records.preparation.filtering import (
+from riecjax.records.preparation import (
     differentiate,
-    local_slope,
+    leave_out,
     low_pass,
+    notch,
     remove_drift,
     remove_offset,
+    set_clocks,
+    shift,
     unfilter,
+    upsample,
 )
-from riecjax.records.preparation.hum import notch
-from riecjax.records.preparation.repair import leave_out
-from riecjax.records.preparation.resampling import upsample
+from riecjax.records.preparation.filtering import local_slope
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
 from riecjax.settings import Prepare
@@ -86,15 +87,14 @@ def prepare(
         high = "the end" if stop is None else f"{stop:g} s"
         words.append(f"cut from {low} to {high}")
     for step, asked in steps_of(preparation):
-        ops = step.ops(record, *asked)
+        ops = dict(step.ops(record, *asked))
         record = record.through(ops)
         words += words_of(ops)
-    for name, of in derived.items():
-        if name in record.signals:
-            continue
+    for name in [name for name in derived if name not in record.arrays]:
+        of = derived[name]
         record = judged(record, "auto", of)
         record.signal(of)  # without it there is a helpful error, and no noise to look up
-        ops, kernel = differentiate.ops(record, of, name), record.noise.kernels[of].get(of)
+        ops, kernel = dict(differentiate.ops(record, of, name)), record.noise.kernels[of].get(of)
         if of not in derived and kernel is not None and kernel.shape[-1] == 1:
             with contextlib.suppress(DataError):  # too short for them
                 ops = {name: local_slope(record, of)}

@@ -11,7 +11,6 @@ from .channels import without_common_group as without_common_group
 from .child_process import read_apart as read_apart
 from .delimited import read_table as read_table
 from .json_objects import gathered as gathered
-from .json_objects import numbers_of as numbers_of
 from .read import endings as endings
 from .read import read_channels as read_channels
 from .times import find_time as find_time

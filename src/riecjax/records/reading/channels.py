@@ -133,31 +133,26 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
     The long side of a matrix is that of the samples. Dates, durations and stamps as text are
     seconds. Scalars are left out silently; square matrices, other text and objects with the reason.
     """
-    columns: dict[str, np.ndarray] = {}
-    units: dict[str, str] = {}
-    left_out: dict[str, str] = {}
+    found = Channels({})
     for name, values in arrays.items():
         array, stamped = _real(np.asarray(values))
+        sides = () if array is None else [side for side in array.shape if side != 1]
         if array is None:
-            left_out[name] = "it holds no real numbers"
-            continue
-        units |= {name: "s"} if stamped else {}
-        if not array.size:
-            left_out[name] = "it is empty"
-        if array.size < 2:
-            continue
-        sides = [side for side in array.shape if side > 1]
-        if len(sides) == 1:
-            columns[name] = array.reshape(-1).astype(float)
+            found.left_out[name] = "it holds no real numbers"
+        elif not array.size:
+            found.left_out[name] = "it is empty"
+        elif len(sides) == 1:
+            found.columns[name] = array.reshape(-1).astype(float)
+            found.units.update({name: "s"} if stamped else {})
         elif len(sides) == 2 and sides[0] != sides[1] and min(sides) <= WIDEST_MATRIX:
             matrix = array.reshape(sides)
-            by_channel = matrix if sides[0] < sides[1] else matrix.T
-            columns |= {f"{name}[{i}]": row.astype(float) for i, row in enumerate(by_channel)}
-        else:
-            left_out[name] = f"its shape {array.shape} is not that of channels over time"
-        if len(columns) > MOST_COLUMNS:
+            by_channel = enumerate(matrix if sides[0] < sides[1] else matrix.T)
+            found.columns.update({f"{name}[{i}]": row.astype(float) for i, row in by_channel})
+        elif sides:
+            found.left_out[name] = f"its shape {array.shape} is not that of channels over time"
+        if len(found.columns) > MOST_COLUMNS:
             raise DataError(f"has more than {MOST_COLUMNS} columns; no more are read.")
-    return Channels(columns, {k: u for k, u in units.items() if k in columns}, left_out=left_out)
+    return found
 
 
 def _real(array: np.ndarray) -> tuple[np.ndarray | None, bool]:
@@ -209,25 +204,25 @@ def with_structure_times(channels: Channels, separator: str = ".") -> Channels:
 
     Names count as those of structures or groups, whose levels `separator` tells apart.
     """
-    time_of = {}
+    time_of = dict(channels.time_of)
     for name, values in channels.columns.items():
-        parts = name.split(separator)
-        for depth in range(len(parts) - 1, 0, -1):
-            times = [separator.join([*parts[:depth], time]) for time in TIME_COLUMNS]
-            found = next((c for c in times if c in channels.columns), None)
+        group = name
+        while separator in group:
+            group = group.rpartition(separator)[0]
+            times = (f"{group}{separator}{time}" for time in TIME_COLUMNS)
+            found = next((time for time in times if time in channels.columns), None)
             if found and channels.columns[found].size == values.size:
                 time_of[name] = found
                 break
-    return replace(channels, time_of={**channels.time_of, **time_of}, nested=True)
+    return replace(channels, time_of=time_of, nested=True)
 
 
 def without_common_group(channels: Channels, separator: str) -> Channels:
     """The same with names that begin below the group in which all columns lie."""
     group = f"{next(iter(channels.columns), '').partition(separator)[0]}{separator}"
+    is_common = channels.columns and all(name.startswith(group) for name in channels.columns)
     # The stroke of a unit, as in `v (m/s)`, parts no groups.
-    if not channels.columns or {*group} & {*"[("}:
-        return channels
-    if not all(name.startswith(group) for name in channels.columns):
+    if not is_common or {*group} & {*"[("}:
         return channels
     return without_common_group(called(channels, lambda n: n.removeprefix(group)), separator)
 
@@ -312,11 +307,10 @@ def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether it runs along columns, and type of the array that follows."""
-    version = np.lib.format.read_magic(stream)
-    header = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }.get(version)
-    if header is None:
-        raise ValueError(f"arrays of version {version} are not read.")
-    return header(stream)
+    match np.lib.format.read_magic(stream):
+        case (1, 0):
+            return np.lib.format.read_array_header_1_0(stream)
+        case (2, 0):
+            return np.lib.format.read_array_header_2_0(stream)
+        case version:
+            raise ValueError(f"arrays of version {version} are not read.")

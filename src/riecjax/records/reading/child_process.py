@@ -25,7 +25,7 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.memory import free_memory
-from riecjax.records.reading.channels import LARGEST_FILE, Channels, size_of
+from riecjax.records.reading.channels import LARGEST_FILE, Channels, foreign_reader, size_of
 from riecjax.whole_files import temporary
 
 PATIENCE = 60.0
@@ -39,21 +39,37 @@ LEAST_MEMORY = 2 * 2**30
 
 
 def read_apart(
-    read: Callable[..., Channels], file: Path, kind: str, *arguments: object
+    read: Callable[..., Channels],
+    file: Path,
+    kind: str,
+    *arguments: object,
+    is_trusted: bool = True,
 ) -> Channels:
     """What `read(file, *arguments)` returns, a function of a module, run in a process of its own.
 
-    **Arguments:** `kind` of the file, for messages; `arguments` that JSON can say.
+    **Arguments:** `kind` of the file, for messages; `arguments` that JSON can say; `is_trusted`, as
+    for [`foreign_reader`][riecjax.records.reading.foreign_reader], within which it runs.
 
-    **Raises:** `DataError` where the function does, crashes, or takes too long; `MemoryError`.
+    **Raises:** `DataError` where the function fails, crashes, or takes too long; `MemoryError`.
     """
     limit = PATIENCE + size_of(file) / SLOWEST_READING
-    words = [read.__module__, read.__name__, str(file.absolute()), arguments, limit]
+    function = [read.__module__, read.__name__]
+    words = [*function, str(file.absolute()), arguments, kind, is_trusted, limit]
     with _lock:
-        reader, began = _reader(), time.monotonic()
+        if not (_readers and _readers[0].is_usable):
+            _end()
+            _readers.append(_Reader())
+        reader, began = _readers[0], time.monotonic()
         try:
             if reader.answers(words, limit):
-                return _unpacked(reader.out)
+                with np.load(reader.out) as archive:
+                    described = json.loads(archive["described"].tobytes())
+                    if "error" in described:
+                        raise DataError(described["error"])
+                    if "memory" in described:
+                        raise MemoryError(described["memory"])
+                    names = enumerate(described.pop("columns"))
+                    return Channels({name: archive[str(i)] for i, name in names}, **described)
         except DataError:
             raise  # about the file, by a process that goes on
         except BaseException:
@@ -86,6 +102,12 @@ class _Reader:
             stderr=subprocess.DEVNULL,
         )
 
+    @property
+    def is_usable(self) -> bool:
+        """Whether it runs, for this process, and what it hands over has its place."""
+        is_alive = self.process.poll() is None and self.out.parent.is_dir()
+        return is_alive and self.made_for == _surroundings()
+
     def answers(self, words: list[object], limit: float) -> bool:
         """Whether a file was read, or refused, within `limit` seconds: the answer is in `out`."""
         timer = threading.Timer(limit, self.process.kill)
@@ -116,34 +138,12 @@ def _surroundings() -> tuple[int, str]:
     return os.getpid(), os.pathsep.join(os.path.abspath(path) for path in sys.path)
 
 
-def _reader() -> _Reader:
-    if _readers:
-        reader = _readers[0]
-        is_alive = reader.process.poll() is None and reader.out.parent.is_dir()
-        if reader.made_for != _surroundings() or not is_alive:
-            _end()
-    if not _readers:
-        _readers.append(_Reader())
-    return _readers[0]
-
-
 @atexit.register
 def _end() -> None:
     while _readers:
         reader = _readers.pop()
         if reader.made_for[0] == os.getpid():
             reader.end()
-
-
-def _unpacked(out: Path) -> Channels:
-    with np.load(out) as archive:
-        described = json.loads(archive["described"].tobytes())
-        if "error" in described:
-            raise DataError(described["error"])
-        if "memory" in described:
-            raise MemoryError(described["memory"])
-        names = described.pop("columns")
-        return Channels({name: archive[str(i)] for i, name in enumerate(names)}, **described)
 
 
 def _serve(folder: str) -> None:
@@ -167,38 +167,30 @@ def _serve(folder: str) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     try:
         for line in sys.stdin.buffer:
-            module, function, file, arguments, limit = json.loads(line)
-            _limit_time(limit)
-            _pack(module, function, file, Path(folder) / "channels.npz", arguments)
+            module, function, file, arguments, kind, is_trusted, limit = json.loads(line)
+            # Ends a loop that the parent cannot, having been killed itself; threads count together.
+            with contextlib.suppress(ImportError, ValueError, OSError):
+                import resource
+
+                seconds = int(time.process_time() + limit * (1 + (os.cpu_count() or 1))) + 1
+                _, most = resource.getrlimit(resource.RLIMIT_CPU)
+                resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
+            columns: dict[str, Any] = {}
+            try:
+                read = getattr(importlib.import_module(module), function)
+                with foreign_reader(kind, is_trusted):
+                    found = read(Path(file), *arguments)
+                columns = {str(i): values for i, values in enumerate(found.columns.values())}
+                described = {**vars(found), "columns": list(found.columns)}
+            except DataError as error:
+                described = {"error": str(error)}
+            except MemoryError as error:
+                described = {"memory": str(error)}
+            written = np.frombuffer(json.dumps(described).encode(), np.uint8)
+            np.savez(Path(folder) / "channels.npz", described=written, **columns)
             os.write(answers, b"\n")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _pack(module: str, function: str, file: str, out: Path, arguments: list[object]) -> None:
-    """Read a file and write what it holds, or what is wrong with it."""
-    columns: dict[str, np.ndarray] = {}
-    try:
-        read = getattr(importlib.import_module(module), function)
-        found = read(Path(file), *arguments)
-        columns = found.columns
-        described = {**vars(found), "columns": list(columns)}
-    except DataError as error:
-        described = {"error": str(error)}
-    except MemoryError as error:
-        described = {"memory": str(error)}
-    arrays: dict[str, Any] = {str(i): values for i, values in enumerate(columns.values())}
-    np.savez(out, described=np.frombuffer(json.dumps(described).encode(), np.uint8), **arrays)
-
-
-def _limit_time(limit: float) -> None:
-    """End a loop that the parent cannot, having been killed itself; threads count together."""
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        seconds = int(time.process_time() + limit * (1 + (os.cpu_count() or 1))) + 1
-        _, most = resource.getrlimit(resource.RLIMIT_CPU)
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from riecjax.records.reading.channels import (
 )
 from riecjax.records.reading.numerals import (
     GROUPED,
+    all_true,
     compute,
     is_gap,
     is_number,
@@ -76,15 +77,19 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
         if content.startswith(start):
             raise DataError(f"it is {kind}, whatever its name says; unpack, rename or export it.")
     notes: list[str] = []
-    marks = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32",
-             codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}  # fmt: skip
-    wide = next((name for mark, name in marks.items() if content.startswith(mark)), "")
-    # Without a mark: digits and delimiters have a zero as every other byte.
     even, odd = content[:QUOTED:2], content[1:QUOTED:2]
-    for name, zeros, letters in (("utf-16-le", odd, even), ("utf-16-be", even, odd)):
-        if len(zeros) > 1 and zeros.count(0) > MOSTLY * len(zeros) and 0 not in letters:
-            wide = wide or name
-    if wide:
+
+    def are_wide(zeros: bytes, letters: bytes) -> bool:
+        return len(zeros) > 1 and zeros.count(0) > MOSTLY * len(zeros) and 0 not in letters
+
+    encodings = {
+        "utf-32": content.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)),
+        "utf-16": content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)),
+        # Without a mark: digits and delimiters have a zero as every other byte.
+        "utf-16-le": are_wide(odd, even),
+        "utf-16-be": are_wide(even, odd),
+    }
+    if wide := next((name for name, holds in encodings.items() if holds), ""):
         called = wide[:6].upper()
         try:
             content = content.decode(wide).encode()
@@ -331,7 +336,7 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
         for place, line in enumerate(lines)
         if line.strip() and not dialect.comment(line)
     }
-    kinds = {place: _kinds(fields, dialect.decimal) for place, fields in rows.items()}
+    kinds = {place: kinds_of(fields, dialect.decimal) for place, fields in rows.items()}
     usual = Counter(kind for kind in kinds.values() if "N" in kind or "S" in kind)
     if not usual:
         return None
@@ -369,21 +374,18 @@ def _texts(kind: str) -> int:
     return kind.count("T") + kind.count("D")
 
 
-def _kinds(fields: list[str], decimal: str) -> str:
-    """One letter for each field, as `kind_of` gives them."""
-    return "".join(kind_of(field, decimal) for field in fields)
-
-
-def kind_of(field: str, decimal: str) -> str:
-    """What a field holds: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a number of the
-    other decimal sign, which names no column; `T`, any other text."""
-    if is_gap(field):
-        return "M"
-    if is_number(field, decimal):
-        return "N"
-    if is_stamp(field):
-        return "S"
-    return "D" if is_number(field, "." if decimal == "," else ",") else "T"
+def kinds_of(fields: list[str], decimal: str) -> str:
+    """What fields hold, a letter for each: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a
+    number of the other decimal sign, which names no column; `T`, any other text."""
+    other = "." if decimal == "," else ","
+    return "".join(
+        "M" if is_gap(field)
+        else "N" if is_number(field, decimal)
+        else "S" if is_stamp(field)
+        else "D" if is_number(field, other)
+        else "T"
+        for field in fields
+    )  # fmt: skip
 
 
 def _header(
@@ -394,18 +396,19 @@ def _header(
     width = len(pattern)
     filled = {place: len(_without_empty_end(rows[place])) for place in preceding}
     # A word alone, such as DATA or [data], heads a table and names no column of several.
-    while width > 1 and len(preceding) > 1 and filled[preceding[0]] == 1:
-        if is_known(bare_unit(rows[preceding[0]][0])):
-            break
+    while (
+        width > 1
+        and len(preceding) > 1
+        and filled[preceding[0]] == 1
+        and not is_known(bare_unit(rows[preceding[0]][0]))
+    ):
         del rows[preceding.pop(0)]
-    above = []
-    for place in preceding:
+
+    def is_as_wide(place: int) -> bool:
         # A delimiter at the end of a row makes no column.
-        ends = pattern[filled[place] :]
-        if width in (filled[place], len(rows[place])) or (ends and set(ends) == {"M"}):
-            above.append(place)
-        else:
-            break
+        return width in (filled[place], len(rows[place])) or {*pattern[filled[place] :]} == {"M"}
+
+    above = [*itertools.takewhile(is_as_wide, preceding)]
     # Where no row above is as wide, the last one tells how many names there are instead.
     above = above or preceding[:1]
     # A row that is partly numbers below a row of names is data that went wrong, not a header.
@@ -414,22 +417,18 @@ def _header(
     if not fallback:
         return None, [], first
     # Below a row of units there may be one of sensors, or of how values were taken.
-    units = [_is_unit_row(rows[place]) for place in texts[:2]]
-    if len(texts) > 2 and units == [False, True]:
+    if len(texts) > 2 and [_is_unit_row(rows[place]) for place in texts[:2]] == [False, True]:
         above = [place for place in above if place < texts[0]]
         del rows[texts.pop(0)]
-    last = (texts or fallback)[0]
-    between = [place for place in above if place > last]
+    named = stated = (texts or fallback)[0]
+    below = [place for place in above if place > named]
     # Above units, names may be numbers, as of channels 1 and 2.
-    upper = next((place for place in fallback if place < last), None)
-    named = last
-    stated = last
-    units = []
-    if between and _is_unit_row(rows[between[-1]]):
-        stated, units = between[-1], rows[between[-1]]
-    elif upper is not None and len(rows[upper]) == len(rows[last]) and _is_unit_row(rows[last]):
-        named = upper
-        units = rows[last]
+    upper = next((place for place in fallback if place < named), None)
+    units: list[str] = []
+    if below and _is_unit_row(rows[below[-1]]):
+        stated, units = below[-1], rows[below[-1]]
+    elif upper is not None and len(rows[upper]) == len(rows[named]) and _is_unit_row(rows[named]):
+        named, units = upper, rows[named]
     return named, list(map(bare_unit, units)), min(place for place in rows if place > stated)
 
 
@@ -445,19 +444,17 @@ def _commented_header(
     lines: list[str], dialect: Dialect, first: int, width: int
 ) -> tuple[int, list[str], list[str]]:
     """Line, names and units of the last comment above the numbers that names each column."""
-    found: list[tuple[int, list[str]]] = []
-    for place in range(first - 1, -1, -1):
-        if sign := dialect.comment(lines[place]):
-            fields = dialect.fields(lines[place][sign.end() :])
-            found.append((place, _joined(fields, dialect, width)))
-        if len(found) == 2 or (lines[place].strip() and not sign):
-            break
-    named = [
-        one for one in found if len(one[1]) == width and "T" in _kinds(one[1], dialect.decimal)
+    filled = (place for place in reversed(range(first)) if lines[place].strip())
+    signs = ((place, dialect.comment(lines[place])) for place in filled)
+    comments = [
+        (place, _joined(dialect.fields(lines[place][sign.end() :]), dialect, width))
+        for place, sign in itertools.islice(itertools.takewhile(lambda each: each[1], signs), 2)
+        if sign
     ]
-    if len(named) == 2 and _is_unit_row(named[0][1]):
-        return (*named[1], [bare_unit(field) for field in named[0][1]])
-    return (*named[0], []) if named and named[0] is found[0] else (-1, [], [])
+    named = [len(n) == width and "T" in kinds_of(n, dialect.decimal) for _, n in comments]
+    if named == [True, True] and _is_unit_row(comments[0][1]):
+        return (*comments[1], [bare_unit(field) for field in comments[0][1]])
+    return (*comments[0], []) if named and named[0] else (-1, [], [])
 
 
 def _without_empty_end(fields: list[str]) -> list[str]:
@@ -468,8 +465,7 @@ def _joined(names: list[str], dialect: Dialect, width: int) -> list[str]:
     """Names delimited by blanks with their units: the blank before a bracket delimits none."""
     if dialect.delimiter != " " or len(names) <= width:
         return names
-    joined = re.sub(r"\s+(?=[\[(])", "\0", " ".join(names))
-    return [name.replace("\0", " ") for name in joined.split(" ")]
+    return re.findall(r"\S+(?: [\[(]\S*)*", " ".join(names))
 
 
 SAMPLE = 2**16
@@ -552,7 +548,7 @@ def read_table(
     last = content[content.rfind(b"\n") + 1 :].decode()
     if last.strip() and not found.dialect.comment(last):
         fields = found.dialect.fields(last)
-        if len(fields) < found.width and _kinds(fields[:1], found.dialect.decimal) != "T":
+        if len(fields) < found.width and kinds_of(fields[:1], found.dialect.decimal) != "T":
             content = content[: -len(last.encode())]
             notes.append("the last line is cut off and left out")
     body, comments = _body(content, found)
@@ -629,16 +625,13 @@ def _parse(table: Table) -> Any:
             ),
         )
     except pa.ArrowInvalid as error:
-        said = first_sentence(error)
         with contextlib.suppress(csv.Error):
-            for line, fields in table.rows():
-                if len(fields) != width:
-                    said = (
-                        f"line {line} has {len(fields)} values for {width} columns; take off that"
-                        " line, or correct it."
-                    )
-                    break
-        raise DataError(said) from None
+            if ragged := next((row for row in table.rows() if len(row[1]) != width), None):
+                raise DataError(
+                    f"line {ragged[0]} has {len(ragged[1])} values for {width} columns; take off"
+                    " that line, or correct it."
+                ) from None
+        raise DataError(first_sentence(error)) from None
 
 
 def _columns(
@@ -660,16 +653,12 @@ def _columns(
         values = numbers(text, table.layout.dialect.decimal, table.decimal_given)
         if values is not None:
             columns[name] = values
-        elif _all_valid(table, are_stamps(text), text):
+        elif not _first_other(table, are_stamps(text), text):
             columns[name] = seconds(text)
             stamped[name] = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
         else:
             valid = is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
-            _all_valid(table, valid, text)
-            row = valid.to_pylist().index(False)
-            left_out[name] = (
-                f"it holds text, {text[row].as_py()[:40]!r} on line {table.line_of(row)}"
-            )
+            left_out[name] = f"it holds text, {_first_other(table, valid, text)}"
     # Spreadsheets leave empty rows at the end.
     is_filled = np.any([~np.isnan(values) for values in columns.values()] or [[True]], axis=0)
     if is_filled.any():
@@ -678,16 +667,18 @@ def _columns(
     return columns, left_out, stamped
 
 
-def _all_valid(table: Table, valid: Any, text: Any) -> bool:
-    """Whether all texts are valid; up to a tenth that are not raise an error naming the first."""
-    share = compute().mean(valid).as_py()  # of those that are not null
-    if share is not None and MOSTLY <= share < 1:
-        row = valid.to_pylist().index(False)
+def _first_other(table: Table, valid: Any, text: Any) -> str:
+    """The first text that is not valid, and its line; up to a tenth of such raise an error."""
+    if all_true(valid):
+        return ""
+    row = valid.to_pylist().index(False)
+    said, line = repr(text[row].as_py()[:40]), table.line_of(row)
+    if compute().mean(valid).as_py() >= MOSTLY:  # of those that are not null
         raise DataError(
-            f"line {table.line_of(row)}: {text[row].as_py()[:40]!r} is not a number; take off that"
-            " line, correct it, or leave the field empty."
+            f"line {line}: {said} is not a number; take off that line, correct it, or leave the"
+            " field empty."
         )
-    return share == 1
+    return f"{said} on line {line}"
 
 
 def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:

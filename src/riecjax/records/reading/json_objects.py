@@ -56,8 +56,8 @@ def read_json(file: Path) -> Channels:
             if error.msg != "Extra data" or error.lineno != 2:
                 raise
             return read_json_lines(file)
-        tables = dict(_arrays("", _as_rows(document)))
-        return _channels(tables, dict(_texts("", document)))
+        tables = dict(_tables("", _as_rows(document)))
+        return _channels(tables, {n: v for n, v in _leaves("", document) if isinstance(v, str)})
 
 
 def _as_rows(document: Any) -> Any:
@@ -81,15 +81,6 @@ def _as_rows(document: Any) -> Any:
     return document
 
 
-def _texts(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Texts of a document that are no rows, by their name."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _texts(f"{name}.{key}" if name else key, inner)
-    elif isinstance(value, str):
-        yield name, value
-
-
 def _objects(lines: Iterable[bytes], notes: list[str]) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -106,26 +97,38 @@ def _objects(lines: Iterable[bytes], notes: list[str]) -> Iterator[dict[str, Any
         yield found
 
 
-def _arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
+def _tables(name: str, document: Any) -> Iterator[tuple[str, list[Any]]]:
     """Arrays of a document by their name."""
-    if isinstance(value, list):
-        # An object is a recording and no row where its arrays are longer than there are objects.
-        if value and all(
-            any(
-                isinstance(array, list) and len(array) > len(value)
-                for array in (inner.values() if isinstance(inner, dict) else ())
-            )
-            for inner in value
-        ):
-            for place, inner in enumerate(value):
-                yield from _arrays(f"{name or 'part'}({place + 1})", inner)
-            return
-        wide = bool(value) and all(isinstance(v, list) and len(v) > len(value) for v in value)
-        # A signal in each row, where rows are longer than there are rows.
-        yield name, list(map(list, zip(*value, strict=True))) if wide else value
-    elif isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _arrays(f"{name}.{key}" if name else key, inner)
+    for inner, rows in _leaves(name, document):
+        if not isinstance(rows, list):
+            continue
+
+        def is_longer(value: Any, count: int = len(rows)) -> bool:
+            return isinstance(value, list) and len(value) > count
+
+        # A signal in each row, or a recording in each object, where their arrays are longer than
+        # there are rows.
+        objects = (row.values() if isinstance(row, dict) else () for row in rows)
+        if rows and all(any(map(is_longer, values)) for values in objects):
+            for place, row in enumerate(rows):
+                yield from _tables(f"{inner or 'part'}({place + 1})", row)
+        elif rows and all(map(is_longer, rows)):
+            yield inner, list(map(list, zip(*rows, strict=True)))
+        else:
+            yield inner, rows
+
+
+def _leaves(name: str, value: Any, in_lists: bool = False) -> Iterator[tuple[str, Any]]:
+    """What objects in each other hold, and lists if asked for, by name."""
+    if isinstance(value, dict):
+        inside = ((f"{name}.{key}" if name else key, inner) for key, inner in value.items())
+    elif in_lists and isinstance(value, list):
+        inside = ((f"{name}[{place}]", inner) for place, inner in enumerate(value))
+    else:
+        yield name, value
+        return
+    for inner, held in inside:
+        yield from _leaves(inner, held, in_lists)
 
 
 def _channels(tables: Mapping[str, Iterable[Any]], texts: Mapping[str, str] = {}) -> Channels:
@@ -133,34 +136,28 @@ def _channels(tables: Mapping[str, Iterable[Any]], texts: Mapping[str, str] = {}
 
     **Arguments:** `texts` beside them, by name, some of which may be units.
     """
-    columns: dict[str, np.ndarray] = {}
-    units: dict[str, str] = {}
-    left_out: dict[str, str] = {}
+    whole = Channels({})
     for table, rows in tables.items():
-        for name, values in gathered(table, rows).items():
-            found, why = numbers_of(values)
-            if found is None:
-                left_out[name] = why
-            elif found.size > 1:
-                columns[name] = found
-                units |= {name: why} if why else {}
-    notes = [f"'{name}' left out: {why}" for name, why in left_out.items()]
-    found = with_units_beside(Channels(columns, units, {}, left_out, notes), texts)
-    return with_structure_times(without_common_group(found, "."))
+        part = gathered(table, rows)
+        whole.columns.update({k: v for k, v in part.columns.items() if v.size > 1})
+        whole.units.update(part.units)
+        whole.left_out.update(part.left_out)
+    whole.notes.extend(f"'{name}' left out: {why}" for name, why in whole.left_out.items())
+    return with_structure_times(without_common_group(with_units_beside(whole, texts), "."))
 
 
-def gathered(table: str, rows: Iterable[Any]) -> dict[str, list[Any]]:
-    """Values of each column of a table, named `table.column`, `None` where a row has none.
+def gathered(table: str, rows: Iterable[Any]) -> Channels:
+    """Columns of a table, named `table.column`, NaN where a row has none; stamps are in seconds.
 
     **Arguments:** `rows`, of dictionaries and lists in each other, or of single values.
     """
     columns: dict[str, dict[int, Any]] = {}
     count = filled = 0
     for row in rows:
-        for name, value in _fields(table, row):
-            column = columns.setdefault(name, {})
+        for name, value in _leaves(table, row, in_lists=True):
+            column = columns.setdefault(name or "values", {})
             if count in column:
-                raise DataError(f"two fields are called '{name}'.")
+                raise DataError(f"two fields are called '{name or 'values'}'.")
             column[count] = value
             filled += 1
         count += 1
@@ -171,25 +168,17 @@ def gathered(table: str, rows: Iterable[Any]) -> dict[str, list[Any]]:
             f"its {count} rows have {len(columns)} names and only {filled} values; give a field the"
             " same name in each row."
         )
-    return {name: list(map(column.get, range(count))) for name, column in columns.items()}
-
-
-def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Single values of an object by their name."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _fields(f"{name}.{key}" if name else key, inner)
-    elif isinstance(value, list):
-        for place, inner in enumerate(value):
-            yield from _fields(f"{name}[{place}]", inner)
-    else:
-        yield name or "values", value
-
-
-def numbers_of(values: list[Any]) -> tuple[np.ndarray | None, str]:
-    """A column as floats and its unit, if known; or `None` and why it holds none."""
-    text = next((value for value in values if isinstance(value, str)), None)
-    if text is None:
-        return np.array([np.nan if v is None else float(v) for v in values]), ""
-    found, stamped = of_texts(values)
-    return found, f"it holds text, {text[:40]!r}" if found is None else "s" * stamped
+    found = Channels({})
+    for name, column in columns.items():
+        values = [column.get(place) for place in range(count)]
+        text = next((value for value in values if isinstance(value, str)), None)
+        if text is None:
+            found.columns[name] = np.array([np.nan if v is None else float(v) for v in values])
+            continue
+        numbers, stamped = of_texts(values)
+        if numbers is None:
+            found.left_out[name] = f"it holds text, {text[:40]!r}"
+        else:
+            found.columns[name] = numbers
+            found.units.update({name: "s"} if stamped else {})
+    return found

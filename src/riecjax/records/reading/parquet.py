@@ -12,7 +12,6 @@ from riecjax.records.reading.channels import (
     check_column_count,
     check_names,
     check_unpacked,
-    foreign_reader,
 )
 from riecjax.records.reading.child_process import read_apart
 from riecjax.records.reading.numerals import compute, floats
@@ -35,48 +34,51 @@ def read_parquet(file: Path) -> Channels:
 
 
 def _read(file: Path) -> Channels:
-    with foreign_reader("Parquet"):
-        import pyarrow as pa
-        import pyarrow.types as types
-        from pyarrow import parquet
+    import pyarrow as pa
+    import pyarrow.types as types
+    from pyarrow import parquet
 
-        # Not by its name, by which PyArrow would look for partitions in folders beside it.
-        with (
-            file.open("rb") as stream,
-            parquet.ParquetFile(stream, page_checksum_verification=True) as source,
-        ):
-            schema, metadata = source.schema_arrow, source.metadata
-            check_column_count(metadata.num_columns)
-            groups = map(metadata.row_group, range(metadata.num_row_groups))
-            check_unpacked(sum(group.total_byte_size for group in groups))
-            # Run-length coding packs without bound: what counts is the table that is made of it.
-            check_unpacked(8 * metadata.num_rows * max(len(schema), 1))
-            names = [field.name for field in schema if _is_numeric(field.type)]
-            left_out = {
-                field.name: f"it holds {field.type}, not numbers"
-                for field in schema
-                if not _is_numeric(field.type)
-            }
-            check_names(names)
-            # Numbers are held here and, once handed over, there.
-            held = 8.0 * metadata.num_rows * (2 * len(names) + BESIDE)
-            require_memory("reading its columns", held, "Read a part of the file.")
-            # One after the other: a table of all takes as much again as their numbers.
-            columns = {name: _numbers(source.read(columns=[name]).column(0)) for name in names}
-            stated = {name: (schema.field(name).metadata or {}).get(b"unit") for name in names}
-            units = {name: unit.decode(errors="replace") for name, unit in stated.items() if unit}
-            for name in list(left_out):
-                kind = schema.field(name).type
-                kind = kind.value_type if types.is_dictionary(kind) else kind
-                if not (types.is_string(kind) or types.is_large_string(kind)):
-                    continue
-                texts = compute().cast(source.read(columns=[name]).column(0), pa.string())
-                found, stamped = of_text_column(texts)
-                if found is not None:
-                    columns[name] = found
-                    units |= {name: "s"} if stamped else {}
-                    del left_out[name]
-            described = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
+    # Not by its name, by which PyArrow would look for partitions in folders beside it.
+    with (
+        file.open("rb") as stream,
+        parquet.ParquetFile(stream, page_checksum_verification=True) as source,
+    ):
+        schema, metadata = source.schema_arrow, source.metadata
+        check_column_count(metadata.num_columns)
+        groups = map(metadata.row_group, range(metadata.num_row_groups))
+        check_unpacked(sum(group.total_byte_size for group in groups))
+        # Run-length coding packs without bound: what counts is the table that is made of it.
+        check_unpacked(8 * metadata.num_rows * max(len(schema), 1))
+        kinds = {
+            field.name: field.type.value_type if types.is_dictionary(field.type) else field.type
+            for field in schema
+        }
+        checks = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal,
+                  types.is_timestamp, types.is_duration, types.is_time)  # fmt: skip
+        names = [f.name for f in schema if any(check(kinds[f.name]) for check in checks)]
+        check_names(names)
+
+        def column(name: str) -> Any:
+            return compute().cast(source.read(columns=[name]).column(0), kinds[name])
+
+        # Numbers are held here and, once handed over, there.
+        held = 8.0 * metadata.num_rows * (2 * len(names) + BESIDE)
+        require_memory("reading its columns", held, "Read a part of the file.")
+        # One after the other: a table of all takes as much again as their numbers.
+        columns = {name: _numbers(column(name)) for name in names}
+        stated = {name: (schema.field(name).metadata or {}).get(b"unit") for name in names}
+        units = {name: unit.decode(errors="replace") for name, unit in stated.items() if unit}
+        left_out = {}
+        for name in [name for name in kinds if name not in columns]:
+            found, stamped = None, False
+            if types.is_string(kinds[name]) or types.is_large_string(kinds[name]):
+                found, stamped = of_text_column(compute().cast(column(name), pa.string()))
+            if found is None:
+                left_out[name] = f"it holds {schema.field(name).type}, not numbers"
+            else:
+                columns[name] = found
+                units |= {name: "s"} if stamped else {}
+        described = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
     notes = [f"column '{name}' left out: {why}" for name, why in left_out.items()]
     # The only time in the file may be the index of a frame of pandas.
     if (
@@ -90,25 +92,13 @@ def _read(file: Path) -> Channels:
     return Channels(columns, units, {}, left_out, notes)
 
 
-def _is_numeric(kind: Any) -> bool:
-    import pyarrow.types as types
-
-    if types.is_dictionary(kind):
-        return _is_numeric(kind.value_type)
-    checks = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal,
-              types.is_timestamp, types.is_duration, types.is_time)  # fmt: skip
-    return any(check(kind) for check in checks)
-
-
 def _numbers(column: Any) -> np.ndarray:
     import pyarrow as pa
     import pyarrow.types as types
 
     pc = compute()
-    if types.is_dictionary(column.type):
-        column = pc.cast(column, column.type.value_type)
     kind = column.type
-    if not (types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind)):
+    if not types.is_temporal(kind):
         return floats(pc.cast(column, pa.float64(), safe=False))
     ticks = np.timedelta64(1, "s") / np.timedelta64(1, kind.unit)
     if types.is_time32(kind):

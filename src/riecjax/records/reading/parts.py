@@ -201,11 +201,8 @@ def _groups(channels: Channels) -> Iterator[_Family]:
                 member[inner] = name
         for (_, numbered), members in families.items():
             # Groups of HDF5 stand in the order of the alphabet, run10 before run2.
-            matches = {group: _NUMBERED.fullmatch(group) for group in members}
-            number = {
-                group: int(match["number"]) if match else 0 for group, match in matches.items()
-            }
-            order = sorted(members, key=number.__getitem__)
+            number = {g: match for g in members if (match := _NUMBERED.fullmatch(g))}
+            order = sorted(members, key=lambda g: int(number[g]["number"])) if numbered else members
             yield _Family({g: members[g] for g in order}, "number" if numbered else "name")
 
 

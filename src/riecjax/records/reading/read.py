@@ -101,14 +101,12 @@ def read_channels(
     except RiecjaxError as error:
         raise _about(file, error) from None
     except OSError as error:
-        said = f"{file.name}: cannot be read: {error.strerror or error}."
-        raise DataError(printable(said)) from None
+        raise _about(file, DataError(f"cannot be read: {error.strerror or error}.")) from None
     except (Exception, SystemExit) as error:
         if isinstance(error, MemoryError) or file.suffix.lower() in READERS:
             raise
         # Of a reader from elsewhere anything may come.
-        said = f"its reader failed: {first_sentence(error)}"
-        raise _about(file, DataError(said)) from error
+        raise _about(file, DataError(f"its reader failed: {first_sentence(error)}")) from error
 
 
 def endings() -> tuple[str, ...]:
@@ -119,10 +117,9 @@ def endings() -> tuple[str, ...]:
 
 def _reader(file: Path) -> Callable[..., Channels]:
     """What reads a file by its ending, or a folder by a file in it."""
-    name, is_recording = file.suffix.lower(), file.is_file()
-    if file.is_dir():
-        inside = [one for one in extension_names("readers") if (file / one).is_file()]
-        name, is_recording = (inside[0], True) if inside else (name, False)
+    readers = extension_names("readers") if file.is_dir() else ()
+    inside = [member for member in readers if (file / member).is_file()]
+    name = inside[0] if inside else file.suffix.lower()
     if name in READERS:
         module, function = READERS[name].split(".")
         reader = getattr(importlib.import_module(f"riecjax.records.reading.{module}"), function)
@@ -131,7 +128,7 @@ def _reader(file: Path) -> Callable[..., Channels]:
     if reader is None:
         listed = ", ".join(endings())
         raise DataError(f"cannot read '{file.name or file}': its ending must be one of {listed}.")
-    if not is_recording:
+    if not inside and not file.is_file():
         raise DataError(no_file(file))
     if size_of(file) > LARGEST_FILE:
         raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")

@@ -2,8 +2,8 @@
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,20 +42,21 @@ class Selected(NamedTuple):
     left_out: Mapping[str, str] = {}
 
 
-class _Signals(NamedTuple):
-    """Signals by name, with the column each comes from, its unit, the one before conversion, and
-    why a column is left out. What is decided changes them in place."""
+@dataclass
+class _Signal:
+    """Values of a column, which change as it is converted; its unit, and the one before.
 
-    values: dict[str, np.ndarray]
-    column: dict[str, str]
-    units: dict[str, str]
-    converted: dict[str, str]
-    left_out: dict[str, str]
+    **Fields:** `time` of each value in s, where a column says it.
+    """
 
-    def keep(self, names: Iterable[str]) -> None:
-        """Drop all other signals."""
-        for name in self.values.keys() - {*names}:
-            del self.values[name]
+    values: np.ndarray
+    column: str
+    unit: str = ""
+    converted: str = ""
+    time: np.ndarray | None = None
+
+
+_Signals = dict[str, _Signal]
 
 
 def record_from_channels(
@@ -82,87 +83,106 @@ def record_from_channels(
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
     rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
     signals, registers = _renamed(channels, rename)
-    units_read, stated, asked_of = read or {}, dict(signals.units), {}
-    formulas, labels = dict(selection.derive), dict(selection.units)
-    for name in formulas.keys() & labels.keys():
-        found = conversion(name, labels[name], units_read.get(name) or None)
-        if found is not None:
-            formulas[name], labels[name] = f"{found.factor!r}*({formulas[name]})", found.unit
-    selection = replace(selection, derive=formulas, units=labels)
-    # What the user says goes before what the file states.
-    for name, unit in selection.units.items():
-        if name in selection.derive:
-            continue
-        require_known_unit(name, unit)
-        for signal in _signals_called(name, signals, channels):
-            if signal in asked_of:
-                raise DataError(
-                    f"'{asked_of[signal]}' and '{name}' are one column, given two units; leave "
-                    f"out one of them."
-                )
-            stated[signal], asked_of[signal] = unit, name
-    signals.units.update(stated)
+    units_read = read or {}
+    formulas, formula_units = dict(selection.derive), {}
+    for name in formulas.keys() & selection.units.keys():
+        formula_units[name] = unit = selection.units[name]
+        if found := conversion(name, unit, units_read.get(name, "")):
+            formulas[name] = f"{found.factor!r}*({formulas[name]})"
+            formula_units[name] = found.unit
+    said = _converted_as_said(signals, channels, selection)
     for name, column in rename.items():
-        if name not in signals.units and not {name, column} & {*selection.scale}:
+        if not signals[name].unit and name not in said:
             require_sure_unit(name, column, units_read.get(name, ""))
-    _scale(signals, channels, selection.scale, asked_of)
-    time = find_time(
-        signals.values,
-        signals.units,
-        "t" if "t" in rename else None,
-        nameless=not channels.time_of,
-        shortest=shortest,
-    )
-    notes, times = (), {}
-    if selection.time_step is not None:
-        notes = (f"column '{time.name}' is not used: the time step is given",) if time else ()
-        _keep_usual_length(signals, rename, time)
-    else:
+    time = _time_of(signals, channels, "t" if "t" in rename else None, shortest)
+    every, step, rate = signals, selection.time_step, selection.resample
+    if step is None:
         notes = time.notes if time else ()
-        times = _times(signals, channels, time)
-        for name in rename:
-            if name not in times and name != "t":
-                size = max((stamps.size for stamps in times.values()), default=0)
-                raise DataError(
-                    f"column '{rename[name]}' has another length than the time, {size} samples."
-                )
-        signals.keep(times)
+        signals = _timed(signals, channels, time)
+        size = max((signal.values.size for signal in signals.values()), default=0)
+        common = f"the time, {size} samples"
+    else:
+        # Signals at an even step, whatever a column of time says: those of the length most have.
+        notes = (f"column '{time.name}' is not used: the time step is given",) if time else ()
+        sizes = {k: s.values.size for k, s in signals.items() if time is None or k != time.name}
+        lengths = [size for name, size in sizes.items() if name in rename] or [*sizes.values()]
+        usual = max(lengths, key=lambda size: (lengths.count(size), size), default=0)
+        signals = {name: signals[name] for name, size in sizes.items() if size == usual}
+        common = f"the others, {usual} samples"
+    for name, column in rename.items():
+        if name not in signals and name != "t":
+            raise DataError(f"column '{column}' has another length than {common}.")
     # What is read, by the model or by what the user asks for; all where none is.
-    words = re.findall(r"\w+", " ".join(selection.derive.values()))
-    asked = {*units_read, *rename, *selection.scale, *selection.units, *words}
-    asked &= signals.values.keys()
-    _convert(signals, units_read, asked or ({*signals.values} if read is None else ()))
-    if not signals.values:
-        why = _first_reason(replace(channels, left_out={**channels.left_out, **signals.left_out}))
+    words = re.findall(r"\w+", " ".join(formulas.values()))
+    asked = signals.keys() & {*units_read, *rename, *selection.scale, *selection.units, *words}
+    left_out = {}
+    for name, signal in [*signals.items()]:
+        try:
+            found = conversion(name, signal.unit, units_read.get(name, ""))
+        except DataError as error:
+            if name in asked or (read is None and not asked):
+                raise
+            left_out[signals.pop(name).column] = str(error).rstrip(".")
+            continue
+        if found is not None:
+            signal.values = signal.values * found.factor
+            signal.unit, signal.converted = found.unit, signal.unit
+    if not signals:
+        why = _first_reason(replace(channels, left_out={**channels.left_out, **left_out}))
         raise DataError(f"a record needs at least one signal besides its time{why}.")
-    matter = asked or {*signals.values}
-    step = selection.time_step
+    matter = asked or {*signals}
+    if step is None and rate is None:
+        signals = _on_one_axis(signals, matter)
+    axis = next(iter(signals.values())).time
+    times = {name: signal.time for name, signal in signals.items() if signal.time is not None}
+    units = {name: signal.unit for name, signal in signals.items()}
+    values = {name: signal.values for name, signal in signals.items()}
     # What a program hands over as arrays is left as it is.
     how = selection.outliers if isinstance(selection, Read) else "keep"
-    columns, axis, axes = signals.values, None, times
     try:
-        if selection.resample is None:
-            columns, axis = _on_one_axis(columns, times, matter)
-            axes = {} if axis is None else dict.fromkeys(columns, axis)
-        of_matter = {name: values for name, values in columns.items() if name in matter}
-        treated, words, findings = treat_all(of_matter, axes, signals.units, step, how, formulas)
-        signals = signals._replace(values=columns | treated)
-        if selection.resample is not None:
-            record = _resampled(signals, times, selection, matter)
-        else:
-            computed = _finite(_with_derived(signals.values, axis, formulas), selection)
-            units = _with_labels(signals, selection)
-            record = Record.from_samples(computed, time=axis, time_step=step, units=units)
-            clock = {} if axis is None else {"t": axis}
-            record = _with_noise(record, selection, clock | computed)
+        of_matter = {name: values[name] for name in values if name in matter}
+        treated, words, findings = treat_all(of_matter, times, units, step, how, formulas)
+        values |= treated
+        # Infinite by-products of files from which signals are asked for by name are none of them.
+        named, by_products = {*rename, *formulas}, set()
+        if named - {"t"}:
+            by_products = {n for n, v in values.items() if n not in named and np.isinf(v).any()}
+        measured = {}
+        if rate is not None:
+            from riecjax.records.preparation.resampling import on_grid
+
+            for name in [name for name in values if name not in by_products]:
+                time_of = times[name] if step is None else step * np.arange(values[name].size)
+                known = ~np.isnan(time_of)
+                measured[name] = time_of[known], values[name][known]
+            axis, values = on_grid(measured, rate, matter)
+        clock = {} if axis is None else {"t": axis}
+        for name, formula in formulas.items():
+            from riecjax.records.derived import derived
+
+            values[name] = derived(formula, clock | values)
+        values = {name: array for name, array in values.items() if name not in by_products}
+        record = Record.from_samples(
+            values,
+            time=axis,
+            time_step=step if axis is None else None,
+            units=units | formula_units,
+        )
+        given = given_noise(selection.noise, record.arrays)
+        record = record.with_noise(given)
+        if rate is not None and axis is not None:
+            from riecjax.records.preparation.resampling import on_grid_noise
+
+            record = record.with_noise(on_grid_noise(measured, axis, rate, given))
+        record = _with_noise(record, formulas, clock | values)
     except StampError as error:
         if not time:
             raise
-        column = signals.column.get(time.name, time.name)
-        raise DataError(f"column '{column}': {error}") from None
-    doubt = time.doubt if times and time and selection.resample is None else ""
+        raise DataError(f"column '{every[time.name].column}': {error}") from None
+    doubt = time.doubt if time and step is None and rate is None else ""
+    converted = {name: signal.converted for name, signal in signals.items() if signal.converted}
     notes = (*notes, *registers, *words)
-    return Selected(record, signals.converted, notes, doubt, (*findings,), signals.left_out)
+    return Selected(record, converted, notes, doubt, (*findings,), left_out)
 
 
 def column_named(channels: Channels, name: str) -> str:
@@ -209,103 +229,94 @@ def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, l
     }
     # A new name takes the place of a column that is called so.
     column |= rename
-    values, units, registers = {}, {}, []
+    signals, registers = {}, []
     for name, source in column.items():
-        timed = clocks.is_word_of_time(source)
-        recorded = channels.columns[source]
-        values[name], bits = (recorded, 0) if timed else signed(recorded)
+        values, bits = channels.columns[source], 0
+        if not clocks.is_word_of_time(source):
+            values, bits = signed(values)
         if bits:
             registers.append(f"{name}: signed numbers of {bits} bits, read as unsigned, put right")
-        behind = clocks.unit_of_time(source) if name == "t" else unit_behind(source)
-        unit = channels.named(source)[1] or (behind if name in rename else None)
-        units |= {name: unit} if unit else {}
-        if name not in rename and np.isnan(values[name]).all():
-            del values[name]
-    return _Signals(values, column, units, {}, {}), registers
+        unit = channels.named(source)[1]
+        if name in rename and not unit:
+            unit = clocks.unit_of_time(source) if name == "t" else unit_behind(source)
+        if name in rename or not np.isnan(values).all():
+            signals[name] = _Signal(values, source, unit or "")
+    return signals, registers
 
 
-def _with_labels(signals: _Signals, selection: Select) -> dict[str, str]:
-    """The signals' units, and those that the user says of formulas."""
-    return signals.units | {k: u for k, u in selection.units.items() if k in selection.derive}
+def _converted_as_said(signals: _Signals, channels: Channels, selection: Select) -> set[str]:
+    """Give signals the units that the user says, which go before what the file states, and scale
+    others, which no longer have the unit that it states.
 
+    **Returns:** the names of all of these.
 
-def _convert(signals: _Signals, read: Mapping[str, str], matter: Collection[str]) -> None:
-    """To SI units; of those that do not matter, one whose unit is in doubt is left out."""
-    for name in [name for name in signals.values if name in signals.units]:
-        unit = signals.units[name]
-        try:
-            found = conversion(name, unit, read.get(name) or None)
-        except DataError as error:
-            if name in matter:
-                raise
-            del signals.values[name]
-            signals.left_out[signals.column[name]] = str(error).rstrip(".")
-            continue
-        if found is not None:
-            signals.values[name] = signals.values[name] * found.factor
-            signals.units[name], signals.converted[name] = found.unit, unit
+    **Raises:** `DataError` for an impossible unit or scale, and for two of one signal.
+    """
+    units = {name: unit for name, unit in selection.units.items() if name not in selection.derive}
+    said: dict[str, tuple[str, str | float]] = {}
+    for name, by in (*units.items(), *selection.scale.items()):
+        if isinstance(by, str):
+            require_known_unit(name, by)
+        elif not (np.isfinite(by) and by != 0):
+            raise DataError(f"the scale of '{name}' must be a number other than 0; got {by:g}.")
+        for target in _signals_called(name, signals, channels):
+            if target in said:
+                first, before = said[target]
+                pair, twice = (name, first), "is given both a scale and a unit"
+                if type(by) is type(before):
+                    of_kind = "units" if isinstance(by, str) else "scales"
+                    pair, twice = (first, name), f"are one column, given two {of_kind}"
+                both = " and ".join(f"'{word}'" for word in dict.fromkeys(pair))
+                raise DataError(f"{both} {twice}; leave out one of them.")
+            said[target], signal = (name, by), signals[target]
+            if isinstance(by, str):
+                signal.unit = by
+                continue
+            # Scaled to seconds, whatever its name says.
+            is_time = clocks.is_called_time(target, {}) and clocks.unit_of_time(target)
+            signal.values, signal.unit = signal.values * by, "s" if is_time else ""
+    return {*said}
 
 
 def _signals_called(name: str, signals: _Signals, channels: Channels) -> list[str]:
     """The signal of this name, or those that the column of this name became."""
-    if name in signals.values and name not in channels.columns:
-        return [name]
-    if name == "t" and name not in channels.columns:
+    if name not in channels.columns:
+        if name in signals:
+            return [name]
         # What messages and --map call time, whatever its column is called.
-        time = find_time(signals.values, signals.units, None, nameless=not channels.time_of)
-        if time is not None:
+        if name == "t" and (time := _time_of(signals, channels)):
             return [time.name]
     source = column_named(channels, name)
-    return [signal for signal in signals.values if signals.column[signal] == source]
+    return [target for target, signal in signals.items() if signal.column == source]
 
 
-def _scale(
-    signals: _Signals,
-    channels: Channels,
-    scale: Mapping[str, float],
-    asked_of: Mapping[str, str],
-) -> None:
-    """What is scaled no longer has the unit that the file states.
-
-    **Arguments:** `asked_of`, under which names signals were given a unit.
-    """
-    called = {name: _signals_called(name, signals, channels) for name in scale}
-    done = set()
-    for name, factor in scale.items():
-        if not (np.isfinite(factor) and factor != 0):
-            raise DataError(f"the scale of '{name}' must be a number other than 0; got {factor:g}.")
-        for target in called[name]:
-            if target in done:
-                raise DataError(f"'{target}' is scaled twice.")
-            if target in asked_of:
-                both = " and ".join(f"'{word}'" for word in dict.fromkeys((name, asked_of[target])))
-                raise DataError(f"{both} is given both a scale and a unit; leave out one of them.")
-            signals.values[target] = signals.values[target] * factor
-            signals.units.pop(target, None)
-            # Scaled to seconds, whatever its name says.
-            if clocks.is_called_time(target, {}) and clocks.unit_of_time(target):
-                signals.units[target] = "s"
-            done.add(target)
+def _time_of(
+    signals: _Signals, channels: Channels, given: str | None = None, shortest: float | None = None
+) -> TimeColumn | None:
+    """The time of all signals, or the `given` one as time."""
+    values = {name: signal.values for name, signal in signals.items()}
+    units = {name: signal.unit for name, signal in signals.items() if signal.unit}
+    return find_time(values, units, given, nameless=not channels.time_of, shortest=shortest)
 
 
-def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> dict[str, np.ndarray]:
-    """Signal to its time in s, for each signal that has one."""
+def _timed(signals: _Signals, channels: Channels, time: TimeColumn | None) -> _Signals:
+    """The signals that have a time, each with its own."""
     if time is not None:
-        seconds, values = time.seconds, signals.values
-        return {n: seconds for n in values if n != time.name and values[n].size == seconds.size}
-    named = [name for name in dict.fromkeys(channels.time_of.values()) if name in signals.values]
-    found = {name: find_time(signals.values, signals.units, name) for name in named}
-    axes = {name: axis.seconds for name, axis in found.items() if axis}
-    times = {
-        name: axes[channels.time_of[column]]
-        for name, column in signals.column.items()
-        if name in signals.values
-        and column in channels.time_of
-        and column not in axes
-        and channels.time_of[column] in axes
+        size = time.seconds.size
+        return {
+            name: replace(signal, time=time.seconds)
+            for name, signal in signals.items()
+            if name != time.name and signal.values.size == size
+        }
+    named = [name for name in dict.fromkeys(channels.time_of.values()) if name in signals]
+    axes = {name: _time_of(signals, channels, name) for name in named}
+    timed = {
+        name: replace(signal, time=axis.seconds)
+        for name, signal in signals.items()
+        if signal.column not in axes and (axis := axes.get(channels.time_of.get(signal.column, "")))
     }
-    if times:
-        return times
+    if timed:
+        return timed
     other = (
         f"; column '{name}' is in '{unit}', which is no unit of time"
         for name in channels.columns
@@ -322,93 +333,37 @@ def _times(signals: _Signals, channels: Channels, time: TimeColumn | None) -> di
     )
 
 
-def _keep_usual_length(
-    signals: _Signals, rename: Mapping[str, str], time: TimeColumn | None
-) -> None:
-    """Signals at an even step, whatever a column of time says: those of the length most have."""
-    sizes = {k: v.size for k, v in signals.values.items() if time is None or k != time.name}
-    lengths = [size for name, size in sizes.items() if name in rename] or [*sizes.values()]
-    if not lengths:
-        raise DataError("a record needs at least one signal besides its time.")
-    usual = max(lengths, key=lambda length: (lengths.count(length), length))
-    signals.keep(name for name, size in sizes.items() if size == usual)
-    for name in rename:
-        if name not in signals.values and name != "t":
-            raise DataError(
-                f"column '{rename[name]}' has another length than the others, {usual} samples."
-            )
-
-
-def _on_one_axis(
-    values: dict[str, np.ndarray], times: dict[str, np.ndarray], matter: Collection[str]
-) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-    """Signals and their one time, without the rows that are empty in all of them.
+def _on_one_axis(signals: _Signals, matter: Collection[str]) -> _Signals:
+    """Signals of one time, without the rows that are empty in all of them.
 
     Signals that do not matter and have another time than those that do are left out.
     """
-    if not times:
-        return values, None
+    times = {name: signal.time for name, signal in signals.items() if signal.time is not None}
     first = next(name for name in times if name in matter)
-    same = {n: t is times[first] or np.array_equal(t, times[first]) for n, t in times.items()}
+    time = times[first]
+    same = {
+        name: signals[name]
+        for name, other in times.items()
+        if other is time or np.array_equal(other, time)
+    }
     for name in times:
-        if not same[name] and name in matter:
+        if name not in same and name in matter:
             raise DataError(
                 f"'{first}' and '{name}' have different times; bring them to a common rate (on the"
                 " command line: --resample HZ), or name the time of the signals you need by"
                 " renaming it to t."
             )
-    values = {name: array for name, array in values.items() if same[name]}
-    time = times[first]
-    filled = ~np.isnan(time) | np.any([~np.isnan(each) for each in values.values()], axis=0)
-    if filled.all():
-        return values, time
-    return {name: array[filled] for name, array in values.items()}, time[filled]
+    filled = ~np.all([np.isnan(v) for v in (time, *(s.values for s in same.values()))], axis=0)
+    time = time[filled]
+    return {n: replace(s, values=s.values[filled], time=time) for n, s in same.items()}
 
 
-def _resampled(
-    signals: _Signals,
-    times: dict[str, np.ndarray],
-    selection: Select,
-    matter: Collection[str],
+def _with_noise(
+    record: Record, formulas: Mapping[str, str], columns: Mapping[str, np.ndarray]
 ) -> Record:
-    from riecjax.records.preparation.resampling import on_grid, on_grid_noise
-
-    pairs = {}
-    step = selection.time_step
-    for name, values in _finite(signals.values, selection).items():
-        time = times[name] if step is None else step * np.arange(values.size)
-        known = ~np.isnan(time)
-        pairs[name] = time[known], values[known]
-    rate = float(selection.resample or 0.0)
-    time, values = on_grid(pairs, rate, matter)
-    computed = _with_derived(values, time, selection.derive)
-    record = Record.from_samples(computed, time=time, units=_with_labels(signals, selection))
-    given = given_noise(selection.noise, record.arrays)
-    record = record.with_noise(on_grid_noise(pairs, time, rate, given))
-    return _with_noise(record, selection, {"t": time, **computed})
-
-
-def _with_derived(
-    values: dict[str, np.ndarray], time: np.ndarray | None, derive: Mapping[str, str]
-) -> dict[str, np.ndarray]:
-    """Columns, and those of formulas of them and of the time `t`; shapes `(n,)`."""
-    values = dict(values)
-    for name, formula in derive.items():
-        from riecjax.records.derived import derived
-
-        known = values if time is None or "t" in values else {**values, "t": time}
-        values[name] = derived(formula, known)
-    return values
-
-
-def _with_noise(record: Record, selection: Select, columns: Mapping[str, np.ndarray]) -> Record:
-    """The record with what is known of its noise, of the signals of formulas by these columns.
-
-    What is said of a signal goes before what its samples and formulas tell.
-    """
-    known = record.noise
-    record = record.with_noise(given_noise(selection.noise, record.arrays)).with_noise(known)
-    formulas = {k: f for k, f in selection.derive.items() if k not in record.noise.kernels}
+    """The record with what its samples tell of its noise, and of the signals of formulas by these
+    columns, where nothing else says it."""
+    formulas = {k: f for k, f in formulas.items() if k not in record.noise.kernels}
     measured = [name for name in record.arrays if name not in formulas]
     noise = judged(record.select(*measured)).noise if measured else record.noise
     for name, formula in formulas.items():
@@ -417,11 +372,3 @@ def _with_noise(record: Record, selection: Select, columns: Mapping[str, np.ndar
         levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
         noise = noise.combined(name, sensitivities(formula, columns, levels))
     return record.with_noise(noise)
-
-
-def _finite(values: dict[str, np.ndarray], selection: Select) -> dict[str, np.ndarray]:
-    """Without the infinite by-products of files from which signals are asked for by name."""
-    wanted = {*selection.rename, *selection.derive}
-    if not wanted - {"t"}:
-        return values
-    return {k: v for k, v in values.items() if k in wanted or not np.isinf(v).any()}

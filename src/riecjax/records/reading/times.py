@@ -4,7 +4,7 @@ Loggers call time by many names, and call by them what is none (`T`, a temperatu
 constant). So names propose, and the samples decide: time rises from row to row.
 """
 
-import functools
+import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -12,38 +12,43 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.numerals import compute, numbers, stripped
+from riecjax.records.reading.numerals import all_true, compute, numbers, stripped
 from riecjax.records.reading.units import DAY, HOUR, MINUTE, SECONDS, split_unit
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _ZONE = r"(?:Z|z|(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|UTC|GMT|[A-Z]{3,4})"
-_FRACTION = r"[.,:]\d+|\.|,"
-STAMP = (
-    r"^(?:[A-Z][a-z]{2},? )?(?:"
-    r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})"
-    r"|(?P<first>\d{1,2})[-/.](?P<second>\d{1,2})[-/.](?P<late>\d{4}|\d{2})"
-    r"|(?P<named_day>\d{1,2})[- ](?P<name>[A-Za-z]{3})[a-z]*\.?[- ,]+(?P<named_year>\d{4}|\d{2})"
-    r"|(?P<us_name>[A-Z][a-z]{2})[a-z]*\.? (?P<us_day>\d{1,2}), ?(?P<us_year>\d{4})"
-    r"|(?P<compact>\d{8})"
-    r"|(?P<days>\d+) days?"
-    r")?[T ,]*(?:"
+_DATES = (
+    r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})",
+    r"(?P<first>\d{1,2})[-/.](?P<second>\d{1,2})[-/.](?P<year>\d{4}|\d{2})",
+    r"(?P<day>\d{1,2})[- ](?P<name>[A-Za-z]{3})[a-z]*\.?[- ,]+(?P<year>\d{4}|\d{2})",
+    r"(?P<name>[A-Z][a-z]{2})[a-z]*\.? (?P<day>\d{1,2}), ?(?P<year>\d{4})",
+    r"(?P<year>\d{4})(?P<month>\d{2})(?P<day>\d{2})",
+    r"(?P<days>\d+) days?",
+    "",
+)
+_TIMES_OF_DAY = (
     r"(?P<hours>\d{1,4}):(?P<minutes>[0-5]?\d)"
-    rf"(?::(?P<seconds>[0-5]?\d|60)(?P<fraction>{_FRACTION})?)?"
-    r"|(?P<clock>\d{6})(?P<clock_fraction>[.,]\d+)?"
-    rf")\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>{_ZONE})?(?:\[[^\]]*\])?$"
+    r"(?::(?P<seconds>[0-5]?\d|60)(?P<fraction>[.,:]\d+|\.|,)?)?",
+    r"(?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d)(?P<fraction>[.,]\d+)?",
 )
-"""A time stamp: ISO 8601 (also compact), or as spreadsheets and MATLAB write it; or a time of day,
-or an elapsed one, alone."""
-MINUTES = r"^(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]\d)(?P<fraction>[.,]\d+)$"
-"""Minutes, seconds and their fraction, all that a spreadsheet's `mm:ss.0` shows of a time."""
-OF_YEAR = (
-    r"^(?P<of_year>[0-3]\d\d):(?P<hours>\d\d):(?P<minutes>[0-5]\d):(?P<seconds>[0-5]\d)"
-    r"(?P<fraction>[.,]\d+)$"
+PATTERNS = (
+    # ISO 8601 (also compact), or as spreadsheets and MATLAB write it; or a time of day, or an
+    # elapsed one, alone.
+    *(
+        rf"^(?:[A-Z][a-z]{{2}},? )?{date}[T ,]*{clock}\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+        rf"\s*(?P<zone>{_ZONE})?(?:\[[^\]]*\])?$"
+        for date, clock in itertools.product(_DATES, _TIMES_OF_DAY)
+    ),
+    # Minutes, seconds and their fraction, all that a spreadsheet's `mm:ss.0` shows of a time.
+    r"^(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]\d)(?P<fraction>[.,]\d+)$",
+    # Day of the year and time of day, as IRIG and recorders in flight tests have it.
+    r"^(?P<days>[0-3]\d\d):(?P<hours>\d\d):(?P<minutes>[0-5]\d):(?P<seconds>[0-5]\d)"
+    r"(?P<fraction>[.,]\d+)$",
 )
-"""Day of the year and time of day, as IRIG and recorders in flight tests have it."""
-PATTERNS = (STAMP, MINUTES, OF_YEAR)
-CLOCK = ("hours", "minutes", "seconds")
+"""Time stamps."""
 _COMPILED = tuple(map(re.compile, PATTERNS))
+_ANY = re.sub(r"\?P<\w+>", "", "|".join(PATTERNS))
+"""The same as one, whose groups have no names, of which each may be there once."""
 
 
 def is_stamp(text: str) -> bool:
@@ -54,8 +59,7 @@ def is_stamp(text: str) -> bool:
 
 def are_stamps(text: Any) -> Any:
     """Which of a column of strings are time stamps; null where null."""
-    pc = compute()
-    return functools.reduce(pc.or_, (pc.match_substring_regex(text, p) for p in PATTERNS))
+    return compute().match_substring_regex(text, _ANY)
 
 
 def seconds(text: Any) -> np.ndarray:
@@ -73,7 +77,8 @@ def seconds(text: Any) -> np.ndarray:
     since = _since(found, days, 0)
     if _runs_back(since):
         # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
-        counted = _since(found, days, max(len(_digits(match)) for match in found if match))
+        places = max(len(match["fraction"] or ".") for match in found if match) - 1
+        counted = _since(found, days, places)
         since = since if _runs_back(counted) else counted
     return since - _first(since)
 
@@ -85,8 +90,7 @@ def of_texts(values: Sequence[object]) -> tuple[np.ndarray | None, bool]:
     """
     import pyarrow as pa
 
-    texts = [None if v is None else str(v) for v in values]
-    return of_text_column(pa.array(texts, pa.string()))
+    return of_text_column(pa.array([None if v is None else str(v) for v in values], pa.string()))
 
 
 def of_text_column(column: Any) -> tuple[np.ndarray | None, bool]:
@@ -95,7 +99,7 @@ def of_text_column(column: Any) -> tuple[np.ndarray | None, bool]:
     if texts.null_count == len(texts):
         return None, False
     found = numbers(texts, ".", False)
-    if found is None and all(valid in (True, None) for valid in are_stamps(texts).to_pylist()):
+    if found is None and all_true(are_stamps(texts)):
         return seconds(texts), True
     return found, False
 
@@ -154,29 +158,18 @@ def _days(found: list[re.Match[str] | None]) -> np.ndarray | None:
     return min(readings, key=lambda days: days[~np.isnan(days)][-1])
 
 
-def _date(stamp: dict[str, str | None]) -> tuple[int, int, int, bool] | None:
+def _date(stamp: dict[str, str]) -> tuple[int, int, int, bool] | None:
     """Year, two numbers of month and day, and whether their order is unknown."""
-    match {key: part for key, part in stamp.items() if part}:
-        case {"year": year, "month": month, "day": day}:
-            return int(year), int(month), int(day), False
-        case {"first": month, "second": day, "late": year}:
-            return _year(year), int(month), int(day), True
-        case {"named_day": day, "name": name, "named_year": year} | {
-            "us_day": day,
-            "us_name": name,
-            "us_year": year,
-        }:
-            month = (*_MONTHS, name.lower()).index(name.lower()) + 1
-            return _year(year), month, int(day), False
-        case {"compact": whole}:
-            return int(whole[:4]), int(whole[4:6]), int(whole[6:]), False
-        case {"days": days} | {"of_year": days}:
-            return 0, 0, int(days), False
-    return None
-
-
-def _year(digits: str) -> int:
-    return int(digits) + (2000 if len(digits) == 2 else 0)
+    if "days" in stamp:
+        return 0, 0, int(stamp["days"]), False
+    if "year" not in stamp:
+        return None
+    year = int(stamp["year"]) + (2000 if len(stamp["year"]) == 2 else 0)
+    if "first" in stamp:
+        return year, int(stamp["first"]), int(stamp["second"]), True
+    name = stamp.get("name", "").lower()
+    month = int(stamp.get("month", 0)) or (*_MONTHS, name).index(name) + 1
+    return year, month, int(stamp["day"]), False
 
 
 def _day(date: tuple[int, int, int, bool], day_first: bool) -> float:
@@ -192,21 +185,13 @@ def _day(date: tuple[int, int, int, bool], day_first: bool) -> float:
     return float(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(int))
 
 
-def _digits(match: re.Match[str]) -> str:
-    """The digits of a fraction of a second."""
-    stamp = match.groupdict()
-    return (stamp.get("clock_fraction") or stamp["fraction"] or "")[1:]
-
-
 def _clock(match: re.Match[str], places: int = 0) -> float:
     """Seconds of the day, as of UTC where the stamp states a zone's shift.
 
     **Arguments:** `places`: of the fraction, where that is a count of its last one.
     """
     stamp = match.groupdict(default="")
-    whole = stamp.get("clock")
-    parts = (whole[:2], whole[2:4], whole[4:]) if whole else map(stamp.get, CLOCK)
-    hours, minutes, full = (int(part or 0) for part in parts)
+    hours, minutes, full = (int(stamp.get(part) or 0) for part in ("hours", "minutes", "seconds"))
     if half := stamp.get("half", "")[:1].lower():
         hours = hours % 12 + (12 if half == "p" else 0)
     since = HOUR * hours + MINUTE * minutes + full
@@ -214,7 +199,7 @@ def _clock(match: re.Match[str], places: int = 0) -> float:
     if ahead := re.search(r"([+-])(\d\d?):?(\d\d)?$", stamp.get("zone", "")):
         shift = HOUR * int(ahead[2]) + MINUTE * int(ahead[3] or 0)
         since -= shift if ahead[1] == "+" else -shift
-    digits = _digits(match).zfill(places)
+    digits = stamp["fraction"][1:].zfill(places)
     return since + (float(f"0.{digits}") if digits else 0.0)
 
 
@@ -307,39 +292,24 @@ def find_time(
 
     **Raises:** `DataError` for a unit that is no unit of time.
     """
-    if given is not None:
-        return _timed(given, values, units, (), shortest)
-    called = [name for name in values if is_called_time(name, units)]
-    preferred = {name: place - len(TIME_COLUMNS) for place, name in enumerate(TIME_COLUMNS)}
-    called.sort(key=lambda name: preferred.get(split_unit(name)[0], 0))
-    found = next((name for name in called if _rises(values[name])), None)
-    notes = ()
-    if found is not None and len(called) > 1:
-        others = [name for name in values if name in called and name != found]
-        notes = (f"time is column '{found}', not {listed(others)}",)
-    elif found is None and nameless and values:
-        first = next(iter(values))
-        in_time = seconds_in(units.get(first, "")) is not None
-        if _rises(values[first]) if in_time else first not in units and _is_even(values[first]):
-            found = first
-            notes = (f"time is column '{first}', the first, which rises",)
-    found = found or next(iter(called), None)
-    if found is None:
+    called, name, notes = [], given, ()
+    if given is None:
+        called = [name for name in values if is_called_time(name, units)]
+        preferred = {name: place - len(TIME_COLUMNS) for place, name in enumerate(TIME_COLUMNS)}
+        called.sort(key=lambda name: preferred.get(split_unit(name)[0], 0))
+        name = next((name for name in called if _rises(values[name])), None)
+        if name is not None and len(called) > 1:
+            others = [other for other in values if other in called and other != name]
+            notes = (f"time is column '{name}', not {listed(others)}",)
+        elif name is None and nameless and values:
+            first = next(iter(values))
+            in_time = seconds_in(units.get(first, "")) is not None
+            if _rises(values[first]) if in_time else first not in units and _is_even(values[first]):
+                name = first
+                notes = (f"time is column '{first}', the first, which rises",)
+        name = name or next(iter(called), None)
+    if name is None:
         return None
-    time = _timed(found, values, units, notes, shortest)
-    # `rec.X.Data`, as ControlDesk writes it, is an X as well.
-    bare = _bare(found.removesuffix(".Data").rpartition(".")[2])
-    guessed = found not in called and not unit_of_time(found, units) and bare not in UNSAID
-    return time._replace(doubt=_GUESSED.format(found)) if guessed and not time.doubt else time
-
-
-def _timed(
-    name: str,
-    values: Mapping[str, np.ndarray],
-    units: Mapping[str, str],
-    notes: tuple[str, ...],
-    shortest: float | None,
-) -> TimeColumn:
     factor, why = _seconds_each(name, values[name], units)
     counts = values[name]
     known = counts[~np.isnan(counts)]
@@ -349,8 +319,13 @@ def _timed(
     # The 15 digits that spreadsheets write of a date are 9 microseconds of a day.
     since = np.round((counts - counts[0]) * DAY, 5) if factor == DAY else counts * factor
     notes = (*notes, f"time '{name}': {why}") if why else notes
-    stated = why or unit_of_time(name, units)
-    return TimeColumn(name, since, notes, "" if stated else _other_unit(name, since, shortest))
+    stated = unit_of_time(name, units)
+    doubt = "" if why or stated else _other_unit(name, since, shortest)
+    # `rec.X.Data`, as ControlDesk writes it, is an X as well.
+    bare = _bare(name.removesuffix(".Data").rpartition(".")[2])
+    if name not in (*called, given) and not stated and bare not in UNSAID:
+        doubt = doubt or _GUESSED.format(name)
+    return TimeColumn(name, since, notes, doubt)
 
 
 _IN_ANOTHER_UNIT = (

@@ -311,10 +311,10 @@ class Conversion(NamedTuple):
     factor: float
 
 
-def conversion(signal: str, unit: str, wanted: str | None) -> Conversion | None:
+def conversion(signal: str, unit: str, wanted: str = "") -> Conversion | None:
     """How a signal's unit is turned into SI; `None` where it is SI already, or of no known unit.
 
-    **Arguments:** `wanted`: the unit in which the model reads the signal, where that is known: no
+    **Arguments:** `wanted`: the unit in which the model reads the signal, if it says one; then no
     other is converted to.
 
     **Raises:** `DataError` where a unit has two meanings and nothing says which, as `g`, of mass
@@ -332,9 +332,9 @@ def conversion(signal: str, unit: str, wanted: str | None) -> Conversion | None:
             f"the name of '{signal}' and the row of units say {unit}; say which: units={{'{signal}'"
             f": '{unit.split()[0]}'}} (on the command line: --unit {signal}={unit.split()[0]})."
         )
-    if wanted is not None and same(unit, wanted):
+    if wanted and same(unit, wanted):
         return None
-    names = USUAL if wanted is None else (wanted,)
+    names = (wanted,) if wanted else USUAL
     targets = {target.powers: target for name in names for target in readings(name).values()}
     found = {
         spelled: Conversion(wanted or usual_name(one), one.factor / targets[one.powers].factor)
@@ -351,7 +351,7 @@ def conversion(signal: str, unit: str, wanted: str | None) -> Conversion | None:
             f"'{next(iter(found))}'}} (on the command line: {typed})."
         )
     one = next(iter(found.values()), None)
-    return one if one and (one.factor != 1 or wanted is not None) else None
+    return one if one and (one.factor != 1 or wanted) else None
 
 
 def require_known_unit(signal: str, unit: str) -> None:

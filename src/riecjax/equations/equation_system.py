@@ -25,12 +25,13 @@ linearly, where a difference quotient would round. An equation with one unknown 
 which orders most mechanisms; what stays coupled is solved together.
 
 Hidden modes, and springs in series, are written out: their states are further ones, and their
-forces stand in the equations (`ModeElement` and `SpringElement` of `hidden_elements`).
+forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_elements`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -41,27 +42,16 @@ from jaxtyping import Array, Float
 from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, label_of, signals_read
-from riecjax.equations.hidden_elements import (
-    ModeElement,
-    SpringElement,
-)
-from riecjax.equations.model import Model, as_model, names_of
+from riecjax.equations.hidden_elements import HiddenState, SpringElement
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import ModelError, users_code
-from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
 
-HiddenElement = ModeElement | SpringElement
-
-
-class Motion(NamedTuple):
-    """A signal, and the names of its derivatives up to the leading one, itself first."""
-
-    signal: str
-    names: tuple[str, ...]
+Motion = tuple[str, ...]
+"""A signal, and the names of its derivatives up to the leading one."""
 
 
 class Structure(NamedTuple):
@@ -76,9 +66,9 @@ class Structure(NamedTuple):
     motions: tuple[Motion, ...]
     rates: tuple[tuple[str, Expression], ...]
     determined: tuple[str, ...]
-    inputs: tuple[str, ...]
+    inputs: tuple[str, ...] = ()
     reversing: tuple[str, ...] = ()
-    hidden: tuple[str, ...] = ()
+    hidden: tuple[HiddenState, ...] = ()
     implicit: frozenset[tuple[int, int]] = frozenset()
     listed: tuple[str, ...] = ()
 
@@ -88,16 +78,16 @@ class Structure(NamedTuple):
 
         In the order in which the model lists them, if it does.
         """
-        lower = (name for motion in self.motions for name in motion.names[:-1])
-        place = {name: i for i, name in enumerate(self.listed)}
-        plain = [*lower, *(name for name, _ in self.rates)]
-        plain.sort(key=lambda name: place.get(name, len(place)))
-        return (*plain, *self.hidden)
+        hidden = [state.name for state in self.hidden]
+        place = {name: i for i, name in enumerate((*self.listed, "", *hidden))}
+        lower = (name for motion in self.motions for name in motion[:-1])
+        states = dict.fromkeys((*lower, *(name for name, _ in self.rates), *hidden))
+        return tuple(sorted(states, key=lambda name: place.get(name, place[""])))
 
     @property
     def unknowns(self) -> tuple[str, ...]:
         """What the equations are solved for: leading derivatives, and determined signals."""
-        return (*(motion.names[-1] for motion in self.motions), *self.determined)
+        return (*(motion[-1] for motion in self.motions), *self.determined)
 
 
 def read_structure(
@@ -105,7 +95,9 @@ def read_structure(
     equations: tuple[Equation, ...],
     rates: Mapping[str, Expression],
     inputs: frozenset[str],
-    elements: tuple[HiddenElement, ...] = (),
+    hidden: tuple[HiddenState, ...],
+    springs: tuple[SpringElement, ...],
+    listed: tuple[str, ...],
 ) -> Structure:
     """The structure of equations that are to be simulated, forces of hidden elements among them.
 
@@ -113,18 +105,16 @@ def read_structure(
     [`equation_system`][].
     """
     motions = _motions(label, equations, inputs, rates)
-    leading = {motion.names[-1] for motion in motions}
+    leading = {motion[-1] for motion in motions}
 
     def is_dynamic(term: AbstractTerm) -> bool:
         is_moving = term.signal is None and term.derivative > 0
         return is_moving or bool(leading & {*signals_read(expression_read(term, motions))})
 
     # A static equation determines its first plain signal with a number for coefficient.
-    moving = {name for motion in motions for name in motion.names} | set(rates)
+    moving = {name for motion in motions for name in motion} | set(rates)
     determined = []
-    for equation in equations:
-        if any(map(is_dynamic, equation.terms)):
-            continue
+    for equation in (e for e in equations if not any(map(is_dynamic, e.terms))):
         known = (t.signal for t in equation.terms if not (t.parameters or t.derivative))
         free = next((of for of in known if of is not None and of not in moving), None)
         if free is None:
@@ -133,9 +123,10 @@ def read_structure(
                 f"signal with a number for coefficient that it could determine."
             )
         determined.append(free)
-    hidden = tuple(name for element in elements for name, _ in element.states)
-    structure = Structure(motions, tuple(rates.items()), tuple(determined), (), (), hidden)
-    unknowns = structure.unknowns
+    structure = Structure(
+        motions, tuple(rates.items()), tuple(determined), hidden=hidden, listed=listed
+    )
+    states, unknowns = structure.states, structure.unknowns
     if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
         raise ModelError(
             f"{label} cannot be simulated: two equations determine {', '.join(sorted(repeated))}."
@@ -152,25 +143,23 @@ def read_structure(
         )
     terms = [term for equation in equations for term in equation.terms]
     read: list[Expression] = []
-    behind = (element.element for element in elements if isinstance(element, SpringElement))
-    for term in (*terms, *behind):
+    for term in (*terms, *(spring.element for spring in springs)):
         if not term.is_linear and term.basis is None:
             try:
                 jax.eval_shape(term.functions, jnp.zeros(1))
             except ModelError as error:
                 raise ModelError(f"{label} cannot be simulated: {error}") from None
         read.append(expression_read(term, motions))
-    settled = {*structure.states, *unknowns}
     reads = dict.fromkeys(name for each in (*read, *rates.values()) for name in signals_read(each))
-    structure = structure._replace(inputs=tuple(name for name in reads if name not in settled))
+    driving = tuple(name for name in reads if name not in (*states, *unknowns))
     # Whether the time derivatives of expressions follow from the states and the unknowns.
     # d/dt f(x) = f'(x) x' reads the first derivatives of what f reads, which states have. The
     # second reads theirs in turn, which only a signal has whose own second derivative leads.
-    positions = {motion.signal for motion in structure.motions if len(motion.names) == 3}
+    positions = {motion[0] for motion in motions if len(motion) == 3}
     for term in terms:
         if not term.derivative or term.signal is not None:
             continue
-        allowed = set(structure.states) if term.derivative == 1 else positions
+        allowed = set(states) if term.derivative == 1 else positions
         if beyond := [name for name in signals_read(term.of) if name not in allowed]:
             raise ModelError(
                 f"{label} cannot be simulated: derivative {term.derivative} of the expression "
@@ -185,9 +174,8 @@ def read_structure(
         for j, term in enumerate(equation.terms)
         if term.signal is None and (term.derivative or {*unknowns} & {*signals_read(term.of)})
     )
-    structure = structure._replace(implicit=implicit)
-    signals = (*structure.states, *structure.unknowns, *structure.inputs)
-    return structure._replace(reversing=reversing_states(terms, structure.states, signals))
+    reversing = reversing_states(terms, states, (*states, *unknowns, *driving))
+    return structure._replace(inputs=driving, implicit=implicit, reversing=reversing)
 
 
 def _motions(
@@ -212,7 +200,7 @@ def _motions(
             name = names.setdefault(name, f"d{name}")
     below = {higher: lower for lower, higher in names.items()}
     positions = {name for name, _, _ in moving}
-    order: dict[str, int] = {}
+    motions: dict[str, Motion] = {}
     for name, derivative, _ in moving:
         # A derivative of a velocity is one of the position, where the position is in the equations.
         ancestors = [name]
@@ -220,17 +208,14 @@ def _motions(
             ancestors.append(below[ancestors[-1]])
         steps = max(i for i, name in enumerate(ancestors) if name in positions)
         signal, rise = ancestors[steps], derivative + steps
-        order[signal] = max(order.get(signal, 0), rise)
-    motions = []
-    for signal, rise in order.items():
         if rise > 2:
             raise ModelError(
                 f"{label} cannot be simulated: it holds a derivative of order {rise} of {signal}."
             )
         chain = [signal]
-        while len(chain) <= rise:
-            chain.append(names.get(chain[-1], f"d{chain[-1]}"))
-        motions.append(Motion(signal, tuple(chain)))
+        for _ in range(rise):
+            chain.append(names[chain[-1]])
+        motions[signal] = max(motions.get(signal, ()), tuple(chain), key=len)
     if not motions:
         why = (
             "it holds no derivative of a signal, so it is static and says nothing about motion. "
@@ -244,7 +229,7 @@ def _motions(
                 f"NAME=FORMULA), and write the term of that name."
             )
         raise ModelError(f"{label} cannot be simulated: {why}")
-    return tuple(motions)
+    return tuple(motions.values())
 
 
 def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
@@ -253,8 +238,8 @@ def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expressi
     if signal is None or not term.derivative:
         return term.of
     for motion in motions:
-        if signal in motion.names:
-            return motion.names[motion.names.index(signal) + term.derivative]
+        if signal in motion:
+            return motion[motion.index(signal) + term.derivative]
     if term.derivative > len(term.measured):
         raise ModelError(
             f"a derivative of {signal} is needed and cannot be formed: name the signal that holds "
@@ -273,7 +258,7 @@ class EquationSystem(AbstractSystem):
     values: dict[str, Array]
     structure: Structure = eqx.field(static=True)
     units: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    elements: tuple[HiddenElement, ...] = ()
+    springs: tuple[SpringElement, ...] = ()
 
     @property
     def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -299,21 +284,22 @@ class EquationSystem(AbstractSystem):
     @property
     def carried(self) -> tuple[str, ...]:
         """States of hidden modes, and forces of springs."""
-        return self.structure.hidden
+        return tuple(state.name for state in self.structure.hidden)
 
     def carried_levels(
         self, signals: Mapping[str, Float[Array, " n"]]
     ) -> Mapping[str, Float[Array, " n"]]:
         """The motion of hidden masses, and forces that elements have where their springs rest."""
-        levels: dict[str, Array] = {}
-        for element in self.elements:
-            levels |= element.at_rest(signals, self.values)
+        hidden = self.structure.hidden
+        levels = {s.name: signals[s.follows] for s in hidden if s.follows in signals}
+        for spring in self.springs:
+            levels |= spring.at_rest(signals, self.values)
         return levels
 
     @property
     def velocity_of(self) -> Mapping[str, str]:
         """State to the state that is its time derivative."""
-        return {m.signal: m.names[1] for m in self.structure.motions if len(m.names) == 3}
+        return {m[0]: m[1] for m in self.structure.motions if len(m) == 3}
 
     def derivative(self, state: State, inputs: Inputs) -> State:
         """Time derivative of the state, by solving the equations for their unknowns."""
@@ -334,7 +320,7 @@ class EquationSystem(AbstractSystem):
         held = {
             following: regime.stuck[self.state_names.index(name)]
             for motion in self.structure.motions
-            for name, following in zip(motion.names, motion.names[1:])
+            for name, following in pairwise(motion)
         }
         return {
             name: jnp.where(held.get(name, False), 0.0, signals[name][0])
@@ -387,23 +373,22 @@ class EquationSystem(AbstractSystem):
         zeros = dict.fromkeys(self.structure.unknowns, zero)
         rows = []
         for i, equation in enumerate(self.equations):
-            rest, slopes = zero[0], {}
+            values, slopes = [], {}
             for j, term in enumerate(equation.terms):
+                columns = {}
                 if (i, j) in self.structure.implicit:
                     value, push = jax.linearize(
                         lambda unknowns, term=term: self._term(term, {**signals, **unknowns}), zeros
                     )
-                    rest = rest + value
+                    values.append(value)
                     columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
-                elif term.signal is not None:
-                    name = str(expression_read(term, self.structure.motions))
-                    columns = {name: self._term(term, {name: zero + 1})} if name in zeros else {}
-                    rest = rest if columns else rest + self._term(term, signals)
+                elif (name := expression_read(term, self.structure.motions)) in zeros:
+                    columns = {name: self._term(term, {name: zero + 1})}
                 else:
-                    rest, columns = rest + self._term(term, signals), {}
+                    values.append(self._term(term, signals))
                 for name, column in columns.items():
                     slopes[name] = slopes[name] + column if name in slopes else column
-            rows.append((rest, slopes))
+            rows.append((sum(values, start=zero[0]), slopes))
         return rows
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
@@ -454,18 +439,18 @@ class EquationSystem(AbstractSystem):
         flow = {
             name: signals[following]
             for motion in self.structure.motions
-            for name, following in zip(motion.names, motion.names[1:])
+            for name, following in pairwise(motion)
         }
-        for name, expression in self.structure.rates:
-            flow[name] = (
-                signals[expression]
-                if isinstance(expression, str)
-                else jnp.atleast_1d(jnp.asarray(expression(Signals(signals))))
-            )
-        for element in self.elements:
-            flow |= element.rates(
-                signals, self.values, lambda term: self._expression(term, dict(signals))
-            )
+        known = Signals(signals)
+        flow |= {
+            name: signals[rate]
+            if isinstance(rate, str)
+            else jnp.atleast_1d(jnp.asarray(rate(known)))
+            for name, rate in self.structure.rates
+        }
+        for spring in self.springs:
+            across = self._expression(spring.element, dict(signals))
+            flow[spring.state.name] = spring.rate(signals, self.values, across)
         return flow
 
     def _with_units(self, names: Sequence[str]) -> Quantities:
@@ -473,94 +458,17 @@ class EquationSystem(AbstractSystem):
         return tuple((name, units.get(name, "")) for name in names)
 
 
-def equation_system(
-    model: Equation | Model,
-    values: Mapping[str, Leaf | float],
-    *,
-    rates: Mapping[str, Expression] | None = None,
-    inputs: Sequence[str] = (),
-    units: Mapping[str, str] | None = None,
-) -> EquationSystem:
-    """The system that equations describe, to be simulated, linearised and validated.
-
-    The highest derivative of each signal in the equations leads: a second derivative of `y` makes
-    `y` and its first derivative states, a first derivative of `x4` makes `x4` a state. A
-    derivative has the name that `measured` of its term gives it, else a `d` before the signal's,
-    and may be read under that name by any term. Every other signal that is read is an input. There
-    must be one equation for each leading derivative, which may appear in several.
-
-    A static equation beside dynamic ones determines a quantity, an output: the first plain signal
-    with a number for coefficient, as `Term(1.0, "F_t")` in F_t = K_t x1. `where` of an equation
-    says which samples to identify from and means nothing here.
-
-    A hidden mode has two further states, `mode_deflection` (body minus mass) and `mode_velocity`,
-    of a second one `mode_2_deflection` and `mode_2_velocity`. An element with a spring in series
-    has its force, `series_force`, of a second one `series_2_force`.
-
-    **Arguments:**
-
-    - `values`: value of every coefficient, scalars; for those with a `known` value it may be left
-      out. Others are ignored.
-    - `rates`: further states by their time derivative, signal name to expression: kinematics such
-      as `{"x2": difference("x3", "x4")}` that no coefficient appears in; by default the model's.
-    - `inputs`: signals to take as inputs although their derivative appears, as of a base that is
-      moved; the derivative is an input too, under its name from `measured`.
-    - `units`: signal name to unit.
-
-    **Raises:** `ModelError` if a coefficient has no value; if the equations cannot be simulated
-    because none holds a derivative, their number is not that of the unknowns, a derivative is of
-    third order or of an expression of inputs; or, with values that can be looked at, if the
-    leading coefficient is zero or the unknowns do not enter linearly.
-    """
-    model = as_model(model)
-    equations, listed = model.equations, (*model.signals, *model.inputs)
-    label = names_of(equations)
-    known: dict[str, Any] = {**model.known, **values}
-    names = model.parameter_names
-    if missing := [name for name in names if name not in known]:
-        raise ModelError(f"{label}: no value is given for {', '.join(missing)}.")
-    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
-    for name, number in numbers.items():
-        if number.shape != ():
-            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    springs = tuple(
-        SpringElement.of(i, spring, equations) for i, spring in enumerate(model.springs)
-    )
-    equations = _written_out(equations, springs)
-    modes = tuple(ModeElement.of(i, mode, equations) for i, mode in enumerate(model.modes))
-    equations, elements = _written_out(equations, modes), (*modes, *springs)
-    further = model.rates if rates is None else rates
-    rates = {**{memory.state: memory for memory in model.memories}, **further}
-    structure = read_structure(label, equations, rates, frozenset(inputs), elements)
-    structure = structure._replace(listed=tuple(quantity.name for quantity in listed))
-    own = {name: unit for element in elements for name, unit in element.states}
-    given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
-    named = tuple(sorted((given | own | dict(units or {})).items()))
-    system = EquationSystem(equations, numbers, structure, named, elements)
-    if is_concrete(equations, numbers) and not is_under_trace():
-        _check_solvable(label, system)
-    return system
-
-
-def _written_out(
-    equations: tuple[Equation, ...], elements: Sequence[HiddenElement]
-) -> tuple[Equation, ...]:
-    for element in elements:
-        equations = tuple(map(element.written_out, equations))
-    return equations
-
-
-def _check_solvable(label: str, system: EquationSystem) -> None:
+def require_solvable(label: str, system: EquationSystem) -> None:
     """Whether J is regular, and the residuals linear in the unknowns.
 
     At a point in general position, where an accidental zero is all but impossible. J is scaled by
     columns and rows first: its rank must not depend on the units of unknowns and equations.
     """
-    for element in system.elements:
-        if element.divisor is not None and float(system.values[element.divisor]) == 0:
-            which = element.divisor + element.words
-            raise ModelError(f"{label} cannot be simulated: {which} is zero.")
-    state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, (2, len(system.states)))[0])
+    for spring in system.springs:
+        which = spring.element.parameters[0]
+        if spring.element.is_linear and float(system.values[which]) == 0:
+            raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
+    state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, len(system.states)))
     level = jnp.asarray(np.linspace(0.3, 0.7, len(system.structure.inputs)))
     unknowns = system.structure.unknowns
     probe = np.random.default_rng(1).uniform(0.5, 1.5, len(unknowns))
