@@ -9,10 +9,6 @@ import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from types import UnionType
-from typing import ParamSpec, TypeVar
-
-Parameters = ParamSpec("Parameters")
-Result = TypeVar("Result")
 
 MOST_WORDS = 300
 _STEERING = re.compile(

@@ -1,8 +1,8 @@
 """What a user should know of data or of a result, with a code for scripts.
 
-`CODES` has every code that a finding may have: what it is about, in words, and what decides. Their
-order is that of importance: of several codes of one kind, the first says most of their cause. Each
-has a row in docs/warnings.md, a test that raises it, and one that must not.
+`CODES` has every code that a finding may have: what it is about, and that in words. Their order is
+that of importance: of several codes of one kind, the first says most of their cause. Each has a row
+in docs/warnings.md, a test that raises it, and one that must not.
 """
 
 from collections.abc import Iterable, Mapping
@@ -55,16 +55,10 @@ Kind = Literal["undetermined", "sensors", "model", "noise", "data", "computation
 
 
 class FindingCode(NamedTuple):
-    """What is known of a code.
-
-    **Fields:** `kind` of cause; `phrase` for a sentence, with places for `{signals}` and
-    `{parameters}`; `threshold`, "module:NAME" of the constant that decides, empty where none does:
-    where it is a fact such as a missing sample.
-    """
+    """What is known of a code: the `kind` of cause, and its `phrase`."""
 
     kind: Kind
     phrase: str
-    threshold: str = ""
 
     def said(self, signals: tuple[str, ...] = (), parameters: tuple[str, ...] = ()) -> str:
         """The phrase, of these signals and parameters."""
@@ -79,175 +73,97 @@ def code_of(code: str) -> FindingCode:
     return CODES.get(code) or FindingCode("computation", code.replace("_", " "))
 
 
-CODES: dict[str, FindingCode] = {
-    "constant_target": FindingCode(
-        "undetermined", "one term alone reproduces the input", "estimation.constant_target:CONSTANT"
-    ),
-    "unidentifiable": FindingCode(
-        "undetermined",
-        "the recordings cannot tell {parameters} apart",
-        "estimation.excitation:UNIDENTIFIABLE",
-    ),
-    "undetermined": FindingCode("undetermined", "the recordings say nothing of {parameters}"),
-    "mode_not_carried": FindingCode(
-        "undetermined", "the recordings carry no such mode", "estimation.evidence:CERTAIN"
-    ),
-    "series_spring_not_carried": FindingCode(
-        "undetermined",
-        "the recordings do not tell {parameters} from infinity",
-        "estimation.estimate:TOLD_LAG",
-    ),
-    "negative_value": FindingCode("undetermined", "{parameters} is below zero"),
-    "interval_wider_than_estimate": FindingCode(
-        "undetermined",
-        "the recordings hardly determine {parameters}",
-        "estimation.estimate:MATTERING_SHARE",
-    ),
-    "not_excited": FindingCode("undetermined", "the recordings hold nothing of {parameters}"),
-    "rarely_excited": FindingCode(
-        "undetermined", "{parameters} is seldom excited", "estimation.estimate:LOST_SHARE"
-    ),
-    "prior_disagrees": FindingCode(
-        "sensors",
-        "the recordings and the prior of {parameters} disagree",
-        "assessment.refining:STRANGE",
-    ),
-    "outside_bound": FindingCode("sensors", "{parameters} lies outside its bounds"),
-    "time_unit_doubtful": FindingCode("sensors", "time may be in another unit than seconds"),
-    "unit_mismatch": FindingCode("sensors", "{signals} has another unit than the model expects"),
-    "not_its_derivative": FindingCode(
-        "sensors", "{signals} do not fit each other", "records.faults.derivative_pairs:GROSS"
-    ),
-    "at_rest": FindingCode(
-        "sensors", "{signals} rests where friction jumps", "records.faults.at_rest:LEAST"
-    ),
-    "copied_signal": FindingCode(
-        "sensors", "{signals} are one signal", "records.faults.rows:ROUNDED"
-    ),
-    "duplicate_recording": FindingCode(
-        "sensors", "a recording was given twice", "records.faults.rows:ALIKE"
-    ),
-    "lost_rows": FindingCode(
-        "sensors", "{signals} part by a jump", "records.faults.derivative_pairs:LOST"
-    ),
-    "two_clocks": FindingCode(
-        "sensors", "{signals} run by two clocks", "records.faults.derivative_pairs:CHANGE"
-    ),
-    "silent_input": FindingCode(
-        "sensors", "{signals} says nothing", "validation.input_faults:NOTHING_EXPLAINED"
-    ),
-    "late_signal": FindingCode("sensors", "{signals} is late", "validation.late_signals:LEVEL"),
-    "low_passed": FindingCode(
-        "sensors", "one of {signals} is filtered", "records.faults.derivative_pairs:LIKELIER"
-    ),
-    "wrong_gain": FindingCode(
-        "sensors", "{signals} do not fit each other in size", "records.faults.derivative_pairs:GAIN"
-    ),
-    "drifting_signal": FindingCode(
-        "sensors", "one of {signals} drifts", "records.faults.derivative_pairs:OFFSET"
-    ),
-    "velocity_offset": FindingCode(
-        "sensors", "one of {signals} has an offset", "records.faults.derivative_pairs:OFFSET"
-    ),
-    "repeated_rows": FindingCode(
-        "sensors", "rows stand in the recording twice", "records.faults.rows:FEWEST"
-    ),
-    "wrong_zero": FindingCode(
-        "sensors", "some sensor's zero is off", "estimation.constant_target:LEAST"
-    ),
-    "constant_signal": FindingCode("sensors", "{signals} never varies"),
-    "stuck_sensor": FindingCode(
-        "sensors", "{signals} is stuck for a while", "records.faults.signals:STUCK_RATIO"
-    ),
-    "clipped": FindingCode("sensors", "{signals} is clipped", "records.faults.signals:PILE_UP"),
-    "outliers": FindingCode("sensors", "{signals} has outliers", "records.faults.spikes:SPIKE"),
-    "hum": FindingCode(
-        "sensors", "the mains hum in {signals}", "records.preparation.hum:BY_CHANCE"
-    ),
-    "missing_samples": FindingCode("sensors", "samples of {signals} are missing"),
-    "quantised": FindingCode(
-        "sensors", "{signals} is coarsely quantised", "records.faults.signals:COARSE"
-    ),
-    "column_left_out": FindingCode("sensors", "a column of {signals} is left out"),
-    "part_left_out": FindingCode("sensors", "a part of a file is left out"),
-    "nothing_cut": FindingCode("sensors", "a cut removes nothing"),
-    "file_changed": FindingCode("sensors", "a file is not the one that was read before"),
-    "rows_left_out": FindingCode("sensors", "windows that touch a missing sample are left out"),
-    "unmodelled_mode": FindingCode(
-        "model", "the model leaves out a mode", "validation.residuals:NOTABLE_SIZE"
-    ),
-    "large_residual": FindingCode(
-        "model",
-        "the model leaves more than half of the signal",
-        "estimation.estimate:LARGE_RESIDUAL",
-    ),
-    "residual_follows_signal": FindingCode(
-        "model",
-        "what the model leaves follows {signals}",
-        "validation.residuals:NOTABLE_CORRELATION",
-    ),
-    "hysteresis": FindingCode(
-        "model",
-        "what the model leaves depends on the way that the motion came",
-        "validation.residuals:NOTABLE_GAIN",
-    ),
-    "window_sensitive": FindingCode(
-        "model", "estimates drift with window length", "validation.sweep:SMALLEST_DRIFT"
-    ),
-    "uneven_errors": FindingCode(
-        "model", "errors differ much along the record", "validation.residuals:NOTABLE_RATIO"
-    ),
-    "does_not_predict": FindingCode(
-        "model", "the model does not predict", "validation.held_out:PREDICTS_ROUGHLY"
-    ),
-    "records_disagree": FindingCode(
-        "model", "the recordings disagree", "estimation.estimate:NOTABLE_INFLATION"
-    ),
-    "no_known_term": FindingCode(
-        "model", "no term of an equation is known", "estimation.estimate:NOTABLE_SHRINKAGE"
-    ),
-    "break_points_outside": FindingCode("model", "a break point lies outside the data"),
-    "noise_dominates": FindingCode(
-        "noise",
-        "noise of {signals} makes much of what tells {parameters} apart",
-        "estimation.excitation:DOMINATES",
-    ),
-    "nearly_collinear": FindingCode(
-        "data", "little tells {parameters} apart", "estimation.excitation:NEARLY_COLLINEAR"
-    ),
-    "ill_conditioned": FindingCode("data", "little tells some parameters apart"),
-    "few_blocks": FindingCode(
-        "data",
-        "few stretches of the record tell of {parameters}",
-        "uncertainty.intervals:ENOUGH_FREEDOM",
-    ),
-    "few_effective_windows": FindingCode(
-        "data", "few independent windows tell of {parameters}", "estimation.estimate:FEWEST_WINDOWS"
-    ),
-    "short_record": FindingCode("data", "the record is short", "estimation.estimate:FEWEST_BLOCKS"),
-    "mode_elsewhere": FindingCode("computation", "no mode is near the frequency asked for"),
-    "coarse_sampling": FindingCode(
-        "computation", "the motion is sampled coarsely", "estimation.check:QUADRATURE_ERROR"
-    ),
-    "coarse_steps": FindingCode("computation", "the simulation's steps are coarse"),
-    "refinement_not_converged": FindingCode("computation", "the refinement did not converge"),
-    "refined_predicts_worse": FindingCode(
-        "computation", "the refined model predicts worse", "assessment.refining:WORSE"
-    ),
-    "at_bound": FindingCode("computation", "{parameters} sits on a bound"),
-    "short_windows": FindingCode("computation", "the shortest window spans few samples"),
-    "single_precision": FindingCode("computation", "it was computed in 32-bit"),
-    "band_snapped": FindingCode("computation", "windows of a neighbouring band were taken"),
-    "residuals_not_tested": FindingCode("computation", "what the model leaves was not tested"),
-    "not_validated": FindingCode("computation", "it was not validated"),
-    "validated_on_fitted": FindingCode("computation", "it was validated on what it was fitted to"),
-    "simulation_lost": FindingCode("reproduction", "a simulation was lost"),
-    "few_roads": FindingCode("reproduction", "ranges over roads are rough"),
+PHRASES: dict[Kind, dict[str, str]] = {
+    "undetermined": {
+        "constant_target": "one term alone reproduces the input",
+        "unidentifiable": "the recordings cannot tell {parameters} apart",
+        "undetermined": "the recordings say nothing of {parameters}",
+        "mode_not_carried": "the recordings carry no such mode",
+        "series_spring_not_carried": "the recordings do not tell {parameters} from infinity",
+        "negative_value": "{parameters} is below zero",
+        "interval_wider_than_estimate": "the recordings hardly determine {parameters}",
+        "not_excited": "the recordings hold nothing of {parameters}",
+        "rarely_excited": "{parameters} is seldom excited",
+    },
+    "sensors": {
+        "prior_disagrees": "the recordings and the prior of {parameters} disagree",
+        "outside_bound": "{parameters} lies outside its bounds",
+        "time_unit_doubtful": "time may be in another unit than seconds",
+        "unit_mismatch": "{signals} has another unit than the model expects",
+        "not_its_derivative": "{signals} do not fit each other",
+        "at_rest": "{signals} rests where friction jumps",
+        "copied_signal": "{signals} are one signal",
+        "duplicate_recording": "a recording was given twice",
+        "lost_rows": "{signals} part by a jump",
+        "two_clocks": "{signals} run by two clocks",
+        "silent_input": "{signals} says nothing",
+        "late_signal": "{signals} is late",
+        "low_passed": "one of {signals} is filtered",
+        "wrong_gain": "{signals} do not fit each other in size",
+        "drifting_signal": "one of {signals} drifts",
+        "velocity_offset": "one of {signals} has an offset",
+        "repeated_rows": "rows stand in the recording twice",
+        "wrong_zero": "some sensor's zero is off",
+        "constant_signal": "{signals} never varies",
+        "stuck_sensor": "{signals} is stuck for a while",
+        "clipped": "{signals} is clipped",
+        "outliers": "{signals} has outliers",
+        "hum": "the mains hum in {signals}",
+        "missing_samples": "samples of {signals} are missing",
+        "quantised": "{signals} is coarsely quantised",
+        "column_left_out": "a column of {signals} is left out",
+        "part_left_out": "a part of a file is left out",
+        "nothing_cut": "a cut removes nothing",
+        "file_changed": "a file is not the one that was read before",
+        "rows_left_out": "windows that touch a missing sample are left out",
+    },
+    "model": {
+        "unmodelled_mode": "the model leaves out a mode",
+        "large_residual": "the model leaves more than half of the signal",
+        "residual_follows_signal": "what the model leaves follows {signals}",
+        "hysteresis": "what the model leaves depends on the way that the motion came",
+        "window_sensitive": "estimates drift with window length",
+        "uneven_errors": "errors differ much along the record",
+        "does_not_predict": "the model does not predict",
+        "records_disagree": "the recordings disagree",
+        "no_known_term": "no term of an equation is known",
+        "break_points_outside": "a break point lies outside the data",
+    },
+    "noise": {
+        "noise_dominates": "noise of {signals} makes much of what tells {parameters} apart",
+    },
+    "data": {
+        "nearly_collinear": "little tells {parameters} apart",
+        "ill_conditioned": "little tells some parameters apart",
+        "few_blocks": "few stretches of the record tell of {parameters}",
+        "few_effective_windows": "few independent windows tell of {parameters}",
+        "short_record": "the record is short",
+    },
+    "computation": {
+        "mode_elsewhere": "no mode is near the frequency asked for",
+        "coarse_sampling": "the motion is sampled coarsely",
+        "coarse_steps": "the simulation's steps are coarse",
+        "refinement_not_converged": "the refinement did not converge",
+        "refined_predicts_worse": "the refined model predicts worse",
+        "at_bound": "{parameters} sits on a bound",
+        "short_windows": "the shortest window spans few samples",
+        "single_precision": "it was computed in 32-bit",
+        "band_snapped": "windows of a neighbouring band were taken",
+        "residuals_not_tested": "what the model leaves was not tested",
+        "not_validated": "it was not validated",
+        "validated_on_fitted": "it was validated on what it was fitted to",
+    },
+    "reproduction": {
+        "simulation_lost": "a simulation was lost",
+        "few_roads": "ranges over roads are rough",
+    },
+}
+"""Of each kind of cause its codes, first what says most of it, each with words for a sentence: they
+have places for `{signals}` and `{parameters}`."""
+CODES = {
+    code: FindingCode(kind, phrase)
+    for kind, codes in PHRASES.items()
+    for code, phrase in codes.items()
 }
 KINDS: tuple[Kind, ...] = ("undetermined", "sensors", "model", "noise", "data", "computation")
 """Kinds of causes in a verdict. What a user says of a parameter is held against it as a sensor."""
-
-
-def codes_of(kind: Kind) -> list[str]:
-    """Codes of this kind, first what says most of it."""
-    return [code for code, known in CODES.items() if known.kind == kind]

@@ -2,9 +2,7 @@
 
 import contextlib
 import ctypes
-import functools
 import gc
-import operator
 import os
 import platform
 import sys
@@ -36,8 +34,9 @@ _ONCE = {
     # Nor does what compiles in a second or two gain by being cut up for several threads.
     "xla_cpu_parallel_codegen_split_count": "--xla_cpu_parallel_codegen_split_count=1",
 }
-# XLA ends the process at an option that it does not know: these are gone from that version on.
-_GONE = {(0, 11): {"xla_cpu_use_fusion_emitters": "--xla_cpu_use_fusion_emitters=false"}}
+# XLA ends the process at an option that it does not know: this is gone from that version on.
+_GONE = (0, 11)
+_BEFORE = {"xla_cpu_use_fusion_emitters": "--xla_cpu_use_fusion_emitters=false"}
 
 
 def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int = 1) -> None:
@@ -65,8 +64,7 @@ def start_jax(*, once: bool = False, keep_compiled: bool = False, devices: int =
     # To compile fast is a wish, which a process that has begun otherwise cannot fulfil.
     if once and not started:  # by options that the installed XLA knows
         installed = tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2])
-        known = [flags for gone, flags in _GONE.items() if installed < gone]
-        wanted = functools.reduce(operator.or_, known, _FLAGS | _ONCE)
+        wanted = _FLAGS | _ONCE | (_BEFORE if installed < _GONE else {})
     lacking = [flag for name, flag in wanted.items() if name not in flags]
     if lacking and started:
         raise RuntimeError("start_jax() is too late: call it before the first JAX array is made.")

@@ -1,9 +1,10 @@
 """Standard output for answers alone: what a user's model prints must not stand among JSON."""
 
 import contextlib
+import json
 import sys
-from collections.abc import Iterator
-from typing import TextIO
+from collections.abc import Iterator, Mapping
+from typing import Any, TextIO
 
 import click
 
@@ -32,6 +33,7 @@ def restored() -> Iterator[None]:
             sys.stdout = _answers.pop()
 
 
-def answer(text: str) -> None:
-    """Print an answer."""
+def answer(document: Mapping[str, Any]) -> None:
+    """Print an answer as JSON."""
+    text = json.dumps(document, indent=2, allow_nan=False)
     click.echo(text, file=_answers[-1] if _answers else None)

@@ -8,8 +8,8 @@ from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from riecjax.assessment.refining import outside_bounds
+from riecjax.reporting.identification import verdict_entries
 from riecjax.reporting.result_page import write_report
-from riecjax.reporting.verdict import verdict_entries
 
 RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
 OF_BODY = {name: TRUTH[name] for name in ("m", "c", "k")}
@@ -123,7 +123,7 @@ def test_a_parameter_is_what_the_model_says_whatever_it_is_called(tmp_path):
         assert float(found.estimate[name]) == pytest.approx(value, rel=5e-3, abs=0.1)
         assert found.verdict.parameters[name].level == ("caution" if value == 0 else "good")
     assert "series_spring_not_carried" not in {finding.code for finding in found.findings()}
-    assert not outside_bounds(found.answer, {"offset": (1.0, 2.0)})
+    assert not [*outside_bounds(found.answer, {"offset": (1.0, 2.0)})]
     (outside,) = outside_bounds(found.answer, {"offset[2]": (1.0, 2.0)})
     assert outside.parameters == ("offset[2]",)
     assert found.parameters_of(rx.Finding("at_bound", "", parameters=("offset",))) == set()

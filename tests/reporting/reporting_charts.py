@@ -16,7 +16,6 @@ from riecjax.reporting.charts.chart import (
     Line,
     Panel,
     Span,
-    Stems,
 )
 from riecjax.reporting.charts.printed import STYLE, printed
 
@@ -30,22 +29,20 @@ EVERYTHING = Chart(
             Panel(
                 [
                     Span(1.5, 2.5, label="stretch", color=RUST, opacity=0.3),
-                    Span(2.0, 4.0, label="in use, 2 to 4 s", hatched=True),
                     Level(0),
                     Level(3, "x", "limit", dashes="dotted"),
                     Line(X, GAP, "measured", low=GAP - 5, high=GAP + 5),
-                    Line(X, X, "share (right)", RUST, "dashed", right=True),
+                    Line(X, X, "share", RUST, "dashed"),
                 ],
                 Axis("time / s"),
                 Axis("force / (N)"),
-                Axis("share / %", color=RUST),
                 title="Forces & <b>levels</b>",
             ),
             Panel(
-                [Stems(X, Y, "stems"), Level(axis="diagonal", label="equal"), Dots(X, X, "dots")],
+                [Line(X, X, "equal"), Dots(X, X, "dots")],
                 Axis("lag / s"),
                 Axis("correlation"),
-                title="Stems",
+                title="Dots",
             ),
         ),
         (
@@ -55,7 +52,7 @@ EVERYTHING = Chart(
                 Axis("density / (N²/Hz)", log=True, low=5),
             ),
             Panel(
-                [HeatMap([0, 1], [0, 1], [[1, -0.5], [-0.5, np.nan]], "r", -1, 1, True, 2)],
+                [HeatMap([0, 1], [0, 1], [[1, -0.5], [-0.5, np.nan]], "r", -1, 1, 2)],
                 Axis(categories=("stiffness", "mass")),
                 Axis(categories=("stiffness", "mass"), reverse=True),
             ),
@@ -63,7 +60,6 @@ EVERYTHING = Chart(
         (None, Panel([Dots(X, Y)], Axis("x"), Axis("y"))),
     ),
     "Every kind of mark < & >.",
-    (10, 9),
 )
 
 

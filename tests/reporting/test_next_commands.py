@@ -6,7 +6,7 @@ import pytest
 from riecjax.assessment.verdict import Cause, Step
 from riecjax.cli.command import Given
 from riecjax.cli.identify import command
-from riecjax.reporting.verdict import _next
+from riecjax.reporting.identification import _next
 
 COMMAND = ("a.csv", "--model", "axis")
 

@@ -131,13 +131,8 @@ def value_of(option: Option) -> object:
     if option.shape == "flag":
         return not option.default
     text = (option.kind.choices or (EXAMPLES.get(option.kind.name, "hat"),))[-1]
-    if option.shape == "named":
-        return option.collected((option.parsed(f"x={text}"), option.parsed(f"y={text}")))
-    if option.shape == "many":
-        return option.collected((option.parsed(text),))
-    if option.count > 1:
-        return (option.parsed(text),) * option.count
-    return option.parsed(text)
+    texts = (f"x={text}", f"y={text}") if option.shape == "named" else (text,) * option.count
+    return option.parsed(*texts)
 
 
 @pytest.mark.parametrize("said", OPTIONS)
@@ -150,7 +145,7 @@ def test_a_value_is_the_same_as_words_in_a_job_and_in_python(said):
         assert words[0] in option.flag.split("/")
     if option.shape in ("many", "named"):
         texts = [text for (text,) in option.texts(value)]
-        assert option.collected(tuple(map(option.parsed, texts))) == value
+        assert option.parsed(*texts) == value
 
 
 def test_every_command_says_what_each_option_is_for():

@@ -1,7 +1,7 @@
 """What an assessment is asked: model, criterion, and which recordings serve for what."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -14,11 +14,9 @@ from riecjax.estimation.parameters import ParameterTable
 from riecjax.memory import REMEDY, require_memory
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
+from riecjax.settings import Assess
 from riecjax.summaries.summarise import summarise
 from riecjax.uncertainty.intervals import AbstractIntervals, Naive
-
-if TYPE_CHECKING:
-    from riecjax.settings import Assess
 
 BYTES_PER_SAMPLE = 110.0
 """Of sums and checks at the peak of memory, for each signal; and, for each equation, of tests of
@@ -53,7 +51,7 @@ class Asked(NamedTuple):
     further: list[Recording]
     table: ParameterTable
     intervals: AbstractIntervals
-    settings: "Assess"
+    settings: Assess
 
     @property
     def records(self) -> list[Record]:

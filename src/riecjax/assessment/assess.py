@@ -96,8 +96,8 @@ def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "A
     further = concerned(ready(model, further)) if further else []
     # What is refused without arithmetic is refused before a sample is read.
     table = plan_parameters(model, len(fitted), settings.known, settings.per_record)
-    parts = model, criterion, fitted, held, further, table
-    asked = Asked(*parts, intervals_of(settings.intervals), settings)
+    intervals = intervals_of(settings.intervals)
+    asked = Asked(model, criterion, fitted, held, further, table, intervals, settings)
     with naming_copies(model, fitted, criterion):
         return _answer(asked)
 
@@ -131,8 +131,7 @@ def _answer(asked: Asked) -> "Assessment":
 
     checked = check_sums(model, ready(model, records), table, ordinary, excited)
     checked = trust.with_doubts(asked, estimate, checked)
-    refused = doubted is not None
-    refinement, validations, failed = refining.answered(asked, estimate, refused)
+    refinement, validations, failed = refining.answered(asked, estimate, doubted is not None)
     if refinement is None or not refinement.chosen:
         raise_if_refused(excited)
         failed = [*failed, *refining.outside_bounds(estimate, settings.bounds)]
@@ -265,8 +264,8 @@ def check_answering(
         # Not earlier: to import all that simulates takes seconds.
         from riecjax.assessment.refining import answered
 
-        parts = model, criterion, recordings, [], [], table
-        asked = Asked(*parts, Sandwich(), Assess(key=key))
+        unsaid = Assess(key=key)
+        asked = Asked(model, criterion, recordings, [], [], table, Sandwich(), unsaid)
         with contextlib.suppress(IdentifiabilityError):
             start = on_host(estimated(model, summary, table, asked.intervals))
             refinement, _, _ = answered(asked, start, True)

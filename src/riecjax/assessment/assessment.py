@@ -152,18 +152,18 @@ class Assessment(Drawn):
         if self.answer is not self.estimate:
             # Said of windows, and not of what was chosen: a refused estimate leaves no other.
             before = [finding for finding in before if finding.code != "unidentifiable"]
-        codes = {finding.code for finding in before}
-        after = [
-            f for f in self.estimate.findings() if f.code != "short_record" or f.code not in codes
+        said = {"short_record"} & {finding.code for finding in before}
+        results = (*self.modes, self.sweep, self.residuals, self.refinement)
+        return [
+            *before,
+            *(finding for finding in self.estimate.findings() if finding.code not in said),
+            *(f for result in results if result is not None for f in result.findings()),
+            *(
+                Finding("does_not_predict", f"{run.recording.name}: {run.held.verdict}")
+                for run in self.validations
+                if not run.held.predicts
+            ),
         ]
-        for result in (*self.modes, self.sweep, self.residuals, self.refinement):
-            after += [] if result is None else result.findings()
-        after += [
-            Finding("does_not_predict", f"{run.recording.name}: {run.held.verdict}")
-            for run in self.validations
-            if not run.held.predicts
-        ]
-        return [*before, *after]
 
     def parameters_of(self, finding: Finding) -> set[str]:
         """Parameters that a finding concerns: those it names, or of equations that read its

@@ -22,6 +22,7 @@ the position's derivative puts what reads either of them in doubt by a fifth.
 **Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
 """
 
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -121,23 +122,20 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
         drift = {name: sweep.away(name, float(answer[name])) for name in names}
     left = {} if exact else left_out(assessment)
     # Of each kind of fault all of what is amiss with the recordings, of kinds the worst.
-    amiss: dict[str, dict[str, float]] = {name: {} for name in answer.parameters}
+    amiss: dict[str, Counter] = defaultdict(Counter)
     for finding in assessment.findings():
         for name in assessment.parameters_of(finding):
             share = finding.doubts.get(name, finding.doubt)
             if share > 0:
-                before = amiss[name].get(finding.code, 0.0)
-                amiss[name][finding.code] = before + share * abs(float(answer[name]))
+                amiss[name][finding.code] += share * abs(float(answer[name]))
     by_name = {}
     for name, low, high in zip(answer.parameters, below * errors, above * errors):
         scatter = float(low), float(high)
         drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, left))
         if sweep is not None:
             moved = min(moved, STEADIER * (drifted + max(scatter)))
-        worst = max(amiss[name].values(), default=0.0)
-        value = float(answer[name])
-        finest = FINEST * abs(value)
-        by_name[name] = Doubt(value, *scatter, drifted, moved, worst, finest)
+        worst, value = max(amiss[name].values(), default=0.0), float(answer[name])
+        by_name[name] = Doubt(value, *scatter, drifted, moved, worst, FINEST * abs(value))
     return by_name
 
 

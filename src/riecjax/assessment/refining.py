@@ -7,7 +7,7 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
@@ -26,6 +26,7 @@ from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.records.consistency import is_motion
 from riecjax.records.record import Record
+from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
 from riecjax.refinement.optimum import Bounds, Constraints, is_pair
 from riecjax.refinement.output_error import (
@@ -92,14 +93,12 @@ def answered(asked: Asked, estimate: Estimate, refused: bool) -> Answered:
         flaw = "" if refused else _left_out(estimate)
         refinement = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate)
     else:
-        from riecjax.refinement.integral_error import IntegralError
-
         # Over the estimate's windows if no others are asked for; its values are the answer.
         if isinstance(by, IntegralError) and by.criterion is None:
             by = IntegralError(estimate.criterion)
         refined, _, left = _search(asked, estimate, by, MOST_STEPS, settings.progress)
         refinement = Refinement(refined, whiteness=left)
-        failed = [*failed, *against_priors(estimate, settings.priors)]
+        failed += against_priors(estimate, settings.priors)
     if refinement.refined is None:
         return refinement, before, failed
     values = refinement.refined.values
@@ -128,8 +127,6 @@ def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | No
     if settings.refine in (None, "none"):
         return None
     if settings.refine == "integral":
-        from riecjax.refinement.integral_error import IntegralError
-
         return IntegralError()
     if settings.refine == "output-error":
         horizon = settings.horizon
@@ -140,12 +137,8 @@ def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | No
 
 def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[BeforeAfter]:
     # By recording, not by name: files in different folders may share one.
-    earlier = {id(run.recording): run.held for run in before}
-    return [
-        BeforeAfter(run.recording, earlier[id(run.recording)], run.held)
-        for run in after
-        if id(run.recording) in earlier
-    ]
+    pairs = ((first, then) for first in before for then in after)
+    return [BeforeAfter(*a, b.held) for a, b in pairs if a.recording is b.recording]
 
 
 def _search(
@@ -262,17 +255,14 @@ def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) 
     shooting = Tiles(seconds=min(lengths)) if lengths else WholeRecord()
     specified = OutputError().specify(asked.model, asked.records, estimate)
     system = specified.model[0].build(specified.table.values_of(specified.values, 0))
-    channels = _channels(system, asked.records)
-    return OutputError(shooting, channels=channels, sigma=_noise(asked.records, channels))
-
-
-def _noise(records: list[Record], channels: tuple[str, ...] | None) -> dict[str, Any] | None:
-    """Noise that each channel is weighed by, in its unit; `None` where nothing tells it."""
-    levels = {}
+    records = asked.records
+    channels, levels = _channels(system, records), {}
     for name in channels or ():
         least = LEAST_NOISE * np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
         levels[name] = max(noise_levels(records, (name,))[0], least)
-    return levels if levels and all(level > 0 for level in levels.values()) else None
+    # What each channel is weighed by, in its unit, where something tells it.
+    sigma: Any = levels if levels and all(level > 0 for level in levels.values()) else None
+    return OutputError(shooting, channels=channels, sigma=sigma)
 
 
 def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] | None:
@@ -329,9 +319,10 @@ INSIDE = 0.1
 """Share of the way between bounds, or of the way to the only one, by which a start stands off."""
 
 
-def against_priors(estimate: Estimate, priors: Mapping[str, tuple[float, float]]) -> list[Finding]:
+def against_priors(
+    estimate: Estimate, priors: Mapping[str, tuple[float, float]]
+) -> Iterator[Finding]:
     """Priors from which what the data tell without them lies further than chance explains."""
-    findings = []
     for name in priors.keys() & {*estimate.parameters}:
         (mean, std), value = priors[name], float(estimate[name])
         error = float(estimate.standard_error(name))
@@ -341,13 +332,11 @@ def against_priors(estimate: Estimate, priors: Mapping[str, tuple[float, float]]
                 f"{value:.4g} +- {error:.2g}, contradict each other: what was answered lies "
                 f"between two values of which one is wrong."
             )
-            findings.append(Finding("prior_disagrees", message, parameters=(name,), doubt=1.0))
-    return findings
+            yield Finding("prior_disagrees", message, parameters=(name,), doubt=1.0)
 
 
-def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> list[Finding]:
+def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> Iterator[Finding]:
     """Values of a linear estimate, which knows of no bounds, that lie outside of them."""
-    findings = []
     for name, value, nearest, (low, high) in _strays(answer, bounds):
         side = f"below {low:g}" if value < low else f"above {high:g}"
         message = (
@@ -356,8 +345,7 @@ def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> li
             f"value (--set), or check the bound."
         )
         doubt = abs(value - nearest) / size_of(value)
-        findings.append(Finding("outside_bound", message, parameters=(name,), doubt=doubt))
-    return findings
+        yield Finding("outside_bound", message, parameters=(name,), doubt=doubt)
 
 
 def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEstimate:
@@ -372,19 +360,18 @@ def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEst
 
 def _strays(
     estimate: AbstractEstimate, bounds: Mapping[str, Bounds]
-) -> list[tuple[str, float, float, tuple[float, float]]]:
+) -> Iterator[tuple[str, float, float, tuple[float, float]]]:
     """Parameters out of bounds, with value, nearest bound and both."""
     # What makes no sense is refused by the search.
     given = {n: b for n, b in bounds.items() if is_pair(b, or_none=True)}
-    given, strays = estimate.table.values(given), []
+    given = estimate.table.values(given)
     for name in (name for name in estimate.parameters if name in given):
         low, high = given[name]
         low = -np.inf if low is None else float(low)
         high = np.inf if high is None else float(high)
         value = float(estimate[name])
         if low < high and not low < value < high:
-            strays.append((name, value, low if value <= low else high, (low, high)))
-    return strays
+            yield name, value, low if value <= low else high, (low, high)
 
 
 LIKELIER = float(np.log(100))

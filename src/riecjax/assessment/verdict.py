@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
 from riecjax.equations.expressions import constant
-from riecjax.findings import CODES, KINDS, Finding, code_of, codes_of
+from riecjax.findings import CODES, KINDS, PHRASES, Finding, code_of
 from riecjax.shows import Shown
 from riecjax.validation.sweep import MOST
 
@@ -57,7 +57,7 @@ def causes(
     """Of all findings, first what does most to the parameters."""
     grouped, findings, tests = [], assessment.findings(), assessment.equation_residuals
     for kind in KINDS:
-        evidence = [f for code in codes_of(kind) for f in findings if f.code == code]
+        evidence = [f for code in PHRASES[kind] for f in findings if f.code == code]
         if not evidence:
             continue
         concerned = {name for f in evidence for name in assessment.parameters_of(f)}
@@ -84,9 +84,8 @@ def widening(assessment: "Assessment") -> dict[str, str]:
     """Of parameters whose intervals are wide by more than chance, what is known to make them so."""
     common = assessment.answer.table.concerned(_with_constant_part(assessment))
     disagreeing = [f for f in assessment.findings() if f.code == "records_disagree"]
-    return dict.fromkeys(common, CONSTANT) | {
-        name: CODES[finding.code].phrase for finding in disagreeing for name in finding.parameters
-    }
+    names = (name for finding in disagreeing for name in finding.parameters)
+    return dict.fromkeys(common, CONSTANT) | dict.fromkeys(names, CODES["records_disagree"].phrase)
 
 
 def _with_constant_part(assessment: "Assessment") -> set[str]:
@@ -95,18 +94,17 @@ def _with_constant_part(assessment: "Assessment") -> set[str]:
     return {name for test in some for name in test.parameters}
 
 
-def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
-    """What might be done about findings, the best first."""
-    by, tests = {f.code: f for f in reversed(own)}, assessment.equation_residuals
+def _steps(assessment: "Assessment", evidence: Sequence[Finding]) -> Iterator[Step]:
+    """What might be done about findings of one kind of cause, the best first."""
+    by, tests = {f.code: f for f in reversed(evidence)}, assessment.equation_residuals
     weight = getattr(assessment.estimate.criterion, "test_function", None)
     smooth = isinstance(weight, AbstractSmoothTestFunction)
-    yield from (Step(f.step, f.remedy) for f in own if f.step)
+    yield from (Step(f.step, f.remedy) for f in evidence if f.step)
     if "prior_disagrees" in by or "outside_bound" in by:
-        names = [f.parameters[0] for f in own if f.code in ("prior_disagrees", "outside_bound")]
+        said = ("prior_disagrees", "outside_bound")
+        names = [f.parameters[0] for f in evidence if f.code in said]
         yield Step(f"Check what you said of {joined(names)}, its unit too, or leave it out")
-    if "time_unit_doubtful" in by:
-        column = "in its column's name, as in 'time [ms]', or scale it (--scale)"
-        yield Step(f"State the unit of time {column}")
+    yield from (step for code, step in STEPS.items() if code in by)
     if "unmodelled_mode" in by:
         peaked = [e for e in tests if e.peak is not None and e.bodies]
         equation = max(peaked, key=lambda e: e.peak.size if e.peak else 0.0, default=None)
@@ -126,13 +124,11 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
     if "uneven_errors" in by:
         # The zero of an input's sensor, where its equation has no constant term yet.
         names = {e.name for e in tests if e.has_constant_part}
-        for equation in assessment.model.equations:
-            if equation.name in names and all(t.of is not constant for t in equation.terms):
-                known = [t for t in equation.terms if t.signal and not t.parameters]
-                inputs = [str(t.signal) for t in known if t.derivative == 0]
-                for name in inputs[:1]:
-                    words = f"Estimate the zero of the sensor of {name}"
-                    yield Step(words, ("--unknown-offset", name))
+        equations = (e for e in assessment.model.equations if e.name in names)
+        terms = (e.terms for e in equations if all(t.of is not constant for t in e.terms))
+        known = (t for some in terms for t in some if t.signal and not t.parameters)
+        for name in (str(term.signal) for term in known if term.derivative == 0):
+            yield Step(f"Estimate the zero of the sensor of {name}", ("--unknown-offset", name))
     if "window_sensitive" in by and assessment.sweep is not None:
         drifting = by["window_sensitive"].parameters
         if assessment.sweep.noise_share(drifting[0]) > MOST and not smooth:
@@ -148,15 +144,11 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
             f"it is late"
         )
     if "records_disagree" in by:
-        names = [f.parameters[0] for f in own if f.code == "records_disagree"]
+        names = [f.parameters[0] for f in evidence if f.code == "records_disagree"]
         options = [word for name in names for word in ("--per-record", name)]
         yield Step(f"Let {joined(names)} differ between recordings", tuple(options))
-    if "noise_dominates" in by:
-        yield Step("Compare simulations, which need no derivative", ("--refine", "output-error"))
     if "coarse_sampling" in by and assessment.estimate.criterion.all_windows is not None:
         yield Step("Integrate by a higher order", ("--quadrature", "6"))
-    if {"few_blocks", "few_effective_windows", "short_record"} & by.keys():
-        yield Step("Record for longer, or excite the machine all along")
     weak = [by[c] for c in ("nearly_collinear", "unidentifiable", "ill_conditioned") if c in by]
     hidden = {row.name for row in assessment.answer.table.rows if row.element is not None}
     if any(name in hidden for finding in weak for name in finding.parameters):
@@ -166,6 +158,18 @@ def _steps(assessment: "Assessment", own: Sequence[Finding]) -> Iterator[Step]:
 
 
 SMOOTH = ("--test-function", "bump")
+FEW = ("few_blocks", "few_effective_windows", "short_record")
+"""Findings that a record is short."""
+STEPS = {
+    "time_unit_doubtful": Step(
+        "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
+    ),
+    "noise_dominates": Step(
+        "Compare simulations, which need no derivative", ("--refine", "output-error")
+    ),
+    **dict.fromkeys(FEW, Step("Record for longer, or excite the machine all along")),
+}
+"""What to do about findings of a code, whatever they say."""
 
 
 def joined(names: Sequence[str]) -> str:
@@ -225,13 +229,15 @@ class Verdict(Shown):
 def verdict(assessment: "Assessment") -> Verdict:
     """The verdict on the answer of an assessment (not under jit)."""
     by_name, widened = doubts(assessment), widening(assessment)
-    grouped, judged = causes(assessment, by_name, widened), {}
-    for name, doubt in by_name.items():
-        unit = assessment.answer.table[name].unit
-        level, reason = _judged(name, doubt, grouped, widened.get(name, ""))
-        judged[name] = ParameterVerdict(
-            name, doubt.value, unit, level, reason, doubt.ends, doubt.share(doubt.size)
+    grouped, table = causes(assessment, by_name, widened), assessment.answer.table
+    judged = {
+        name: ParameterVerdict(
+            *(name, doubt.value, table[name].unit),
+            *_judged(name, doubt, grouped, widened.get(name, "")),
+            *(doubt.ends, doubt.share(doubt.size)),
         )
+        for name, doubt in by_name.items()
+    }
     return Verdict(_sentence(judged), judged, grouped)
 
 
@@ -263,8 +269,7 @@ def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> 
 
 def _reason(kind: str, name: str, grouped: Sequence[Cause]) -> str:
     if kind == "data":
-        few = ("short_record", "few_blocks", "few_effective_windows")
-        told = [f for cause in grouped for f in cause.findings if f.code in few]
+        told = [f for cause in grouped for f in cause.findings if f.code in FEW]
         short = any(name in (f.parameters or (name,)) for f in told)
         return "scatter; the record is short" if short else "scatter"
     for cause in grouped:
@@ -284,21 +289,27 @@ def _sentence(judged: Mapping[str, ParameterVerdict]) -> str:
     if len(good) == len(judged) > NAMED:
         least = f"{good[-1].name}, to {percent(good[-1].share)}"
         return f"Trust all {len(good)} parameters; the least certain is {least}."
-    clauses = [f"trust {_listed(good)}"] if good else []
-    clauses += [f"take {_listed(caution)} with caution"] if caution else []
-    clauses += [f"do not use {_listed(out, shares=False)}"] if out else []
+    clauses = (
+        f"trust {_listed(good)}" if good else "",
+        f"take {_listed(caution)} with caution" if caution else "",
+        f"do not use {_listed(out, shares=False)}" if out else "",
+    )
     because = f": {(out or caution)[-1].reason}" if caution or out else ""
-    words = "; ".join(clauses)
+    words = "; ".join(filter(None, clauses))
     return f"{words[0].upper()}{words[1:]}{because}."
 
 
 def _listed(some: Sequence[ParameterVerdict], shares: bool = True) -> str:
     """Each with how far it is to be trusted, if that is asked for."""
-    words = []
-    for judged in some[:NAMED]:
-        reach = f"to {percent(judged.share)}" if judged.share < 1 else "(not told from zero)"
-        bare = not shares or math.isnan(judged.share)
-        words.append(judged.name if bare else f"{judged.name} {reach}")
+    reaches = (
+        ""
+        if not shares or math.isnan(judged.share)
+        else f" to {percent(judged.share)}"
+        if judged.share < 1
+        else " (not told from zero)"
+        for judged in some
+    )
+    words = [f"{judged.name}{reach}" for judged, reach in zip(some[:NAMED], reaches)]
     if (more := len(some) - NAMED) > 0:
         worst = max((one.share for one in some if shares and one.share < 1), default=1.0)
         words.append(f"{more} more{f' to {percent(worst)}' if worst < 1 else ''}")

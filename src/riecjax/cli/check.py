@@ -4,7 +4,7 @@ import dataclasses
 
 import click
 
-from riecjax import settings
+from riecjax import reporting, settings
 from riecjax.cli.command import Given, settings_command
 from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
@@ -34,7 +34,6 @@ def command(given: Given) -> None:
 
     from riecjax.assessment.assess import check_answering
     from riecjax.reporting.checking import check_document, print_check
-    from riecjax.reporting.output import emit
 
     model = given.model()
     with Progress():
@@ -42,6 +41,6 @@ def command(given: Given) -> None:
         asked = dataclasses.replace(asked, key=jax.random.key(given.seed))
         answering = check_answering(model, recordings, asked)
     document = check_document(answering, model.name, recordings)
-    emit(document, as_json=given.as_json, out=None, show=print_check)
+    reporting.emit(document, as_json=given.as_json, out=None, show=print_check)
     if answering.refusal is not None:
         click.get_current_context().exit(1)

@@ -3,9 +3,10 @@
 import codecs
 import dataclasses
 import functools
+import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
+from riecjax.findings import Finding
 from riecjax.settings import Contradiction, Elements, Option, Reading, Settings
 from riecjax.settings.kinds import TEST_FUNCTIONS
 from riecjax.standard_output import keep_for_answers
@@ -20,9 +22,7 @@ from riecjax.whole_files import read_plain, seen_from
 
 if TYPE_CHECKING:
     from riecjax.equations.model import Model
-    from riecjax.findings import Finding
     from riecjax.records.recording import Recording
-    from riecjax.reporting.document import Document
 
 RENAMED = {"own": "per-record"}
 """Keys of job files of earlier versions."""
@@ -32,22 +32,11 @@ SMALL_FILES = 2**24
 Kind = TypeVar("Kind", bound=Settings)
 
 
-class Parsed(click.ParamType):
-    """What an option makes of a text."""
-
-    def __init__(self, option: Option):
-        self.name, self.option = option.form, option
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        try:
-            return self.option.parsed(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
-
-
-def _collected(option: Option, ctx: click.Context, param: click.Parameter, value: Any) -> Any:
+def _parsed(option: Option, ctx: click.Context, param: click.Parameter, value: Any) -> Any:
+    """What an option makes of its text, or of several."""
     try:
-        return option.collected(value)
+        texts = [value] if isinstance(value, str) else value
+        return None if texts is None else option.parsed(*texts)
     except ValueError as error:
         raise click.BadParameter(str(error), ctx, param) from None
 
@@ -55,28 +44,21 @@ def _collected(option: Option, ctx: click.Context, param: click.Parameter, value
 def _parameter(name: str, settings: type[Settings]) -> click.Parameter:
     """What click knows of a setting. Whether it must be there is seen after a job was read."""
     option = settings.options()[name]
-    kind = click.Choice(option.kind.choices) if option.kind.choices else Parsed(option)
-    many = option.shape in ("many", "named")
-    said: dict[str, Any] = {"callback": functools.partial(_collected, option)} if many else {}
+    many, choices = option.shape in ("many", "named"), option.kind.choices
+    said: dict[str, Any] = {"is_flag": True, "default": option.default}
+    if option.shape != "flag":
+        form = option.form if "|" in option.form else option.form.upper()
+        said = {
+            "type": click.Choice(choices) if choices else str,
+            "callback": functools.partial(_parsed, option),
+            "metavar": option.metavar or (None if choices else form),
+        }
     if not option.flag:
         # A command of one thing takes one; RECORD... stands for any number.
-        return click.Argument(
-            [name],
-            type=kind,
-            metavar=option.metavar,
-            nargs=-1 if many else 1,
-            required=False,
-            **said,
-        )
-    if option.shape == "flag":
-        said = {"is_flag": True, "default": option.default}
-    else:
-        said |= {
-            "type": (kind,) * option.count if option.count > 1 else kind,
-            "multiple": many,
-            "metavar": option.metavar or (option.kind.name if "|" in option.kind.name else None),
-            "default": None if many else option.default,
-        }
+        return click.Argument([name], nargs=-1 if many else 1, required=False, **said)
+    if option.shape != "flag":
+        default = None if many else option.default
+        said |= {"nargs": option.count, "multiple": many, "default": default}
     silent = option.default_in_words or option.default is None or option.default is False
     shown = not silent and option.default not in ((), {})
     return click.Option([option.flag, name], show_default=shown, **said)
@@ -111,12 +93,11 @@ class Given:
     def take(self, kind: type[Kind]) -> Kind:
         """The settings of one kind, with the user's own test function for its name."""
         values = {name: self.values[name] for name in kind.options() if name in self.values}
-        weight = values.get("test_function")
+        asked, weight = kind(**values), values.get("test_function")
         if weight is None or weight in TEST_FUNCTIONS:
-            return kind(**values)
+            return asked
         from riecjax.models.catalogue import test_function_of_file
 
-        asked = kind(**values)
         return dataclasses.replace(asked, test_function=test_function_of_file(weight))
 
     def model(self) -> "Model":
@@ -179,25 +160,33 @@ class Given:
         held = (sorted(Path(p).iterdir()) if os.path.isdir(p) else [p] for p in found)
         return [str(file) for files in held for file in files]
 
-    def keep_in(self, document: "Document") -> None:
+    def keep_in(self, document: dict[str, Any]) -> None:
         """Write into a result what makes it again, and digests of the files that it is of."""
-        from riecjax.reporting.provenance import digests
-
         document["job"] = self.as_job(self.out)
         document["provenance"]["files"] = digests(self.inputs(), self.out)
 
-    def changed_files(self) -> "list[Finding]":
+    def changed_files(self) -> list[Finding]:
         """Files that are others than those the job's results were made from, told at once.
 
         Files typed beside a job are no change of the job's.
         """
         if self.job is None or not self.recorded:
             return []
-        from riecjax.reporting.provenance import changed_files
-
-        changed = changed_files(self.inputs(), self.recorded, self.job)
-        for finding in changed:
-            click.echo(f"warning [{finding.code}]: {finding.message}", err=True)
+        folder, changed = os.path.dirname(self.job), []
+        known = {
+            os.path.normpath(os.path.join(folder, digest["file"])): digest["sha256"]
+            for digest in self.recorded
+        }
+        for file in digests(file for file in self.inputs() if file in known):
+            before, now = known[os.path.normpath(file["file"])], file["sha256"]
+            if now != before:
+                message = (
+                    f"{file['file']} is not the file that {self.job.name} was made from (its "
+                    f"SHA-256 begins with {now[:8]}, not {before[:8]}): these numbers are of the "
+                    f"new file."
+                )
+                click.echo(f"warning [file_changed]: {message}", err=True)
+                changed.append(Finding("file_changed", message))
         return changed
 
     def with_options(self, words: Sequence[str]) -> list[str]:
@@ -257,6 +246,22 @@ def read_job(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         toml = "" if file.suffix.lower() == ".json" else ". Words stand in quotes in TOML"
         why = f"it is not understood: {error}{toml}"
     raise click.UsageError(f"--job {file}: {why}.")
+
+
+def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, Any]]:
+    """Size and SHA-256 of files, of those that are there.
+
+    **Arguments:** `folder`, where names of files start from; here if `None`.
+    """
+
+    def sha256(file: str) -> str:
+        with open(file, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+
+    return [
+        {"file": seen_from(folder, file), "bytes": os.path.getsize(file), "sha256": sha256(file)}
+        for file in filter(os.path.isfile, files)
+    ]
 
 
 def _with_names(before: Any, value: Any) -> Any:
@@ -379,10 +384,6 @@ def settings_command(
     name: str, *kinds: type[Settings], short_help: str
 ) -> Callable[[Callable[[Given], None]], SettingsCommand]:
     """Make a command of a function that is [`Given`][] settings of these kinds."""
-
-    def decorate(function: Callable[[Given], None]) -> SettingsCommand:
-        return SettingsCommand(
-            name, kinds, callback=function, help=function.__doc__, short_help=short_help
-        )
-
-    return decorate
+    return lambda function: SettingsCommand(
+        name, kinds, callback=function, help=function.__doc__, short_help=short_help
+    )

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from riecjax import settings
+from riecjax import reporting, settings
 from riecjax.cli.command import Given, settings_command
 from riecjax.cli.progress import Progress
 from riecjax.runtime import start_jax
@@ -34,11 +34,10 @@ def command(given: Given) -> None:
         discovery_page,
         print_discovery,
     )
-    from riecjax.reporting.output import emit, require_folder
 
     out, candidates = given.out, given.candidates
     if out is not None:
-        require_folder(out)
+        reporting.require_folder(out)
     model = given.model()
     if candidates is not None:
         offered = as_candidates(object_of_file(candidates))
@@ -52,7 +51,7 @@ def command(given: Given) -> None:
         others[MODEL_FILE] = lambda path: path.write_text(source, encoding="utf-8")
     document = discovery_document(found, given.arguments, written)
     given.keep_in(document)
-    emit(
+    reporting.emit(
         document,
         as_json=given.as_json,
         out=out,

@@ -32,11 +32,10 @@ def command(given: Given) -> None:
     import jax
 
     from riecjax.assessment.assess import assess
-    from riecjax.reporting.output import require_folder
     from riecjax.uncertainty.intervals import intervals_of
 
     if given.out is not None:
-        require_folder(given.out)
+        reporting.require_folder(given.out)
     model = given.model()
     with Progress() as progress:
         recordings = given.recordings(model)
@@ -50,19 +49,14 @@ def command(given: Given) -> None:
         )
         assessment = assess(model, recordings, **vars(asked))
     # Not earlier: what reports are made with takes a second to import.
-    from riecjax.reporting.identification import (
-        identification_document,
-        print_everything,
-        print_identification,
-    )
-    from riecjax.reporting.output import emit
+    from riecjax.reporting.identification import print_everything, print_identification
 
-    document = identification_document(assessment, given.arguments, given.with_options)
+    document = reporting.identification_document(assessment, given.arguments, given.with_options)
     # Files that changed have been told of already.
     told = list(document["warnings"]) if given.verbose or given.as_json else []
     document["warnings"] += [finding._asdict() for finding in changed]
     given.keep_in(document)
-    emit(
+    reporting.emit(
         document,
         as_json=given.as_json,
         out=given.out,

@@ -4,7 +4,6 @@ import contextlib
 import errno
 import importlib
 import io
-import json
 import os
 import sys
 from typing import Any
@@ -141,7 +140,7 @@ def _no_answer(message: str, code: str) -> int:
         from riecjax.reporting.document import SCHEMA
 
         error = {"code": code, "message": message}
-        answer(json.dumps({"schema": SCHEMA, "error": error}, indent=2))
+        answer({"schema": SCHEMA, "error": error})
     return _fail(message, 1)
 
 

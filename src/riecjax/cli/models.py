@@ -1,6 +1,5 @@
 """`riecjax models`: the built-in models."""
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,7 +43,7 @@ def command(given: Given) -> None:
             }
             for model in shown
         }
-        answer(json.dumps({"schema": SCHEMA, "models": models}, indent=2))
+        answer({"schema": SCHEMA, "models": models})
         return
     console = Console()
     for i, model in enumerate(shown):

@@ -1,26 +1,16 @@
 """`riecjax simulate`: write a simulated recording."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
+from riecjax import settings
 from riecjax.cli.command import Given, settings_command
 from riecjax.cli.progress import Progress
 from riecjax.memory import require_memory
 from riecjax.runtime import start_jax
-from riecjax.settings import (
-    CODE,
-    NEW_FILE,
-    POSITIVE,
-    TEXT,
-    Document,
-    Known,
-    Seed,
-    Settings,
-    setting,
-)
+from riecjax.settings import CODE, NEW_FILE, POSITIVE, TEXT, Settings, setting
 from riecjax.standard_output import answer
 
 BYTES_PER_VALUE = 50.0
@@ -48,9 +38,10 @@ class Simulate(Settings):
     """File to write: CSV, NPZ, Parquet or MAT by its ending."""
 
 
-@settings_command(
-    "simulate", Simulate, Known, Seed, Document, short_help="Make a recording by simulation."
-)
+SETTINGS = (Simulate, settings.Known, settings.Seed, settings.Document)
+
+
+@settings_command("simulate", *SETTINGS, short_help="Make a recording by simulation.")
 def command(given: Given) -> None:
     """Simulate MODEL along an input and write the recording to a file.
 
@@ -92,7 +83,7 @@ def command(given: Given) -> None:
         "seed": given.seed,
     }
     if given.as_json:
-        answer(json.dumps(document, indent=2))
+        answer(document)
     else:
         click.echo(
             f"wrote {given.out}: {record.sample_count} samples at "

@@ -441,7 +441,7 @@ def length_map_chart(lengths: Float[Array, "roads pairs parameters"]) -> Chart:
         values = theta[:, reproduction.PARAMETERS.index(name)]
         change = np.full((grid.size, grid.size), np.nan)
         change[up, across] = 100 * (values / values[reproduction.OF_TABLE_2] - 1)
-        heat = HeatMap(grid, grid, change, "change / %", -20.0, 20.0, diverging=True)
+        heat = HeatMap(grid, grid, change, "change / %", -20.0, 20.0)
         x, y = Axis("alpha / s", categories=names), Axis("beta / s", categories=names)
         row.append(Panel([heat], x, y, title=name))
     return Chart(

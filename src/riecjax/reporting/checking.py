@@ -137,12 +137,11 @@ def noise_entries(recordings: Sequence[Recording], signals: Iterable[str]) -> di
     its own that is."""
     entries = {}
     for name in signals:
-        some = [r.record.select(name) for r in recordings if name in r.record.by_name]
-        if some:
-            noise = np.sqrt(np.mean([np.mean(judged(one).noise.std(name) ** 2) for one in some]))
-            size = np.sqrt(np.mean([np.var(np.asarray(one[name])) for one in some]))
+        if records := [r.record.select(name) for r in recordings if name in r.record.by_name]:
+            noise = np.sqrt(np.mean([np.mean(judged(r).noise.std(name) ** 2) for r in records]))
+            size = np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
             share = finite(noise / size) if size > 0 else None
-            unit = some[0].signal(name).unit
+            unit = records[0].signal(name).unit
             entries[name] = {"std": finite(noise), "unit": unit, "share": share}
     return entries
 

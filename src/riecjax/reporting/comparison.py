@@ -162,12 +162,9 @@ def _why_not_comparable(documents: Sequence[Document]) -> str:
 
 def _information(documents: Sequence[Document]) -> list[float]:
     """Akaike's criterion of each, above the least."""
-    effective = []
-    for document in documents:
-        entries = document["parameters"].values()
-        shares = [1 / e["effective_windows"] for e in entries if e["effective_windows"]]
-        effective.append(len(shares) / sum(shares) if shares else math.inf)
-    windows = min(effective)
+    counts = ([e["effective_windows"] for e in d["parameters"].values()] for d in documents)
+    shares = ([1 / count for count in some if count] for some in counts)
+    windows = min(len(some) / sum(some) if some else math.inf for some in shares)
     criteria = [
         windows * sum(math.log(of["rms"] ** 2) for of in _residuals(document).values())
         + 2 * len(document["parameters"])

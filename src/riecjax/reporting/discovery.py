@@ -1,5 +1,6 @@
 """A discovery in plain data, in a sentence, and as tables on a terminal."""
 
+import functools
 import shlex
 from collections.abc import Sequence
 
@@ -12,15 +13,8 @@ from riecjax.discovery.search import Step
 from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
 from riecjax.findings import option_for
 from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
-from riecjax.reporting.document import (
-    SCHEMA,
-    Document,
-    finite,
-    number,
-    probability,
-    told,
-    versions,
-)
+from riecjax.reporting.checking import share_in_words
+from riecjax.reporting.document import SCHEMA, Document, finite, number, probability, told, versions
 from riecjax.reporting.equations import equation_in_words
 from riecjax.reporting.estimate import known_entries, parameter_entries, parameter_table
 from riecjax.reporting.page import Page, Section
@@ -28,6 +22,7 @@ from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 NOTABLE = 0.05
 """Share of what is unexplained that noise must make to be told."""
+percent = functools.partial(share_in_words, digits=2)
 
 
 def discovery_document(
@@ -180,11 +175,6 @@ def _noise(step: Step) -> str:
     if share < NOTABLE:
         return ""
     return f", {'nearly all' if share > 1 - NOTABLE else f'{100 * share:.0f} %'} of it noise"
-
-
-def percent(share: float) -> str:
-    """A share, to two digits."""
-    return f"{number(100 * share, 2)} %"
 
 
 def path_table(document: Document) -> Table:

@@ -1,6 +1,6 @@
 """An estimate in plain data, and as tables on a terminal."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,17 +70,11 @@ def print_estimate(document: Document, console: Console) -> None:
     heading = f"{document['model']}  {criterion['name'].upper()}  {settings_in_words(criterion)}"
     say(console, heading)
     print_table(in_rich(parameter_table(document)), console)
-    # What each stage leaves, and each equation of a stage of several.
-    for stage in document["residual"]["stages"]:
-        say(
-            console,
-            f"{stage['equation']}: relative residual {100 * stage['relative_rms']:.3g} %, "
-            f"condition number {number(stage['condition_number'], 3)}, {stage['rows']} rows",
-        )
-        for name in several(stage):
-            left = document["residual"]["equations"][name]
-            share = f"{100 * left['relative_rms']:.3g} %"
-            say(console, f"{name}: relative residual {share}, {left['rows']} rows")
+    for name, left in fits_of(document["residual"]):
+        told = [f"relative residual {100 * left['relative_rms']:.3g} %"]
+        if "condition_number" in left:
+            told.append(f"condition number {number(left['condition_number'], 3)}")
+        say(console, f"{name}: {', '.join(told)}, {left['rows']} rows")
 
 
 def settings_in_words(criterion: Mapping[str, Any]) -> str:
@@ -88,9 +82,12 @@ def settings_in_words(criterion: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} {value}" for key, value in criterion.items() if key != "name")
 
 
-def several(stage: Document) -> list[str]:
-    """Names of the equations of a stage that has more than one."""
-    return stage["equations"] if len(stage["equations"]) > 1 else []
+def fits_of(residual: Document) -> Iterator[tuple[str, Document]]:
+    """What each stage leaves, and each equation of a stage of several, by name."""
+    for stage in residual["stages"]:
+        yield stage["equation"], stage
+        for name in stage["equations"] if len(stage["equations"]) > 1 else ():
+            yield name, residual["equations"][name]
 
 
 USUAL = ("value", "std error", "95 % interval", "unit")
@@ -109,9 +106,9 @@ def parameter_table(
     """
     refinement = document.get("refinement") or {}
     chosen = refinement.get("chosen")
-    beside = refinement["identified"] if chosen else refinement.get("refined")
-    judged = (document.get("verdict") or {}).get("parameters", {})
     other = "identified" if chosen else "refined"
+    beside = refinement.get(other) or {}
+    judged = (document.get("verdict") or {}).get("parameters", {})
     cells: dict[str, Callable[[Document], str]] = {
         "value": lambda entry: number(entry["value"]),
         other: lambda entry: number(entry[other]["value"]) if other in entry else "",
@@ -120,28 +117,29 @@ def parameter_table(
             interval(entry["interval95"]) if "interval95" in entry else "known"
         ),
         "unit": lambda entry: entry["unit"],
-        "doubt": lambda entry: doubt_in_words(entry["share"]) if "share" in entry else "",
+        "doubt": lambda entry: (
+            ""
+            if "share" not in entry
+            else "?"
+            if entry["share"] is None
+            else percent(entry["share"])
+        ),
         "from .. to": lambda entry: interval(entry["doubt"]),
         "verdict": lambda entry: entry.get("level", ""),
         "because of": lambda entry: entry["reason"],
         "mostly from": lambda entry: entry["reason"],
     }
-    if beside is not None and columns == USUAL:
+    if beside and columns == USUAL:
         columns = (other, *USUAL) if chosen else (*USUAL[:-1], other, USUAL[-1])
     entries = {
         name: {
             **judged.get(name, {}),
-            **({other: beside[name]} if beside is not None and name in beside else {}),
+            **({other: beside[name]} if name in beside else {}),
             **entry,
         }
         for name, entry in (document["parameters"] | document["known"]).items()
     }
     return Table.of("parameter", entries.items(), {header: cells[header] for header in columns})
-
-
-def doubt_in_words(share: float | None) -> str:
-    """A doubt as a share of its value."""
-    return "?" if share is None else percent(share)
 
 
 def known_entries(estimate: AbstractEstimate) -> dict[str, Any]:
@@ -161,12 +159,12 @@ def intervals_entry(estimate: Estimate | Refined) -> Document:
 
 def parameter_entries(estimate: AbstractEstimate) -> dict[str, Any]:
     """Value, unit, standard error and interval of each estimated parameter; lists of a batch."""
-    entries = {}
-    for name, (low, high) in estimate.interval_by_name().items():
-        entries[name] = {
+    return {
+        name: {
             "value": finite(estimate[name]),
             "unit": estimate.table[name].unit,
             "std_error": finite(estimate.standard_error(name)),
-            "interval95": [finite(low), finite(high)],
+            "interval95": finite(ends),
         }
-    return entries
+        for name, ends in estimate.interval_by_name().items()
+    }

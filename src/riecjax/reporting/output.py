@@ -6,20 +6,18 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from rich.console import Console
 
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
+from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document, sealed
+from riecjax.reporting.page import Page, render
 from riecjax.standard_output import answer
 from riecjax.whole_files import committing, is_stamped, no_folder, temporary
-
-if TYPE_CHECKING:
-    from riecjax.reporting.charts.chart import Chart
-    from riecjax.reporting.page import Page
 
 RESULTS, REPORT = "results.json", "report.html"
 STAMPED = (".png", ".parquet")
@@ -33,8 +31,8 @@ def emit(
     as_json: bool,
     out: Path | None,
     show: Callable[[Document, Console], None],
-    charts: "Callable[[], Mapping[str, Chart]]" = dict,
-    page: "Callable[[Document], Page] | None" = None,
+    charts: Callable[[], Mapping[str, Chart]] = dict,
+    page: Callable[[Document], Page] | None = None,
     warnings: Sequence[Mapping[str, Any]] | None = None,
     others: Mapping[str, Writer] | None = None,
     beside: Sequence[str] = (),
@@ -53,7 +51,7 @@ def emit(
 
     def say() -> None:
         if as_json:
-            answer(json.dumps(document, indent=2, allow_nan=False))
+            answer(document)
         else:
             show(document, Console())
         console = Console(stderr=True)
@@ -77,8 +75,8 @@ def emit(
 def write_folder(
     folder: Path,
     document: Document,
-    charts: "Mapping[str, Chart]",
-    page: "Page",
+    charts: Mapping[str, Chart],
+    page: Page,
     others: Mapping[str, Writer] | None = None,
 ) -> None:
     """results.json, a PNG of each chart and report.html, each whole or not at all.
@@ -91,7 +89,6 @@ def write_folder(
     """
     require_packages("report")
     from riecjax.reporting.charts.printed import print_chart
-    from riecjax.reporting.page import render
 
     with _folder_beside(folder) as made:
         pictures = {name: made / f"{name}.png" for name in charts}

@@ -5,13 +5,12 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from riecjax.reporting.charts.chart import Chart
+from riecjax.reporting.charts.interactive import Spaces, interactive
 from riecjax.reporting.document import Document
 from riecjax.reporting.tables import Table
-
-if TYPE_CHECKING:
-    from riecjax.reporting.charts.chart import Chart
 
 SCREEN_INCH = 100
 """Pixels to an inch of the printed figure, at most, so that a small figure stays small."""
@@ -50,7 +49,7 @@ class Page:
 
 
 def render(
-    page: Page, document: Document, charts: "Mapping[str, Chart]", pictures: Mapping[str, Path]
+    page: Page, document: Document, charts: Mapping[str, Chart], pictures: Mapping[str, Path]
 ) -> str:
     """The page as one HTML file that needs nothing else, with the document's warnings.
 
@@ -60,8 +59,6 @@ def render(
     import jinja2
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
-
-    from riecjax.reporting.charts.interactive import Spaces, interactive
 
     def figure(name: str) -> dict[str, Any]:
         chart = charts[name]

@@ -120,7 +120,7 @@ def _(thing: Assessment) -> Chart:
     for row in rows:
         if len(row) == 1 and row[0] is not None:
             # It takes all places, as signals over time should.
-            row[0] = replace(row[0], legend=True, columns=width)
+            row[0] = replace(row[0], columns=width)
         else:
             row += [None] * (width - len(row))
     return Chart(rows, f"{thing.model.name}.")
@@ -148,34 +148,29 @@ def relative_figure(documents: Mapping[str, Document]) -> Chart:
     """Parameters with their 95 % intervals, relative to the values of the first document."""
     first = next(iter(documents.values()))["parameters"]
     names = list(dict.fromkeys(n for d in documents.values() for n in d["parameters"]))
-    reference: dict[str, Any] = {}
-    for document in documents.values():
-        for name, entry in document["parameters"].items():
-            reference.setdefault(name, entry["value"])
+    later_first = [d["parameters"] for d in reversed([*documents.values()])]
+    reference = {n: entry["value"] for entries in later_first for n, entry in entries.items()}
     marks: list[Mark] = [Level(axis="x")]
     for j, (label, document) in enumerate(documents.items()):
         shift = 0.0 if len(documents) == 1 else 0.5 * (j / (len(documents) - 1) - 0.5)
         color = SERIES[j % len(SERIES)]
         # A bar for each interval, in one line with gaps, and dots at the values.
-        x, y, values, places = [], [], [], []
-        for i, name in enumerate(names):
-            if (entry := document["parameters"].get(name)) is not None:
-                x += [*_percent(entry["interval95"], reference[name]), math.nan]
-                y += [i + shift, i + shift, math.nan]
-                values += _percent([entry["value"]], reference[name])
-                places.append(i + shift)
-        marks.append(Line(x, y, label, color, width=BOLD))
-        marks.append(Dots(values, places, color=color, size=LARGE))
+        entries = document["parameters"]
+        ends = [_percent(entries[n]["interval95"], reference[n]) for n in names if n in entries]
+        values = [_percent([entries[n]["value"]], reference[n]) for n in names if n in entries]
+        places = [i + shift for i, name in enumerate(names) if name in entries]
+        bars = [(*pair, math.nan) for pair in ends], [(i, i, math.nan) for i in places]
+        marks.append(Line(*map(np.ravel, bars), label, color, width=BOLD))
+        marks.append(Dots(np.ravel(values), places, color=color, size=LARGE))
     ends = [abs(x) for mark in marks if isinstance(mark, Line) for x in np.ravel(mark.x)]
     reach = max((end for end in ends if math.isfinite(end)), default=1.0)
-    limit = FARTHEST if reach > FARTHEST else None
-    several, of, labels = len(documents) > 1, "the value", tuple(names)
-    if several:
-        of = f"the value of {next(iter(documents))}"
-    else:
+    limits = {"low": -FARTHEST, "high": FARTHEST} if reach > FARTHEST else {}
+    base, labels = f"the value of {next(iter(documents))}", names
+    if len(documents) == 1:
+        base = "the value"
         values = {n: with_error(e["value"], e["std_error"]) for n, e in first.items()}
-        labels = tuple(f"{n} = {values[n]} {first[n]['unit']}".rstrip() for n in names)
-    x = Axis(f"95 % interval, from {of} / %", low=None if limit is None else -limit, high=limit)
+        labels = [f"{n} = {values[n]} {first[n]['unit']}".rstrip() for n in names]
+    x = Axis(f"95 % interval, from {base} / %", **limits)
     return single(marks, x, _names(labels), "Parameters with their 95 % intervals.")
 
 

@@ -1,18 +1,18 @@
 """Figures of an identification: fit, window sweep, validation."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax.assessment.asked import TINY
 from riecjax.assessment.assessment import Assessment
-from riecjax.criteria.criterion import DOLS, Rows
+from riecjax.criteria.criterion import DOLS
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, evaluate
 from riecjax.errors import DataError
@@ -37,7 +37,6 @@ from riecjax.reporting.charts.chart import (
     Line,
     Panel,
     Span,
-    Stems,
     in_rows,
     labelled,
     single,
@@ -67,22 +66,23 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
     """`fit`; `curves` and `mode_map` if the model has some; `window_sweep`; `correlation` of the
     parameters; `residual_1`, ... of each equation; `window_choice`; `validation_1`, ... for each.
     """
-    figures = {"fit": _fit_figure(result)}
-    if curves := identified_curves(result):
-        figures["curves"] = curves_figure(curves)
-    if result.modes:
-        figures["mode_map"] = mode_map_figure(result.modes)
-    if result.sweep is not None:
-        figures["window_sweep"] = sweep_figure(result.sweep, result.estimate)
-    figures["correlation"] = correlation_figure(result.estimate)
-    for i, residual in enumerate(result.equation_residuals):
-        figures[f"residual_{i + 1}"] = residual_figure(residual)
-    if result.choice is not None:
-        figures["window_choice"] = window_choice_figure(result.choice)
-    for i, run in enumerate(result.validations):
-        if run.held.signals:
-            figures[f"validation_{i + 1}"] = held_out_figure(run.held, f"{run.recording.name}: ")
-    return figures
+    curves, sweep, choice = identified_curves(result), result.sweep, result.choice
+    residuals, runs = enumerate(result.equation_residuals, 1), enumerate(result.validations, 1)
+    figures = {
+        "fit": _fit_figure(result),
+        "curves": curves_figure(curves) if curves else None,
+        "mode_map": mode_map_figure(result.modes) if result.modes else None,
+        "window_sweep": None if sweep is None else sweep_figure(sweep, result.estimate),
+        "correlation": correlation_figure(result.estimate),
+        **{f"residual_{i}": residual_figure(residual) for i, residual in residuals},
+        "window_choice": None if choice is None else window_choice_figure(choice),
+        **{
+            f"validation_{i}": held_out_figure(run.held, f"{run.recording.name}: ")
+            for i, run in runs
+            if run.held.signals
+        },
+    }
+    return {name: chart for name, chart in figures.items() if chart is not None}
 
 
 def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
@@ -113,9 +113,8 @@ def correlation_figure(estimate: Estimate) -> Chart:
     """Correlation matrix of the estimates."""
     names, label = estimate.parameters, "correlation of the estimates"
     places, values = range(len(names)), np.asarray(estimate.correlation)
-    look = {"low": -1, "high": 1, "diverging": True, "numbers": 2}
     return single(
-        [HeatMap(places, places, values, label, **look)],
+        [HeatMap(places, places, values, label, -1, 1, numbers=2)],
         Axis(categories=names),
         Axis(categories=names, reverse=True),
         "Correlation of the estimates: parameters near 1 or -1 are known better in combination "
@@ -213,7 +212,8 @@ def _fit_figure(result: Assessment) -> Chart:
         chosen = np.linspace(0, measured.size - 1, min(measured.size, MOST_POINTS)).astype(int)
         measured, explained, start = measured[chosen], explained[chosen], start[chosen]
         reach = BEYOND * max(np.abs(measured).max(), np.abs(explained).max(), TINY)
-        marks = [Level(axis="diagonal"), Dots(explained, measured, color=BLUE, **cloud)]
+        ends = [-reach, reach]
+        marks = [Line(ends, ends, color=GREY), Dots(explained, measured, color=BLUE, **cloud)]
         x = Axis(f"explained by the model{unit}", low=-reach, high=reach)
         above.append(Panel(marks, x, Axis(f"measured{unit}", low=-reach, high=reach), title=name))
         left = Dots(start, measured - explained, color=RUST, **cloud)
@@ -247,15 +247,14 @@ class IdentifiedCurve(NamedTuple):
 
 def identified_curves(result: Assessment) -> list[IdentifiedCurve]:
     """The curves of a model that has terms in a basis, from the first record."""
-    found: dict[str, IdentifiedCurve] = {}
-    record = result.recordings[0].record
-    for stage in result.estimate.stages:
-        for equation in result.model.stages[stage.stage]:
-            for term in equation.terms:
-                shared = all(name in result.estimate for name in term.parameters)
-                if term.basis is not None and shared and term.name not in found:
-                    found[str(term.name)] = _curve(result.estimate, equation, term, record)
-    return list(found.values())
+    curves: dict[str, IdentifiedCurve] = {}
+    estimate, record = result.estimate, result.recordings[0].record
+    stages = (result.model.stages[stage.stage] for stage in estimate.stages)
+    for equation, term in ((e, term) for stage in stages for e in stage for term in e.terms):
+        shared = all(name in estimate for name in term.parameters)
+        if term.basis is not None and shared and term.name not in curves:
+            curves[str(term.name)] = _curve(estimate, equation, term, record)
+    return list(curves.values())
 
 
 def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
@@ -280,7 +279,6 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
         "Curves with their 95 % interval, over what the equation leaves for them sample by sample"
         f"{', and beneath them what they leave of that' if sampled else ''}. A curve that samples "
         "go round in loops depends on more than its variable.",
-        heights=(3, 2) if sampled else (),
         share_x=True,
     )
 
@@ -295,7 +293,7 @@ def _curve(
     others = {n: estimate[n] for n in equation.parameters if n not in term.parameters}
     samples = None
     with contextlib.suppress(DataError):  # a derivative that is not recorded
-        rows = _rows_left(equation, record, others)
+        rows = eqx.filter_jit(DOLS().rows)(equation, record).fix(others)
         valid = slice(None) if rows.valid is None else np.asarray(rows.valid)
         left = np.asarray(rows.target)[valid] / float(term.factor)
         samples = variable[valid][:MOST_POINTS], left[:MOST_POINTS]
@@ -320,11 +318,6 @@ def _curve(
         error=np.sqrt(np.maximum(variance, 0)),
         samples=samples,
     )
-
-
-@eqx.filter_jit
-def _rows_left(equation: Equation, record: Record, values: Mapping[str, Array]) -> Rows:
-    return DOLS().rows(equation, record).fix(values)
 
 
 EXCERPT = 400
@@ -371,8 +364,9 @@ def residual_figure(residual: EquationResidual) -> Chart:
         Axis(labelled("impulse of the error", unit)),
     )
     noise = Span(-found.bound, found.bound, "y", "white noise, 95 %")
+    stems = np.stack([0 * found.values, found.values, np.nan * found.values], axis=1)
     autocorrelation = Panel(
-        [noise, Level(0), Stems(found.lag, found.values, color=BLUE)],
+        [noise, Level(0), Line(np.repeat(found.lag, 3), stems.ravel(), width=THIN)],
         Axis("lag / s"),
         Axis("autocorrelation of the error", low=-BEYOND, high=BEYOND),
     )
@@ -429,13 +423,9 @@ def _target_and_error(
     least = max(np.min(spectrum.error[1:]), LEAST_SHOWN * largest)
     across = Axis("frequency / Hz", log=True, low=frequency[0], high=frequency[-1])
     low = 0.5 * float(least) if least > 0 else None
-    return (target, error), (across, Axis(density_label(unit), log=True, low=low))
-
-
-def density_label(unit: str) -> str:
-    """Label of an axis of power densities, of a quantity in this unit."""
     square = f"{unit}²" if unit.isalnum() else f"({unit})²" if unit else "1"
-    return f"power density / ({square}/Hz)"
+    density = Axis(f"power density / ({square}/Hz)", log=True, low=low)
+    return (target, error), (across, density)
 
 
 def _positive(density: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
@@ -450,22 +440,23 @@ def window_choice_figure(choice: WindowChoice) -> Chart:
     in_use = f"in use, {choice.alpha:.3g} to {choice.beta:.3g} s"
     better = f"recommended, {low:.2g} to {high:.2g} s"
     length = Axis("window length / s", log=True, low=choice.length[0], high=choice.length[-1])
-    for i, equation in enumerate(choice.equations):
-        titled = {"title": equation.name, "legend": i == 0}
+    for equation in choice.equations:
         # Spectra, and over them what the current windows let into an integral.
         lines, axes = _target_and_error(equation.spectrum, equation.unit)
-        gain = equation.mean_gain[1:] / np.max(equation.mean_gain)
-        shown = {"label": "expected gain (right)", "dashes": "dashed", "right": True}
-        right = Axis("gain against its largest", low=0, high=BEYOND, color=BLUE)
-        spectra = Panel([*lines, Line(lines[0].x, gain, **shown)], *axes, right, **titled)
+        largest = np.max(equation.spectrum.target[1:]) / np.max(equation.mean_gain)
+        gain = _positive(largest * equation.mean_gain)
+        shown = Line(lines[0].x, gain, "expected gain (scaled)", BLUE, "dashed")
+        spectra = Panel([*lines, shown], *axes, title=equation.name)
         # The error's share at every window length, with the lengths in use and the better ones.
         share = np.where(equation.error_share > 0, 100 * equation.error_share, np.nan)
         marks = [
             Span(low, high, label=better, color=BLUE, opacity=FAINT),
-            Span(choice.alpha, choice.beta, label=in_use, hatched=True),
+            Level(choice.alpha, "x", in_use, BLACK, "dashed"),
+            Level(choice.beta, "x", color=BLACK, dashes="dashed"),
             Line(choice.length, share, color=RUST, width=BOLD),
         ]
-        shares = Panel(marks, length, Axis("error / % of the signal", log=True), **titled)
+        error = Axis("error / % of the signal", log=True)
+        shares = Panel(marks, length, error, title=equation.name)
         rows.append((spectra, shares))
     caption = (
         "Left: spectra of each equation's target and error, and what the windows in use let in of "

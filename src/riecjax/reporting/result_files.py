@@ -24,8 +24,8 @@ from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
 from riecjax.refinement.refine import Refined, RefinementStatus
 from riecjax.reporting.document import Document, is_intact, unread_schema
+from riecjax.reporting.identification import reasons_in_words
 from riecjax.reporting.tables import View
-from riecjax.reporting.verdict import reasons_in_words
 from riecjax.reporting.views import criterion_in_words, value_table
 from riecjax.shows import Tabled
 from riecjax.summaries import summary as summaries
@@ -104,8 +104,8 @@ class Results(Tabled):
 
     def findings(self) -> list[Finding]:
         """The warnings of the identification."""
-        kept = [{k: w[k] for k in Finding._fields if k in w} for w in self.document["warnings"]]
-        return [Finding(**one) for one in kept]
+        warnings = self.document["warnings"]
+        return [Finding(**{k: w[k] for k in Finding._fields if k in w}) for w in warnings]
 
     def _entry(self, name: str) -> Document:
         for part in ("parameters", "known"):
@@ -117,11 +117,9 @@ class Results(Tabled):
         """What is printed of it."""
         verdict = self.verdict.get("sentence", "")
         made = f"{self.model} by {criterion_in_words(self.criterion)}"
-        lines = [f"warning [{f.code}] {f.message}" for f in self.findings()]
-        if verdict:
-            lines = [*reasons_in_words(self.verdict), made, *lines]
-        if self.command is not None:
-            lines.append(f"made by: {self.command}")
+        reasons = [*reasons_in_words(self.verdict), made] if verdict else []
+        by = [] if self.command is None else [f"made by: {self.command}"]
+        lines = [*reasons, *self.findings(), *by]
         return View(verdict or made, [value_table(self.document)], lines)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from riecjax.assessment.assessment import Assessment
 from riecjax.reporting.checking import excitation_table, named
 from riecjax.reporting.document import Document, ends_of, number
-from riecjax.reporting.estimate import parameter_table, settings_in_words, several
+from riecjax.reporting.estimate import fits_of, parameter_table, settings_in_words
 from riecjax.reporting.identification import (
     choice_in_words,
     identification_document,
@@ -47,11 +47,15 @@ def identification_page(document: Document) -> Page:
         *([_choice(choice)] if choice else []),
         _recordings(document["provenance"]),
     ]
-    groups = []  # what lies behind some warnings, and what it concerns
-    for cause in document["verdict"]["causes"]:
-        names, phrase = ", ".join(cause["parameters"]), _sentence(cause["phrase"])[:-1]
-        title = phrase if phrase.endswith(names) else f"{phrase}: {names}"
-        groups.append((title, cause["codes"]))
+    # What lies behind some warnings, and what it concerns.
+    causes = [
+        (_sentence(cause["phrase"])[:-1], ", ".join(cause["parameters"]), cause["codes"])
+        for cause in document["verdict"]["causes"]
+    ]
+    groups = [
+        (phrase if phrase.endswith(names) else f"{phrase}: {names}", codes)
+        for phrase, names, codes in causes
+    ]
     # What can be trusted, how far, and what to do about the rest.
     columns = ("value", "unit", "doubt", "from .. to", "verdict", "because of")
     answer = Section(
@@ -137,10 +141,6 @@ def _refinement(entries: Document) -> Section:
 
 
 def _fit(residual: Document) -> Section:
-    fits = []
-    for stage in residual["stages"]:
-        fits.append((stage["equation"], stage))
-        fits += [(name, residual["equations"][name]) for name in several(stage)]
     cells = {
         "estimates": lambda fit: ", ".join(fit.get("parameters", ())),
         "relative residual / %": lambda fit: _percent(fit["relative_rms"]),
@@ -149,7 +149,8 @@ def _fit(residual: Document) -> Section:
         ),
         "rows": lambda fit: str(fit["rows"]),
     }
-    return Section("Fit", tables=[Table.of("equation", fits, cells)], charts=("fit",))
+    table = Table.of("equation", fits_of(residual), cells)
+    return Section("Fit", tables=[table], charts=("fit",))
 
 
 def _validation(runs: Sequence[Document]) -> Section:
@@ -159,14 +160,15 @@ def _validation(runs: Sequence[Document]) -> Section:
         "error p / %": lambda signal: _fixed(signal["p_percent"]),
         "predicted": lambda signal: signal["grade"],
     }
-    tables = []
-    for run in runs:
-        some = run["signals"].items()
-        signals = [(n if one["judged"] else f"{n} (not judged)", one) for n, one in some]
-        tables.append(Table.of("signal", signals, cells, run["on"]))
+
+    def table(run: Document) -> Table:
+        signals = run["signals"].items()
+        named = [(n if one["judged"] else f"{n} (not judged)", one) for n, one in signals]
+        return Table.of("signal", named, cells, run["on"])
+
     text = [f"The model was validated on {run['on']}. {run['verdict']}" for run in runs]
     charts = [f"validation_{i + 1}" for i in range(len(runs))]
-    return Section("Validation by simulation", text, tables, charts)
+    return Section("Validation by simulation", text, [*map(table, runs)], charts)
 
 
 def _residuals(tests: Mapping[str, Document]) -> Table:
@@ -186,19 +188,20 @@ def _residuals(tests: Mapping[str, Document]) -> Table:
 
 
 def _residual_in_words(name: str, tests: Document) -> str:
-    words = [f"{name}: the error is {_percent(tests['relative_rms'])} % of the target"]
-    words.append("its spectrum has no peak that chance does not explain")
-    if (peak := tests["peak"]) is not None:
-        words[-1] = (
-            f"{100 * peak['share']:.0f} % of its power lies from {peak['low']:.3g} to "
-            f"{peak['high']:.3g} Hz, about a peak near {peak['frequency']:.3g} Hz"
-        )
-    if tests["follows"]:
-        first = tests["follows"][0]
-        words.append("it follows no signal more than by chance")
-        if abs(first["correlation"]) > first["bound"]:
-            words[-1] = f"it follows {first['signal']} (correlation {first['correlation']:.2f})"
-    windows = tests["windows"]
+    peak, windows = tests["peak"], tests["windows"]
+    words = [
+        f"{name}: the error is {_percent(tests['relative_rms'])} % of the target",
+        "its spectrum has no peak that chance does not explain"
+        if peak is None
+        else f"{100 * peak['share']:.0f} % of its power lies from {peak['low']:.3g} to "
+        f"{peak['high']:.3g} Hz, about a peak near {peak['frequency']:.3g} Hz",
+        *(
+            f"it follows {first['signal']} (correlation {first['correlation']:.2f})"
+            if abs(first["correlation"]) > first["bound"]
+            else "it follows no signal more than by chance"
+            for first in tests["follows"][:1]
+        ),
+    ]
     if windows is not None and windows["p_value"] is not None:
         ratio = windows["mean_square_ratio"] ** 0.5
         words.append(

@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from riecjax.findings import Finding
+
 MOST_ROWS = 16
 """Rows of a table that a brief text shows."""
 LARGE, SMALL = 6, -4
@@ -59,11 +61,12 @@ class Table:
 
 @dataclass(frozen=True)
 class View:
-    """What is said of an object: a `title`, `tables` that have rows, and `lines` beneath them."""
+    """What is said of an object: a `title`, `tables` that have rows, and beneath them `lines`, some
+    of which may be findings."""
 
     title: str
     tables: Sequence[Table] = ()
-    lines: Sequence[str] = ()
+    lines: Sequence[str | Finding] = ()
 
 
 def in_text(view: View, *, brief: bool = False) -> str:
@@ -82,13 +85,15 @@ def in_text(view: View, *, brief: bool = False) -> str:
             "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right))
             for row in (table.header, *rows)
         ]
-    return "\n".join(line.rstrip() for line in (*lines, *view.lines))
+    return "\n".join(line.rstrip() for line in (*lines, *map(_said, view.lines)))
+
+
+def _said(line: str | Finding) -> str:
+    return line if isinstance(line, str) else f"warning [{line.code}] {line.message}"
 
 
 def in_html(view: View) -> str:
     """As HTML that takes its colours from the page around it."""
-    said = [line for line in view.lines if not line.startswith("warning [")]
-    warnings = [line for line in view.lines if line.startswith("warning [")]
     parts = [f"<div><strong>{html.escape(view.title)}</strong></div>"] if view.title else []
     for table in (table for table in view.tables if table.rows):
         right = [False, *table.to_the_right[1:]]
@@ -98,9 +103,10 @@ def in_html(view: View) -> str:
         style = "border-collapse:collapse;color:inherit;font-variant-numeric:tabular-nums"
         shown = f'<table style="{style}">{caption}{head}{body}</table>'
         parts.append(f'<div style="overflow-x:auto">{shown}</div>')
-    parts += [f"<div>{html.escape(line)}</div>" for line in said]
+    parts += [f"<div>{html.escape(line)}</div>" for line in view.lines if isinstance(line, str)]
+    warnings = [html.escape(_said(line)) for line in view.lines if isinstance(line, Finding)]
     if warnings:
-        listed = "".join(f"<div>{html.escape(line)}</div>" for line in warnings)
+        listed = "".join(f"<div>{line}</div>" for line in warnings)
         count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
         parts.append(f"<details><summary>{count}</summary>{listed}</details>")
     return f"<div>{''.join(parts)}</div>"
@@ -156,17 +162,17 @@ def in_markdown(table: Table) -> str:
 
 def in_latex(table: Table) -> str:
     """As a `tabular`: the first column names of parameters, `unit` units, the others numbers."""
-    rows = []
-    for row in table.rows:
-        cells = [latex_name(row[0])]
-        for header, cell in zip(table.header[1:], row[1:]):
-            said = latex_unit(cell) if header == "unit" else _latex_text(cell)
-            if header != "unit" and re.match(r"[-(]?\d", cell):
-                plain = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
-                said = re.sub(r"10\^(-?\d+)", r"10^{\1}", plain)
-                said = f"${said}$"
-            cells.append(said)
-        rows.append(f"{' & '.join(cells)} \\\\")
+
+    def latex(header: str, cell: str) -> str:
+        if header == "unit":
+            return latex_unit(cell)
+        if not re.match(r"[-(]?\d", cell):
+            return _latex_text(cell)
+        plain = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
+        return "$" + re.sub(r"10\^(-?\d+)", r"10^{\1}", plain) + "$"
+
+    cells = ((latex_name(row[0]), *map(latex, table.header[1:], row[1:])) for row in table.rows)
+    rows = [f"{' & '.join(row)} \\\\" for row in cells]
     align = "".join("l" if h in (table.header[0], "unit") else "r" for h in table.header)
     head = f"{' & '.join(map(_latex_text, table.header))} \\\\"
     body = [f"\\begin{{tabular}}{{{align}}}", "\\hline", head, "\\hline", *rows, "\\hline"]

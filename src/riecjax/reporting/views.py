@@ -1,7 +1,7 @@
 """What objects say when they are printed: titles, tables and lines of each kind."""
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,18 +14,12 @@ from riecjax.equations.model import OWN, Model
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
 from riecjax.estimation.evidence import ModeEvidence
-from riecjax.findings import Finding
 from riecjax.leaves import is_concrete, on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.refinement.refine import Refined
 from riecjax.reporting.checking import excitation_entries, excitation_table, share_in_words
-from riecjax.reporting.discovery import (
-    choice_lines,
-    discovery_document,
-    path_table,
-    rejected_table,
-)
+from riecjax.reporting.discovery import choice_lines, discovery_document, path_table, rejected_table
 from riecjax.reporting.document import ends_of, number
 from riecjax.reporting.equations import (
     equation_in_words,
@@ -71,9 +65,11 @@ def view_of(thing: Any) -> View:
 @view_of.register
 def _(thing: Equation) -> View:
     known = ", ".join(f"{name} = {span(value, '.6g')}" for name, value in thing.known.items())
-    lines = [f"parameters: {parameters_in_words(thing.parameters, thing.units)}"]
-    lines += [f"known: {known}"] if known and is_concrete(thing.known) else []
-    lines += [f"where {expression_in_words(thing.where)}"] if thing.where else []
+    lines = [
+        f"parameters: {parameters_in_words(thing.parameters, thing.units)}",
+        *([f"known: {known}"] if known and is_concrete(thing.known) else []),
+        *([f"where {expression_in_words(thing.where)}"] if thing.where else []),
+    ]
     unit = f" [{thing.unit}]" if thing.unit else ""
     return View(f"{thing.name}: {equation_in_words(thing)}{unit}", lines=lines)
 
@@ -125,8 +121,7 @@ def _(thing: Record) -> View:
 def _(thing: Recording) -> View:
     record = view_of(thing.record)
     steps = [f"prepared: {step}" for step in thing.steps]
-    lines = [*steps, *_warnings(thing.findings)]
-    return View(f"{thing.name}: {record.title}", record.tables, lines)
+    return View(f"{thing.name}: {record.title}", record.tables, [*steps, *thing.findings])
 
 
 @view_of.register
@@ -141,7 +136,7 @@ def _(thing: Check) -> View:
     return View(
         f"These recordings {'can' if thing.answerable else 'cannot'} answer what the model asks.",
         [excitation_table(excitation_entries(thing))],
-        _warnings(thing.findings),
+        thing.findings,
     )
 
 
@@ -156,7 +151,7 @@ def _(thing: ModeEvidence) -> View:
             f"{with_error(*thing.damping_ratio)}",
             f"{thing.stage}, on time left out: {left:.2g} % unexplained with it, {without:.2g} % "
             f"without",
-            *_warnings(thing.findings()),
+            *thing.findings(),
         ],
     )
 
@@ -164,12 +159,15 @@ def _(thing: ModeEvidence) -> View:
 @view_of.register
 def _(thing: Summary) -> View:
     host, outline = on_host(thing), thing.outline
-    lines = [f"parameters: {parameters_in_words(outline.parameters, dict(outline.units))}"]
-    for i, one in enumerate(host.recordings, start=1):
-        lines.append(
-            f"recording {i}: {span(one.samples, 'd')} samples at {span(1 / one.time_step, '.6g')} "
-            f"Hz, in {span(one.blocks, 'd')} blocks of {span(one.block_seconds)} s"
-        )
+    lines = [
+        f"parameters: {parameters_in_words(outline.parameters, dict(outline.units))}",
+        *(
+            f"recording {i}: {span(sums.samples, 'd')} samples at "
+            f"{span(1 / sums.time_step, '.6g')} Hz, in {span(sums.blocks, 'd')} blocks of "
+            f"{span(sums.block_seconds)} s"
+            for i, sums in enumerate(host.recordings, start=1)
+        ),
+    ]
     count, bins = len(host.recordings), host.bins
     kept = "together" if bins is None else f"apart in {len(bins.edges) - 1} bins"
     return View(
@@ -200,13 +198,16 @@ def _(thing: Estimate) -> View:
 @view_of.register
 def _(thing: Refined) -> View:
     host = on_host(thing)
+    both = (np.moveaxis(np.asarray(rms), -1, 0) for rms in (host.rms_before, host.rms))
+    left = (" -> ".join(span(rms, ".4g") for rms in pair) for pair in zip(*both))
     lines = [
         f"{thing.reason} after {span(host.steps, 'd')} steps",
         f"left before -> after ({host.basis}):",
+        *(
+            f"{name}: {rms} {unit} r.m.s.".replace("  ", " ")
+            for name, rms, unit in zip(host.quantities, left, host.quantity_units)
+        ),
     ]
-    for i, (name, unit) in enumerate(zip(host.quantities, host.quantity_units)):
-        left = [span(np.asarray(rms)[..., i], ".4g") for rms in (host.rms_before, host.rms)]
-        lines.append(f"{name}: {' -> '.join(left)} {unit} r.m.s.".replace("  ", " "))
     return _of_parameters(host, "" if host.batch_shape else "refined", lines)
 
 
@@ -218,8 +219,8 @@ def criterion_in_words(criterion: Mapping[str, Any]) -> str:
     return f"{name} ({listed})" if listed else name
 
 
-def _of_parameters(estimate: AbstractEstimate, title: str, lines: Sequence[str]) -> View:
-    lines = [*lines, *_warnings(estimate.findings())]
+def _of_parameters(estimate: AbstractEstimate, title: str, said: Sequence[str]) -> View:
+    lines = [*said, *estimate.findings()]
     if not estimate.batch_shape:
         return View(title, [value_table(document_of(estimate))], lines)
     # How each is distributed over the batch. Scatter over members is not uncertainty of one of
@@ -254,15 +255,18 @@ def value_table(document: Mapping[str, Any], columns: Sequence[str] = USUAL) -> 
 @view_of.register
 def _(thing: WindowSweep) -> View:
     theta, errors, units = np.asarray(thing.theta), thing.standard_errors, dict(thing.table.units)
-    rows = []
-    for low, high, values, of in zip(thing.alpha, thing.beta, theta, np.asarray(errors)):
-        length = f"{float(low):.3g} .. {float(high):.3g}"
-        rows.append([length, *(f"{number(x, 5)} ± {number(e, 2)}" for x, e in zip(values, of))])
+    rows = [
+        [
+            f"{float(low):.3g} .. {float(high):.3g}",
+            *(f"{number(value, 5)} ± {number(error, 2)}" for value, error in zip(*estimates)),
+        ]
+        for low, high, *estimates in zip(thing.alpha, thing.beta, theta, np.asarray(errors))
+    ]
     header = ("windows / s", *(parameters_in_words([n], units) for n in thing.parameters))
     if len(thing.parameters) > len(rows):
         header, *rows = zip(header, *rows)
     title = f"estimates at {len(theta)} window lengths, {int(thing.block_count)} blocks of time"
-    return View(title, [Table(header, rows)], _warnings(thing.findings()))
+    return View(title, [Table(header, rows)], thing.findings())
 
 
 @view_of.register
@@ -287,7 +291,7 @@ def _(thing: ResidualTests) -> View:
     }
     tests = [(test.name, test) for test in thing.equations]
     table = Table.of("equation", tests, cells)
-    return View("what each equation leaves", [table], _warnings(thing.findings()))
+    return View("what each equation leaves", [table], thing.findings())
 
 
 @view_of.register
@@ -295,13 +299,16 @@ def _(thing: Assessment) -> View:
     shown, verdict, refinement = view_of(thing.answer), thing.verdict, thing.refinement
     document = document_of(on_host(thing.answer)) | _judged(verdict)
     how = shown.title if thing.answer is thing.estimate else "refined"
-    lines = [*_to_do(verdict), f"{thing.model.name} by {how}"]
-    lines += [line for line in shown.lines if not line.startswith("warning [")]
-    if refinement is not None and refinement.declined:
-        lines.append(f"not refined: {refinement.declined}")
-    lines += [f"validated on {r.recording.name}: {r.held.verdict}" for r in thing.validations]
-    table = value_table(document, (*USUAL, "doubt", "verdict"))
-    return View(verdict.sentence, [table], [*lines, *_warnings(thing.findings())])
+    declined = "" if refinement is None else refinement.declined
+    lines = [
+        *_to_do(verdict),
+        f"{thing.model.name} by {how}",
+        *(line for line in shown.lines if isinstance(line, str)),
+        *([f"not refined: {declined}"] if declined else []),
+        *(f"validated on {run.recording.name}: {run.held.verdict}" for run in thing.validations),
+        *thing.findings(),
+    ]
+    return View(verdict.sentence, [value_table(document, (*USUAL, "doubt", "verdict"))], lines)
 
 
 @view_of.register
@@ -320,7 +327,3 @@ def _judged(verdict: Verdict) -> dict[str, Any]:
 def _to_do(verdict: Verdict) -> list[str]:
     steps = dict.fromkeys(cause.step for cause in verdict.causes if cause.step is not None)
     return [f"to do: {step.words} {' '.join(step.options)}".rstrip() for step in steps]
-
-
-def _warnings(findings: Iterable[Finding]) -> list[str]:
-    return [f"warning [{finding.code}] {finding.message}" for finding in findings]

@@ -18,16 +18,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from numbers import Integral, Real
 from pathlib import Path
-from typing import (
-    Any,
-    ClassVar,
-    Concatenate,
-    Literal,
-    ParamSpec,
-    Protocol,
-    TypeVar,
-    overload,
-)
+from typing import Any, ClassVar, Concatenate, Literal, ParamSpec, Protocol, TypeVar, overload
 
 from riecjax.errors import ModelError, RiecjaxError, require
 from riecjax.settings.kinds import NAMES, TEXT, TRUTH, Kind, number_text
@@ -85,45 +76,44 @@ class Option:
         return named or f"{self.metavar.strip('.').lower()}s"
 
     @property
+    def is_single(self) -> bool:
+        """Whether it is one value, said once."""
+        return self.shape == "once" and self.count == 1
+
+    @property
     def form(self) -> str:
         """What its value looks like."""
         return self.metavar or "|".join(self.kind.choices) or self.kind.name
 
-    def parsed(self, text: str) -> Any:
-        """The value of one text: of a name a pair.
+    def parsed(self, *texts: str) -> Any:
+        """The setting that texts say.
 
-        **Raises:** `ValueError` that says what is wrong with it.
+        **Raises:** `ValueError` that says what is wrong with one of them, for a word beside others,
+        or a name that is given twice.
         """
-        if self.shape != "named" or text in self.alone:
-            return text if text in self.alone else self.kind.parse(text)
-        name, equals, said = (part.strip() for part in text.partition("="))
-        if not (name and equals and said):
-            raise ValueError(f"'{text}' is not of the form {self.form}.")
-        return self._pair(name, said)
-
-    def _pair(self, name: str, said: str) -> tuple[str, Any]:
-        try:
-            return name, self.kind.parse(said)
-        except ValueError as error:
-            what = str(error).replace(f"'{said}'", f"'{said}' in '{name}={said}'", 1)
-            raise ValueError(what) from None
-
-    def collected(self, values: tuple[Any, ...]) -> Any:
-        """The setting of the values of all texts.
-
-        **Raises:** `ValueError` for a word beside others, or a name that is given twice.
-        """
-        if words := [value for value in values if value in self.alone]:
-            if len(values) > 1:
+        if words := [text for text in texts if text in self.alone]:
+            if len(texts) > 1:
                 raise ValueError(f"'{words[0]}' is for all signals; give it alone.")
             return words[0]
         if self.shape != "named":
-            return values or self.default
-        names = [name for name, _ in values]
-        for name in names:
-            if names.count(name) > 1:
+            values = tuple(map(self.kind.parse, texts))
+            return values[0] if self.is_single else values or self.default
+        pairs: dict[str, Any] = {}
+        for text in texts:
+            name, equals, said = (part.strip() for part in text.partition("="))
+            if not (name and equals and said):
+                raise ValueError(f"'{text}' is not of the form {self.form}.")
+            if name in pairs:
                 raise ValueError(f"'{name}' is given twice.")
-        return dict(values) or self.default
+            pairs[name] = self._value_of(name, said)
+        return pairs or self.default
+
+    def _value_of(self, name: str, said: str) -> Any:
+        try:
+            return self.kind.parse(said)
+        except ValueError as error:
+            what = str(error).replace(f"'{said}'", f"'{said}' in '{name}={said}'", 1)
+            raise ValueError(what) from None
 
     def texts(self, value: Any) -> list[list[str]]:
         """Texts that are understood as this value, a list for each time that it is said."""
@@ -156,7 +146,7 @@ class Option:
             pairs = [text.partition("=") for text in texts]
             if len({name for name, equals, _ in pairs if equals}) == len(pairs):
                 return {name: _number(text) for name, _, text in pairs}
-        if self.shape == "once" and self.count == 1:
+        if self.is_single:
             return _number(texts[0])
         return [_number(text) if self.count > 1 else text for text in texts]
 
@@ -165,18 +155,16 @@ class Option:
 
         **Raises:** `ValueError` for what is not of its kind.
         """
-        is_single = self.shape == "once" and self.count == 1
-        listed = value if isinstance(value, list) and not is_single else [value]
+        listed = value if isinstance(value, list) and not self.is_single else [value]
         has_names = "=" in self.form if isinstance(value, dict) else bool(self.flag)
-        refused = ""
-        if self.shape == "flag" and not isinstance(value, bool):
-            refused = "true or false"
-        elif self.count > 1 and not (isinstance(value, list) and len(value) == self.count):
-            refused = f"a list of {self.count}"
-        elif not has_names and not all(isinstance(each, str) for each in listed):
-            refused = "a list of names in quotes"
-        if refused:
-            raise ValueError(f"'{self.key}' must be {refused}; got {value!r}.")
+        is_listed = isinstance(value, list) and len(value) == self.count
+        for words, fits in (
+            ("true or false", self.shape != "flag" or isinstance(value, bool)),
+            (f"a list of {self.count}", self.count == 1 or is_listed),
+            ("a list of names in quotes", has_names or all(isinstance(e, str) for e in listed)),
+        ):
+            if not fits:
+                raise ValueError(f"'{self.key}' must be {words}; got {value!r}.")
         if self.shape == "flag":
             return value
         if isinstance(value, list) and self.kind is NAMES:
@@ -185,16 +173,12 @@ class Option:
         if isinstance(value, dict):
             texts = {name: self._text(each, name) for name, each in value.items()}
             if self.shape == "named":
-                return dict(self._pair(name, text) for name, text in texts.items())
+                return {name: self._value_of(name, text) for name, text in texts.items()}
             said = [f"{name}={text}" for name, text in texts.items()]
         else:
             said = [self._text(each) for each in listed]
-        said = [str(self.moved(text, move)) for text in said]
         try:
-            values = tuple(map(self.parsed, said))
-            if self.shape == "once":
-                return values if self.count > 1 else values[0]
-            return self.collected(values)
+            return self.parsed(*(str(self.moved(text, move)) for text in said))
         except ValueError as error:
             raise ValueError(f"'{self.key}': {error}") from None
 

@@ -22,7 +22,6 @@ from .chart import Level as Level
 from .chart import Line as Line
 from .chart import Panel as Panel
 from .chart import Span as Span
-from .chart import Stems as Stems
 from .chart import in_rows as in_rows
 from .chart import labelled as labelled
 from .chart import single as single

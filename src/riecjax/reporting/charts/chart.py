@@ -4,7 +4,7 @@ A chart says what is drawn and what it means, not how: one description is printe
 drawn on a page by Plotly, so that the two never differ.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -45,8 +45,7 @@ class Axis:
     """An axis: its label with the unit, and where it ends (`None`: where the data do).
 
     **Fields:** `log` for a logarithmic axis; `categories`, names of the places 0, 1, ...;
-    `reverse`, values grow downwards (to the left); `color` of its numbers, where that of a line
-    says which axis it belongs to.
+    `reverse`, values grow downwards (to the left).
     """
 
     label: str = ""
@@ -55,7 +54,6 @@ class Axis:
     high: float | None = None
     categories: tuple[str, ...] = ()
     reverse: bool = False
-    color: str = ""
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class Line:
     """Values over x; NaN leaves a gap.
 
     **Fields:** `low` and `high`, a band about it; `error`, bars of plus and minus so much;
-    `markers` at the values; `right`, drawn against the panel's right axis.
+    `markers` at the values.
     """
 
     x: ArrayLike
@@ -76,7 +74,6 @@ class Line:
     low: ArrayLike | None = None
     high: ArrayLike | None = None
     error: ArrayLike | None = None
-    right: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,18 +89,8 @@ class Dots:
 
 
 @dataclass(frozen=True)
-class Stems:
-    """Values as lines from zero, such as an autocorrelation's."""
-
-    x: ArrayLike
-    y: ArrayLike
-    label: str = ""
-    color: str = BLUE
-
-
-@dataclass(frozen=True)
 class Span:
-    """A stretch of an axis; `hatched` where another one lies beneath."""
+    """A stretch of an axis."""
 
     low: float
     high: float
@@ -111,15 +98,14 @@ class Span:
     label: str = ""
     color: str = PALE
     opacity: float = 1.0
-    hatched: bool = False
 
 
 @dataclass(frozen=True)
 class Level:
-    """One value of an axis, across the panel; on a sloped one y = x."""
+    """One value of an axis, across the panel."""
 
     value: float = 0.0
-    axis: Literal["x", "y", "diagonal"] = "y"
+    axis: Literal["x", "y"] = "y"
     label: str = ""
     color: str = GREY
     dashes: Dashes = "solid"
@@ -127,63 +113,50 @@ class Level:
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Values over a grid, shape `(y, x)`, with their `label`.
+    """Values about zero over a grid, shape `(y, x)`, with their `label`.
 
-    **Fields:** `low` and `high`, ends of the scale; `diverging` about zero; `numbers`, decimals of
-    the values written into the cells, `None` for none.
+    **Fields:** `low` and `high`, ends of the scale; `numbers`, decimals of the values written into
+    the cells, `None` for none.
     """
 
     x: ArrayLike
     y: ArrayLike
     values: ArrayLike
-    label: str = ""
-    low: float | None = None
-    high: float | None = None
-    diverging: bool = False
+    label: str
+    low: float
+    high: float
     numbers: int | None = None
 
-    @property
-    def scale(self) -> tuple[float, float]:
-        """Ends of the scale: those given, or the values', alike on both sides if diverging."""
-        values = np.ravel(self.values)
-        return _ends(np.append(values, -values) if self.diverging else values, self.low, self.high)
 
-
-Mark = Line | Dots | Stems | Span | Level | HeatMap
+Mark = Line | Dots | Span | Level | HeatMap
 
 
 @dataclass(frozen=True)
 class Panel:
     """One pair of axes; `columns`, how many places of its row it takes.
 
-    A `legend` stands above it, under its `title`.
+    A legend stands above it, under its `title`.
     """
 
     marks: Sequence[Mark]
     x: Axis = field(default_factory=Axis)
     y: Axis = field(default_factory=Axis)
-    right: Axis | None = None
     title: str = ""
-    legend: bool = True
     columns: int = 1
 
     @property
     def labels(self) -> set[str]:
-        """What its legend explains: nothing without one, and a map has a colour bar instead."""
-        if not self.legend:
-            return set()
+        """What its legend explains; a map has a colour bar instead."""
         return {mark.label for mark in self.marks if not isinstance(mark, HeatMap)} - {""}
 
-    def reach(self, which: Literal["x", "y", "right"]) -> tuple[float, float]:
-        """Ends of an axis: those given, or the data's."""
-        axis = {"x": self.x, "y": self.y, "right": self.right or Axis()}[which]
-        drawn = [np.array([])]
-        for mark in self.marks:
-            if isinstance(mark, Line | Dots | Stems):
-                right = isinstance(mark, Line) and mark.right
-                if which == "x" or right == (which == "right"):
-                    drawn.append(np.ravel(mark.x if which == "x" else mark.y))
-        return _ends(np.concatenate(drawn), axis.low, axis.high)
+    def reach(self, which: Literal["x", "y"]) -> tuple[float, float]:
+        """Ends of an axis: those given, or least and largest value; 0 and 1 where there is none."""
+        axis = self.x if which == "x" else self.y
+        drawn = [getattr(mark, which) for mark in self.marks if isinstance(mark, Line | Dots)]
+        values = np.concatenate([[], *map(np.ravel, drawn)])
+        finite = values[np.isfinite(values)]
+        least, most = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+        return least if axis.low is None else axis.low, most if axis.high is None else axis.high
 
 
 @dataclass(frozen=True)
@@ -193,8 +166,6 @@ class Chart:
     **Fields:**
 
     - `caption`: what it shows and how to read it, a sentence or two.
-    - `given_size` in inches of the printed figure, by default as its panels need; `heights` of
-      the rows, relative.
     - `share_x`: panels above one another zoom together, and only those whose x axis has a label
       have numbers on it. `share_y`: the same for those of a row.
     - `legend`: of the first panel, once for all, above them.
@@ -202,17 +173,13 @@ class Chart:
 
     rows: Sequence[Sequence[Panel | None]]
     caption: str = ""
-    given_size: tuple[float, float] | None = None
-    heights: tuple[float, ...] = ()
     share_x: bool = False
     share_y: bool = False
     legend: bool = False
 
     @property
     def size(self) -> tuple[float, float]:
-        """Inches of the printed figure."""
-        if self.given_size is not None:
-            return self.given_size
+        """Inches of the printed figure, as its panels need."""
         across, down = PANEL[0], [LOW if self.share_x else PANEL[1]] * len(self.rows)
         for row, _, panel in self.places:
             across = max(across, CATEGORY * len(panel.x.categories))
@@ -225,16 +192,14 @@ class Chart:
         return max(sum(1 if p is None else p.columns for p in row) for row in self.rows)
 
     @property
-    def places(self) -> list[tuple[int, int, Panel]]:
+    def places(self) -> Iterator[tuple[int, int, Panel]]:
         """Each panel, with its row and its first column."""
-        found = []
         for i, row in enumerate(self.rows):
             place = 0
             for panel in row:
                 if panel is not None:
-                    found.append((i, place, panel))
+                    yield i, place, panel
                 place += 1 if panel is None else panel.columns
-        return found
 
     @property
     def panels(self) -> list[Panel]:
@@ -242,9 +207,9 @@ class Chart:
         return [panel for _, _, panel in self.places]
 
 
-def single(marks: Sequence[Mark], x: Axis, y: Axis, caption: str = "", **settings: object) -> Chart:
+def single(marks: Sequence[Mark], x: Axis, y: Axis, caption: str = "") -> Chart:
     """A chart of one panel."""
-    return Chart(((Panel(marks, x, y),),), caption, **settings)  # pyright: ignore[reportArgumentType]
+    return Chart(((Panel(marks, x, y),),), caption)
 
 
 def in_rows(panels: Sequence[Panel]) -> list[list[Panel | None]]:
@@ -257,10 +222,3 @@ def in_rows(panels: Sequence[Panel]) -> list[list[Panel | None]]:
 def labelled(what: str, unit: str | None) -> str:
     """An axis label with its unit, if there is one."""
     return f"{what} / ({unit})" if unit else what
-
-
-def _ends(values: ArrayLike, low: float | None, high: float | None) -> tuple[float, float]:
-    """The ends given, else least and largest value; 0 and 1 where there is none."""
-    finite = np.asarray(values)[np.isfinite(values)]
-    least, most = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    return least if low is None else low, most if high is None else high

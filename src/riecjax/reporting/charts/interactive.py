@@ -17,7 +17,6 @@ from riecjax.reporting.charts.chart import (
     Mark,
     Panel,
     Span,
-    Stems,
 )
 
 PIXELS = 88
@@ -27,7 +26,7 @@ NARROWEST_PANEL = 210
 WIDEST_LEGEND = 380
 LEFT, RIGHT, BOTTOM, BARE_BOTTOM = 62, 14, 46, 12
 """Pixels about a panel: numbers and label of its axes, or ticks alone."""
-RIGHT_AXIS, COLOUR_BAR = 56, 78
+COLOUR_BAR = 78
 GAP, TITLE, LEGEND = 6, 20, 26
 """Pixels above a panel."""
 LETTER, KEY = 6.2, 40
@@ -38,15 +37,15 @@ LOWEST_ROW = 110.0
 class Spaces(NamedTuple):
     """Pixels across at the narrowest, and down.
 
-    **Fields:** `panel`, width of one; `right` of each column, for axes and colour bars there;
-    `above` and `below` each row, for titles, legends and numbers; `down`, heights of the rows.
+    **Fields:** `panel`, width of one; `right` of each column, for colour bars there;
+    `above` and `below` each row, for titles, legends and numbers; `down`, height of a row.
     """
 
     panel: float
     right: list[int]
     above: list[int]
     below: list[int]
-    down: list[float]
+    down: float
 
     @classmethod
     def of(cls, chart: Chart) -> "Spaces":
@@ -56,9 +55,8 @@ class Spaces(NamedTuple):
         right, above, below = [0] * chart.columns, [GAP] * rows, [BARE_BOTTOM] * rows
         for row, place, panel in chart.places:
             last = place + panel.columns - 1
-            is_map = any(isinstance(mark, HeatMap) for mark in panel.marks)
-            beside = COLOUR_BAR if is_map else RIGHT_AXIS * (panel.right is not None)
-            right[last] = max(right[last], beside)
+            if any(isinstance(mark, HeatMap) for mark in panel.marks):
+                right[last] = COLOUR_BAR
             legend = LEGEND * (bool(panel.labels) and not chart.legend)
             above[row] = max(above[row], GAP + TITLE * bool(panel.title) + legend)
             if panel.x.label or not chart.share_x:
@@ -69,9 +67,8 @@ class Spaces(NamedTuple):
                 width = max(width, min(needed / panel.columns, WIDEST_LEGEND))
         if chart.legend:
             above[0] += LEGEND
-        heights = np.array(chart.heights or (1.0,) * rows)
-        room = max(PIXELS * chart.size[1] - sum(above) - sum(below), LOWEST_ROW * rows)
-        return cls(width, right, above, below, (room * heights / heights.sum()).tolist())
+        room = PIXELS * chart.size[1] - sum(above) - sum(below)
+        return cls(width, right, above, below, max(room / rows, LOWEST_ROW))
 
     @property
     def width(self) -> float:
@@ -81,7 +78,7 @@ class Spaces(NamedTuple):
     @property
     def height(self) -> float:
         """Of everything."""
-        return sum(self.down) + sum(self.above) + sum(self.below)
+        return len(self.above) * self.down + sum(self.above) + sum(self.below)
 
     @property
     def inside_height(self) -> float:
@@ -98,15 +95,15 @@ class Spaces(NamedTuple):
 
     def along(self, row: int) -> list[float]:
         """Bottom and top of a row, as shares of the height inside the margins."""
-        top = sum(self.down[:row]) + sum(self.above[1 : row + 1]) + sum(self.below[:row])
-        bottom = 1 - (top + self.down[row]) / self.inside_height
+        top = row * self.down + sum(self.above[1 : row + 1]) + sum(self.below[:row])
+        bottom = 1 - (top + self.down) / self.inside_height
         return [max(bottom, 0.0), 1 - top / self.inside_height]
 
 
 DIGITS = 6
 """Significant digits of a value on a page: more than a screen shows, and a smaller file."""
 DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot", "dashdot": "dashdot"}
-GREY_KEY, CLEAR = "#666666", "rgba(0,0,0,0)"
+CLEAR = "rgba(0,0,0,0)"
 RED_BLUE = (
     "#053061", "#2166ac", "#4393c3", "#92c5de", "#d1e5f0", "#f7f7f7", "#fddbc7", "#f4a582",
     "#d6604d", "#b2182b", "#67001f",
@@ -127,39 +124,32 @@ def plain_text(text: str) -> str:
     return html.escape(text, quote=False)
 
 
-def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
-    """Traces of a mark, without their axes; those with a `name` stand in a legend by it.
+Parts = list[dict[str, Any]]
+
+
+def _drawn(mark: Mark, panel: Panel, axes: dict[str, str]) -> tuple[Parts, Parts]:
+    """Traces of a mark, without their axes, and shapes; a `name` stands in the legend.
 
     A stretch or a value of an axis is a shape, and has a trace for its legend only.
     """
     match mark:
         case Line():
-            return _line(mark)
+            return _line(mark), []
         case Dots():
             marker = {"color": mark.color, "size": 1.5 * mark.size, "opacity": mark.opacity}
-            return [_scatter(mark, "markers", marker=marker)]
-        case Stems():
-            # Bars from each value back to zero.
-            y, look = np.asarray(mark.y), {"color": mark.color, "thickness": 1.2, "width": 0}
-            up, down = plain_values(np.maximum(-y, 0)), plain_values(np.maximum(y, 0))
-            bars = {"symmetric": False, "array": up, "arrayminus": down, **look}
-            marker = {"color": mark.color, "size": 3}
-            return [_scatter(mark, "markers", marker=marker, error_y=bars)]
+            return [_scatter(mark, "markers", marker=marker)], []
         case Span():
-            key = {"color": mark.color, "opacity": mark.opacity}
-            if mark.hatched:
-                key = {"color": CLEAR, "line": {"width": 1.5, "color": GREY_KEY}}
-            marker = {"symbol": "square", "size": 11, **key}
-            return [_key(mark, mode="markers", marker=marker)] if mark.label else []
+            shape = {"type": "rect", "layer": "below", "fillcolor": mark.color}
+            shape |= {"line": {"width": 0}, "opacity": mark.opacity}
+            key = {"color": mark.color, "opacity": mark.opacity, "symbol": "square", "size": 11}
+            return _across(mark, (mark.low, mark.high), shape, axes, mode="markers", marker=key)
         case Level():
-            style = {"mode": "lines", "line": _level_style(mark)}
-            if mark.axis == "diagonal":
-                ends = plain_values(panel.reach("x"))
-                return [_key(mark, **style, x=ends, y=ends)]
-            return [_key(mark, **style)] if mark.label else []
+            style = {"color": mark.color, "dash": DASHES[mark.dashes], "width": 1}
+            # Below, it would vanish under a line of the grid.
+            shape = {"type": "line", "layer": "above", "line": style}
+            return _across(mark, (mark.value, mark.value), shape, axes, mode="lines", line=style)
         case HeatMap():
             # A cell tells the names of its place, where the axes have some.
-            low, high = mark.scale
             x, y = plain_values(mark.x), plain_values(mark.y)
             stops = [[i / 10, color] for i, color in enumerate(RED_BLUE)]
             title = {"text": plain_text(mark.label), "side": "right"}
@@ -168,9 +158,9 @@ def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
                 "x": x,
                 "y": y,
                 "z": [plain_values(row) for row in np.asarray(mark.values)],
-                "colorscale": stops if mark.diverging else "Viridis",
-                "zmin": low,
-                "zmax": high,
+                "colorscale": stops,
+                "zmin": mark.low,
+                "zmax": mark.high,
                 "hoverongaps": False,
                 "hovertemplate": "%{x}, %{y}: %{z}<extra></extra>",
                 "colorbar": {"title": title, "xpad": 8, "thickness": 12, "outlinewidth": 0},
@@ -182,40 +172,35 @@ def traces(mark: Mark, panel: Panel) -> list[dict[str, Any]]:
                 rows = [plain_text(name) for name in panel.y.categories] or y
                 trace["customdata"] = [[[row, column] for column in columns] for row in rows]
                 trace["hovertemplate"] = "%{customdata[0]}, %{customdata[1]}: %{z}<extra></extra>"
-            return [trace]
+            return [trace], []
 
 
-def shapes(mark: Mark, axes: dict[str, str]) -> list[dict[str, Any]]:
-    """Stretches and values of one axis, from end to end of the other."""
-    if isinstance(mark, Span):
-        low, high = mark.low, mark.high
-        look = {"type": "rect", "layer": "below", "fillcolor": mark.color, "line": {"width": 0}}
-        look["opacity"] = mark.opacity
-        if mark.hatched:
-            # Plotly has no hatching of shapes: an outline instead.
-            line = {"width": 1.5, "color": GREY_KEY, "dash": "dash"}
-            look = {"type": "rect", "layer": "above", "fillcolor": CLEAR, "line": line}
-    elif isinstance(mark, Level) and mark.axis != "diagonal":
-        low = high = mark.value
-        # Below, it would vanish under a line of the grid.
-        look = {"type": "line", "layer": "above", "line": _level_style(mark)}
-    else:
-        return []
+def _across(
+    mark: Span | Level,
+    ends: tuple[float, float],
+    look: dict[str, Any],
+    axes: dict[str, str],
+    **key: Any,
+) -> tuple[Parts, Parts]:
+    """A stretch or a value of one axis, from end to end of the other, and an entry of the legend
+    that points at nothing."""
     along, across = mark.axis, "y" if mark.axis == "x" else "x"
-    look |= {f"{along}ref": axes[f"{along}axis"], f"{across}ref": f"{axes[f'{across}axis']} domain"}
-    start, stop = plain_values([low, high])
-    return [look | {f"{along}0": start, f"{along}1": stop, f"{across}0": 0, f"{across}1": 1}]
+    start, stop = plain_values(ends)
+    shape = look | {
+        f"{along}ref": axes[f"{along}axis"],
+        f"{across}ref": f"{axes[f'{across}axis']} domain",
+        f"{along}0": start,
+        f"{along}1": stop,
+        f"{across}0": 0,
+        f"{across}1": 1,
+    }
+    trace = {"type": "scatter", "x": [None], "y": [None], "hoverinfo": "skip", "name": mark.label}
+    return [trace | key] if mark.label else [], [shape]
 
 
-def _scatter(mark: Line | Dots | Stems, mode: str, **settings: Any) -> dict[str, Any]:
+def _scatter(mark: Line | Dots, mode: str, **settings: Any) -> dict[str, Any]:
     x, y = plain_values(mark.x), plain_values(mark.y)
     return {"type": "scatter", "mode": mode, "x": x, "y": y, "name": mark.label, **settings}
-
-
-def _key(mark: Span | Level, **settings: Any) -> dict[str, Any]:
-    """An entry of the legend for what has none of its own; nothing to point at."""
-    trace = {"type": "scatter", "x": [None], "y": [None], "hoverinfo": "skip", "name": mark.label}
-    return trace | settings
 
 
 def _line(line: Line) -> list[dict[str, Any]]:
@@ -253,18 +238,12 @@ def _line(line: Line) -> list[dict[str, Any]]:
     return [band, trace]
 
 
-def _level_style(level: Level) -> dict[str, Any]:
-    return {"color": level.color, "dash": DASHES[level.dashes], "width": 1}
-
-
 ABOVE = {"xanchor": "left", "yanchor": "bottom"}
 """Of what stands above a panel: which of its corners its place is that of."""
 MARGIN = 0.04
 """Share of an axis between the data and an end that is not given."""
 FEW_NUMBERS = 4
 """Numbers that a logarithmic axis aims at: 1, 2, 5 up to three decades, else powers of ten."""
-RIGHT_AXES = 101
-"""Number of the first panel's right axis: past those of all panels' left ones."""
 
 
 def interactive(chart: Chart) -> dict[str, Any]:
@@ -301,24 +280,16 @@ def interactive(chart: Chart) -> dict[str, Any]:
                 drawn |= {} if first == axes[which] else {"matches": first}
                 drawn |= {} if wanted.label else {"showticklabels": False}
         layout |= {f"xaxis{number}": x, f"yaxis{number}": y}
-        right_axis = axes | {"yaxis": f"y{RIGHT_AXES + i}"}
-        if panel.right is not None:
-            over = {"overlaying": axes["yaxis"], "side": "right", "anchor": axes["xaxis"]}
-            over |= {"showgrid": False, "tickmode": "auto"}
-            layout[f"yaxis{RIGHT_AXES + i}"] = _axis(panel.right, panel.reach("right")) | over
-        drawn = []
-        for mark in panel.marks:
-            on_right = isinstance(mark, Line) and mark.right
-            drawn += [trace | (right_axis if on_right else axes) for trace in traces(mark, panel)]
-            layout["shapes"] += shapes(mark, axes)
-        for trace in drawn:
-            if "colorbar" in trace:
-                bar = {"x": across[1], "y": sum(down) / 2, "len": down[1] - down[0]}
-                trace["colorbar"] = trace["colorbar"] | bar
+        parts = [_drawn(mark, panel, axes) for mark in panel.marks]
+        drawn = [trace | axes for traces, _ in parts for trace in traces]
+        layout["shapes"] += [shape for _, shapes in parts for shape in shapes]
         legend = "legend" if chart.legend else f"legend{number}"
         # A name stands in a legend once.
-        shown, named = panel.legend and (i == 0 or not chart.legend), set()
+        shown, named = i == 0 or not chart.legend, set()
         for trace in drawn:
+            if "colorbar" in trace:
+                middle, size = sum(down) / 2, down[1] - down[0]
+                trace["colorbar"] |= {"x": across[1], "y": middle, "len": size}
             if "name" in trace:
                 name = plain_text(trace["name"])
                 trace |= {"name": name, "legendgroup": name or None, "legend": legend}
@@ -367,8 +338,6 @@ def _axis(wanted: Axis, reach: tuple[float, float]) -> dict[str, Any]:
     }
     if wanted.log and reach[0] >= PLAIN[0] and reach[1] <= PLAIN[1]:
         axis |= {"nticks": FEW_NUMBERS, "tickformat": "~g"}
-    if wanted.color:
-        axis |= {"color": wanted.color}
     if wanted.categories:
         names = [plain_text(name) for name in wanted.categories]
         axis |= {"tickvals": list(range(len(names))), "ticktext": names, "showgrid": False}

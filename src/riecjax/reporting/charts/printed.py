@@ -24,7 +24,6 @@ from riecjax.reporting.charts.chart import (
     Mark,
     Panel,
     Span,
-    Stems,
 )
 from riecjax.whole_files import stamp
 
@@ -52,7 +51,6 @@ STYLE: Any = {
     "legend.borderpad": 0.1,
     "legend.borderaxespad": 0.2,
     "legend.columnspacing": 1.2,
-    "hatch.linewidth": 0.6,
     "figure.constrained_layout.use": True,
     # A name with two dollars in it is no formula.
     "text.parse_math": False,
@@ -102,8 +100,7 @@ def drawn(chart: Chart, ax: Any = None) -> Any:
 
 
 def _fill(figure: Figure, chart: Chart) -> None:
-    heights = chart.heights or (1.0,) * len(chart.rows)
-    grid = figure.add_gridspec(len(chart.rows), chart.columns, height_ratios=heights)
+    grid = figure.add_gridspec(len(chart.rows), chart.columns)
     above: dict[int, Any] = {}
     left: dict[int, Any] = {}
     for row, place, panel in chart.places:
@@ -117,22 +114,13 @@ def _fill(figure: Figure, chart: Chart) -> None:
 
 
 def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:
-    right = None if panel.right is None else axes.twinx()
-    scales = ["log" if axis.log else "linear" for axis in (panel.x, panel.y, panel.right or Axis())]
+    scales = ["log" if axis.log else "linear" for axis in (panel.x, panel.y)]
     axes.set(xscale=scales[0], yscale=scales[1])
     for mark in panel.marks:
-        on_right = isinstance(mark, Line) and mark.right
-        _draw(right if on_right and right is not None else axes, mark)
+        _draw(axes, mark)
     _finish(axes.xaxis, panel.x, axes.set_xlim)
     _finish(axes.yaxis, panel.y, axes.set_ylim)
     handles, labels = axes.get_legend_handles_labels()
-    if right is not None and panel.right is not None:
-        right.grid(False)
-        right.set_yscale(scales[2])
-        _finish(right.yaxis, panel.right, right.set_ylim)
-        right.spines["right"].set_visible(True)
-        more, named = right.get_legend_handles_labels()
-        handles, labels = handles + more, labels + named
     axes.tick_params(
         labelbottom=bool(panel.x.label) or not chart.share_x,
         labelleft=bool(panel.y.label) or not chart.share_y,
@@ -144,7 +132,7 @@ def _draw_panel(axes: Any, panel: Panel, chart: Chart) -> None:
         if labels and not figure.legends:
             columns = _columns(labels, chart.size[0])
             figure.legend(handles, labels, loc="outside upper center", ncols=columns)
-    elif panel.legend and labels:
+    elif labels:
         columns = _columns(labels, chart.size[0] * panel.columns / chart.columns - 0.8)
         rows = -(-len(labels) // columns)
         place: Any = {"loc": "lower left", "bbox_to_anchor": (0, 1)}
@@ -176,27 +164,19 @@ def _draw(axes: Any, mark: Mark) -> None:
         case Dots():
             look = {"color": mark.color, "alpha": mark.opacity, "label": mark.label}
             axes.plot(mark.x, mark.y, "o", markersize=mark.size, markeredgewidth=0, **look)
-        case Stems():
-            axes.vlines(mark.x, 0, mark.y, color=mark.color, linewidth=1, label=mark.label)
         case Span():
-            look: dict[str, Any] = {"color": mark.color, "alpha": mark.opacity}
-            if mark.hatched:
-                look = {"facecolor": "none", "edgecolor": "0.4", "hatch": "///"}
             across = axes.axvspan if mark.axis == "x" else axes.axhspan
-            across(mark.low, mark.high, linewidth=0, zorder=0.5, label=mark.label, **look)
+            look = {"color": mark.color, "alpha": mark.opacity, "label": mark.label}
+            across(mark.low, mark.high, linewidth=0, zorder=0.5, **look)
         case Level():
+            across = axes.axvline if mark.axis == "x" else axes.axhline
             look = {"color": mark.color, "linestyle": mark.dashes, "label": mark.label}
-            look |= {"linewidth": 0.9, "zorder": 1.5}
-            if mark.axis == "diagonal":
-                axes.axline((0, 0), slope=1, **look)
-            else:
-                (axes.axvline if mark.axis == "x" else axes.axhline)(mark.value, **look)
+            across(mark.value, linewidth=0.9, zorder=1.5, **look)
         case HeatMap():
             values, x, y = np.asarray(mark.values), np.asarray(mark.x), np.asarray(mark.y)
-            low, high = mark.scale
             axes.grid(False)
-            look = {"cmap": "RdBu_r" if mark.diverging else "viridis", "shading": "nearest"}
-            image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), vmin=low, vmax=high, **look)
+            look = {"cmap": "RdBu_r", "shading": "nearest", "vmin": mark.low, "vmax": mark.high}
+            image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), **look)
             bar = axes.get_figure().colorbar(image, ax=axes, label=mark.label)
             bar.outline.set_visible(False)
             bar.ax.grid(False)
@@ -233,6 +213,3 @@ def _finish(axis: Any, wanted: Axis, set_limits: Any) -> None:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if wanted.reverse:
         axis.set_inverted(True)
-    if wanted.color:
-        axis.label.set_color(wanted.color)
-        axis.set_tick_params(colors=wanted.color)
