@@ -22,7 +22,7 @@ the position's derivative puts what reads either of them in doubt by a fifth.
 **Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
 """
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -122,7 +122,7 @@ def doubts(assessment: "Assessment") -> dict[str, Doubt]:
         drift = {name: sweep.away(name, float(answer[name])) for name in names}
     left = {} if exact else left_out(assessment)
     # Of each kind of fault all of what is amiss with the recordings, of kinds the worst.
-    amiss: dict[str, Counter] = defaultdict(Counter)
+    amiss: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for finding in assessment.findings():
         for name in assessment.parameters_of(finding):
             share = finding.doubts.get(name, finding.doubt)

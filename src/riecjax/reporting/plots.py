@@ -159,19 +159,20 @@ def relative_figure(documents: Mapping[str, Document]) -> Chart:
         ends = [_percent(entries[n]["interval95"], reference[n]) for n in names if n in entries]
         values = [_percent([entries[n]["value"]], reference[n]) for n in names if n in entries]
         places = [i + shift for i, name in enumerate(names) if name in entries]
-        bars = [(*pair, math.nan) for pair in ends], [(i, i, math.nan) for i in places]
-        marks.append(Line(*map(np.ravel, bars), label, color, width=BOLD))
+        x = np.ravel([(*pair, math.nan) for pair in ends])
+        y = np.ravel([(place, place, math.nan) for place in places])
+        marks.append(Line(x, y, label, color, width=BOLD))
         marks.append(Dots(np.ravel(values), places, color=color, size=LARGE))
     ends = [abs(x) for mark in marks if isinstance(mark, Line) for x in np.ravel(mark.x)]
     reach = max((end for end in ends if math.isfinite(end)), default=1.0)
-    limits = {"low": -FARTHEST, "high": FARTHEST} if reach > FARTHEST else {}
+    limit = FARTHEST if reach > FARTHEST else None
     base, labels = f"the value of {next(iter(documents))}", names
     if len(documents) == 1:
         base = "the value"
         values = {n: with_error(e["value"], e["std_error"]) for n, e in first.items()}
         labels = [f"{n} = {values[n]} {first[n]['unit']}".rstrip() for n in names]
-    x = Axis(f"95 % interval, from {base} / %", **limits)
-    return single(marks, x, _names(labels), "Parameters with their 95 % intervals.")
+    across = Axis(f"95 % interval, from {base} / %", low=limit and -limit, high=limit)
+    return single(marks, across, _names(labels), "Parameters with their 95 % intervals.")
 
 
 def _percent(values: Iterable[Any], reference: Any) -> list[float]:

@@ -281,12 +281,12 @@ def interactive(chart: Chart) -> dict[str, Any]:
                 drawn |= {} if wanted.label else {"showticklabels": False}
         layout |= {f"xaxis{number}": x, f"yaxis{number}": y}
         parts = [_drawn(mark, panel, axes) for mark in panel.marks]
-        drawn = [trace | axes for traces, _ in parts for trace in traces]
+        traces: Parts = [trace | axes for some, _ in parts for trace in some]
         layout["shapes"] += [shape for _, shapes in parts for shape in shapes]
         legend = "legend" if chart.legend else f"legend{number}"
         # A name stands in a legend once.
         shown, named = i == 0 or not chart.legend, set()
-        for trace in drawn:
+        for trace in traces:
             if "colorbar" in trace:
                 middle, size = sum(down) / 2, down[1] - down[0]
                 trace["colorbar"] |= {"x": across[1], "y": middle, "len": size}
@@ -295,7 +295,7 @@ def interactive(chart: Chart) -> dict[str, Any]:
                 trace |= {"name": name, "legendgroup": name or None, "legend": legend}
                 trace["showlegend"] = shown and bool(name) and name not in named
                 named.add(name)
-        data += drawn
+        data += traces
         own_legend = bool(panel.labels) and not chart.legend
         if own_legend or (chart.legend and i == 0):
             shift = TITLE / spaces.inside_height if chart.legend and panel.title else 0
