@@ -53,9 +53,9 @@ TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 VALIDATED_STATES = ("x1", "x2", "x3", "x4")
 POTHOLE_DURATION = 3.0
 """Seconds of the pot-hole's validation, enough for the body to come to rest."""
-UNITS = {quantity.name: quantity.unit for quantity in rx.find_model("quarter-car").parameters}
+FORCES = ("F_1", "F_2", "F_3", "F_4")
+UNITS = {"K_t": "N/m", "M_us": "kg", "M_s": "kg", "K_s": "N/m"} | dict.fromkeys(FORCES, "N")
 PARAMETERS = tuple(UNITS)
-FORCES = PARAMETERS[4:]
 STEP = 1 / TABLE_2.rate
 """Seconds from sample to sample."""
 

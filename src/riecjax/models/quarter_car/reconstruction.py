@@ -95,7 +95,7 @@ def quarter_car_source(
 ) -> QuarterCarSource:
     """The source model with these shapes, and one of Table 6's mounts, the pathological one if
     nothing is said."""
-    values = {q.name: q.default for q in LISTED["quarter-car-source"].simulation_parameters}
+    values = {q.name: q.default for q in LISTED["quarter-car-source"].system.parameters}
     mount = {"K_m": mount_rate, "B_m": mount_damping}
     given = {**values, **{name: value for name, value in mount.items() if value is not None}}
     return source_system({name: jnp.asarray(value) for name, value in given.items()}, shapes)

@@ -162,12 +162,9 @@ def record_from_channels(
 
             values[name] = derived(formula, clock | values)
         values = {name: array for name, array in values.items() if name not in by_products}
-        record = Record.from_samples(
-            values,
-            time=axis,
-            time_step=step if axis is None else None,
-            units=units | formula_units,
-        )
+        units = {name: unit for name, unit in (units | formula_units).items() if name in values}
+        given_step = step if axis is None else None
+        record = Record.from_samples(values, time=axis, time_step=given_step, units=units)
         given = given_noise(selection.noise, record.arrays)
         record = record.with_noise(given)
         if rate is not None and axis is not None:
