@@ -93,8 +93,9 @@ class Machine:
         self, noise: float = 0.0, seed: int = 0, *, drive: int = 0, shape: Shape | None = None
     ) -> dict[str, np.ndarray]:
         """Exact signals of a drive, with white noise of a share of each sensor's deviation."""
-        exact = self.motion(drive, shape or self.shape)
-        return noisy(exact, dict.fromkeys(self.sensors, noise), seed) if noise else dict(exact)
+        # Motions are kept, and a test may write into its samples.
+        exact = {k: v.copy() for k, v in self.motion(drive, shape or self.shape).items()}
+        return noisy(exact, dict.fromkeys(self.sensors, noise), seed) if noise else exact
 
     def record(
         self, noise: float = 0.0, seed: int = 0, *, drive: int = 0, shape: Shape | None = None
