@@ -749,7 +749,7 @@ class OutputError(AbstractObjective):
         threshold = None
         if self.loss == "huber":
             noise = noise_levels(specified.records, channels)
-            threshold = THRESHOLD * jnp.maximum(noise, LEAST_NOISE * deviation)[None, :] / sigma
+            threshold = THRESHOLD * (jnp.maximum(noise, LEAST_NOISE * deviation) / sigma)[None, :]
         return OutputMisfit(
             system=model,
             recorded=recorded,
