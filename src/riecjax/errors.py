@@ -6,7 +6,7 @@ import re
 import site
 import sysconfig
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import UnionType
 
@@ -126,6 +126,15 @@ def require(
         kind = type(value).__name__
         given = f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind}"
     raise error(f"{what} is {given}. Write {write}.")
+
+
+def refuse_unknown(
+    unknown: Sequence[str], names: Iterable[str], has: str = "the model has"
+) -> None:
+    """Raise `ModelError` for the first of the parameters that are `unknown`, if any, with the
+    `names` that there are."""
+    if unknown:
+        raise ModelError(f"unknown parameter '{unknown[0]}'; {has}: {', '.join(names)}.")
 
 
 @contextlib.contextmanager

@@ -18,7 +18,7 @@ from riecjax.equations.hidden_elements import (
 )
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.equations.motions import reading_velocities
-from riecjax.errors import DataError, ModelError, RiecjaxError
+from riecjax.errors import DataError, ModelError, RiecjaxError, refuse_unknown
 from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.estimation.identify import identify
@@ -73,10 +73,8 @@ def discover(model: Equation | Model, records: Records, settings: DiscoverSettin
             "terms are looked for beside a model without hidden modes and springs: leave these out."
         )
     # In the model's own words: of candidates none can be known, nor set a scale.
-    if unknown := [name for name in settings.known if name not in model.parameter_names]:
-        raise ModelError(
-            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(model.parameter_names)}."
-        )
+    names = model.parameter_names
+    refuse_unknown([name for name in settings.known if name not in names], names)
     model.plan({*model.known, *settings.known})
     # Velocities that candidates read and no sensor measured are formed, if they can be.
     reading, recordings = reading_velocities(model), []

@@ -42,7 +42,7 @@ from riecjax.equations.hidden_elements import (
 from riecjax.equations.memories import Memory
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm, Term
-from riecjax.errors import ModelError, require, users_code
+from riecjax.errors import ModelError, refuse_unknown, require, users_code
 from riecjax.extensions import element
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.record import Record
@@ -251,9 +251,7 @@ class Model(Shown, eqx.Module):
         **Raises:** `ModelError` for a parameter that the model does not have.
         """
         names = [quantity.name for quantity in self.parameters]
-        for name in values:
-            if name not in names:
-                raise ModelError(f"unknown parameter '{name}'; there are: {', '.join(names)}.")
+        refuse_unknown([name for name in values if name not in names], names, "there are")
         return replace(
             self,
             parameters=tuple(
@@ -420,10 +418,8 @@ class Model(Shown, eqx.Module):
             raise ModelError(f"model '{self.name}' has neither equations nor a system.")
         quantities = self.simulation_parameters
         names = [quantity.name for quantity in quantities]
-        if unknown := [name for name in settings if name not in names]:
-            raise ModelError(
-                f"unknown parameter '{unknown[0]}'; {self.name} has: {', '.join(names)}."
-            )
+        unknown = [name for name in settings if name not in names]
+        refuse_unknown(unknown, names, f"{self.name} has")
         values: dict[str, Any] = {q.name: settings.get(q.name, q.default) for q in quantities}
         if unset := [name for name, value in values.items() if value is None]:
             raise ModelError(

@@ -24,7 +24,7 @@ from riecjax.equations.hidden_elements import (
 )
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
-from riecjax.errors import ModelError, require
+from riecjax.errors import ModelError, refuse_unknown, require
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.summaries.task import require_key
 
@@ -143,9 +143,9 @@ class ParameterTable(eqx.Module):
 
     def require(self, names: Iterable[str]) -> None:
         """Raise `ModelError` for a name, over all recordings or the model's own, that is none."""
-        if unknown := [name for name in names if not {*self.everywhere([name])} <= {*self.names}]:
-            listed = ", ".join(self.names)
-            raise ModelError(f"unknown parameter '{unknown[0]}'; the model has: {listed}.")
+        every = {*self.names}
+        unknown = [name for name in names if not {*self.everywhere([name])} <= every]
+        refuse_unknown(unknown, self.names)
 
     def holding(self, known: Mapping[str, Any]) -> "ParameterTable":
         """The table with these values known, and no others."""

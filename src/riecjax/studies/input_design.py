@@ -26,6 +26,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Key
 
 from riecjax import Adaptive, FixedStep, ModelError, Record, Signal, simulate
+from riecjax.errors import refuse_unknown
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_scaled
 from riecjax.refinement import AbstractParametric, as_parametric_system
@@ -99,12 +100,8 @@ def _planned(
 ) -> _Experiment:
     """An experiment, checked. `settings`: `known`, `initial_state` and `method`, or None."""
     known, initial_state = settings["known"] or {}, settings["initial_state"] or {}
-    if unknown := [
-        n for n in {**known, **values} if model.parameters and n not in model.parameters
-    ]:
-        raise ModelError(
-            f"unknown parameter '{unknown[0]}'; the model has: {', '.join(model.parameters)}."
-        )
+    if names := model.parameters:
+        refuse_unknown([name for name in {**known, **values} if name not in names], names)
     if not values or not channels:
         raise ModelError("an experiment needs a parameter to estimate and a channel to measure.")
     held = {**model.defaults, **known}

@@ -10,6 +10,7 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
+from riecjax.records.derived import derived, sensitivities
 from riecjax.records.noise_judgement import given_noise, judged
 from riecjax.records.preparation.repair import signed, treat_all
 from riecjax.records.reading import times as clocks
@@ -158,8 +159,6 @@ def record_from_channels(
             axis, values = on_grid(measured, rate, matter)
         clock = {} if axis is None else {"t": axis}
         for name, formula in formulas.items():
-            from riecjax.records.derived import derived
-
             values[name] = derived(formula, clock | values)
         values = {name: array for name, array in values.items() if name not in by_products}
         units = {name: unit for name, unit in (units | formula_units).items() if name in values}
@@ -364,8 +363,6 @@ def _with_noise(
     measured = [name for name in record.arrays if name not in formulas]
     noise = judged(record.select(*measured)).noise if measured else record.noise
     for name, formula in formulas.items():
-        from riecjax.records.derived import sensitivities
-
         levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
         noise = noise.combined(name, sensitivities(formula, columns, levels))
     return record.with_noise(noise)
