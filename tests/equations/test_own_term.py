@@ -88,6 +88,40 @@ def test_it_is_simulated_where_it_says_what_it_makes_of_a_sample():
         rx.equation_system(FOREIGN[1], DRAG_TRUTH)
 
 
+@pytest.mark.parametrize(
+    ("functions", "says"),
+    [
+        (lambda self, x: x, r"a row for each of 1 .*shape \(1, .*; it made"),
+        (lambda self, x: jnp.stack([x, x]), "a row for each of 1"),
+        (lambda self, x: np.sin(x)[None], "Use functions of jax.numpy"),
+        (lambda self, x: 1 / 0, "failed at line .*division by zero"),
+    ],
+)
+def test_what_it_gets_wrong_is_named(functions, says):
+    wrong = equation(type("Wrong", (Drag,), {"functions": functions})("r2", of="dx"))
+    with pytest.raises(rx.ModelError, match=f"Wrong .*{says}"):
+        rx.identify(wrong, RECORD)
+    with pytest.raises(rx.ModelError, match=f"cannot be simulated: Wrong .*{says}"):
+        rx.equation_system(wrong, DRAG_TRUTH)
+
+
+def test_a_mean_is_one_of_the_samples_recorded_and_sums_are_of_its_code():
+    def centred(self, x):
+        law = x * jnp.abs(x)
+        return (law - jnp.mean(law))[None]
+
+    def expression(signals):
+        return centred(None, signals["dx"])[0]
+
+    kind = type("Drag", (Drag,), {"functions": centred})
+    models = equation(kind("r2", of="dx")), equation(rx.Term("r2", expression))
+    ours, theirs = (rx.identify(model, RECORD, intervals=rx.Naive()) for model in models)
+    for name in DRAG_TRUTH:
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9)
+    with pytest.raises(rx.ModelError, match="made for other equations"):
+        rx.estimate(FOREIGN[0], rx.summarise(models[0], RECORD))
+
+
 @pytest.mark.parametrize("foreign", FOREIGN)
 def test_springs_and_sensors_refuse_it(foreign):
     with pytest.raises(rx.ModelError, match="'r2' is a function of a kind that no spring's"):

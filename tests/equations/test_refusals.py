@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import riecjax as rx
@@ -16,12 +17,28 @@ def model(**fields: Any) -> Any:
     return Model("mass", stages=PUSHED, **fields)
 
 
+def said_twice(**fields: tuple[Any, Any]) -> Any:
+    """Two stages whose terms of one coefficient have the one and the other value of a field."""
+    terms = (Term("m", "x", **{k: values[i] for k, values in fields.items()}) for i in (0, 1))
+    return rx.staged(*(rx.Equation(term, Term("d", "v"), FORCE) for term in terms))
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Term("m", "x", derivative=True), "0, 1 or 2; got True"),
-        (lambda: Term("m", "x", derivative=1.0), "0, 1 or 2; got 1.0"),
+        (lambda: Term("m", "x", derivative=True), "from 0 on; got True"),
+        (lambda: Term("m", "x", derivative=1.0), "from 0 on; got 1.0"),
         (lambda: Term("m", "x", unit=3), "unit is an int"),
+        (lambda: Term("m", "x", unit=("kg", "N")), "m: 2 units for 1 coefficients"),
+        (lambda: Term("m", "x", known=np.nan), "known value of m must be one finite number"),
+        (lambda: Term("m", "x", sign=None), "sign must be one finite number; got None"),
+        (lambda: Term(np.ones(2), "x"), "coefficient must be one finite number"),
+        (lambda: Term("m", "x", basis="roof"), "basis is the text 'roof'"),
+        (lambda: Term(1.0, "x", basis=rx.Polynomial((1, 3))), "need a name"),
+        (lambda: rx.Polynomial((1, 1)), "different whole numbers from 0 on"),
+        (lambda: rx.Polynomial("13"), "exponents is the text '13'"),  # pyright: ignore
+        (lambda: said_twice(known=(2.0, 3.0)), "m is known as 2 in one term and as 3"),
+        (lambda: said_twice(unit=("kg", "N")), "unit of m is N in one term and kg in another"),
         (lambda: rx.Equation(rx.Term(" ", "x"), FORCE), "equation: a name is empty"),
         (lambda: Model(PUSHED), "the name stands first"),
         (lambda: Model("mass", stages=(PUSHED, "u")), "in stages is the text 'u'"),
@@ -29,6 +46,16 @@ def model(**fields: Any) -> Any:
         (lambda: model(rates=[("x", "v")]), "rates of a model is a list"),
         (lambda: model(band=5.0), "band of a model is a float"),
         (lambda: model(band=(10.0, 1.0)), "from a low to a high frequency"),
+        (lambda: model(band=("1", "10")), "from a low to a high frequency"),
+        (lambda: model(band=(1.0, 2.0, 3.0)), "from a low to a high frequency"),
+        (
+            lambda: model(parameters=[rx.equations.Quantity("m", "lb", "")]),
+            "m is kg in .* lb among param",
+        ),
+        (
+            lambda: model(signals=2 * (rx.equations.Quantity("x", "m", ""),)),
+            "'x' stands twice in signals",
+        ),
         (lambda: model(at_rest="no"), "'mask' or 'keep'; got 'no'"),
         (lambda: model(modes=rx.HiddenMode(on="x")), "modes of a model is a HiddenMode"),
         (lambda: model().with_values({"M": 1.0}), "unknown parameter 'M'; there are: m"),

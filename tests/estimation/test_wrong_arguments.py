@@ -1,6 +1,7 @@
 """Slips in calls of the verbs: each is an error of one line that says what to write."""
 # pyright: reportArgumentType=false
 
+import contextlib
 import functools
 
 import jax
@@ -9,6 +10,7 @@ import optimistix
 import pytest
 
 import riecjax as rx
+from riecjax.equations import Quantity
 
 TIME = np.arange(400) / 100
 RECORD = rx.Record.from_samples({"x": np.sin(9 * TIME), "F": np.cos(5 * TIME)}, time_step=0.01)
@@ -48,6 +50,30 @@ def test_identify_and_check(case, verb):
     with pytest.raises(rx.ModelError) as refused:
         verb(*arguments, **settings)
     assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("verb", [rx.identify, rx.check])
+@pytest.mark.parametrize(
+    ("model", "units", "says"),
+    [
+        (EQUATION, ("m", "mm"), "record 2 has x in mm, .* another record has it in m"),
+        (EQUATION, ("m", "meter"), ""),
+        (EQUATION, ("counts", "raw"), ""),
+        (rx.Model(stages=EQUATION, signals=[Quantity("x", "m", "")]), ("mm",), "has x in mm"),
+        (rx.Model(stages=EQUATION, signals=[Quantity("y", "m", "")]), ("mm",), ""),
+    ],
+)
+def test_units_that_differ_are_refused(model, units, says, verb):
+    samples = {"x": RECORD["x"], "F": RECORD["F"]}
+    records = [rx.Record.from_samples(samples, time_step=0.01, units={"x": unit}) for unit in units]
+    with pytest.raises(rx.DataError, match=says) if says else contextlib.nullcontext():
+        verb(model, records, ALL)
+
+
+def test_a_batch_is_mapped_over():
+    batch = rx.records.stack_records([RECORD, RECORD])
+    with pytest.raises(rx.DataError, match=r"jax\.vmap"):
+        rx.identify(EQUATION, batch, ALL)
 
 
 @functools.cache

@@ -156,10 +156,19 @@ def test_impossible_noise(wrong, error, message):
         judged(Record({"x": SMOOTH}, STEP), wrong)
 
 
-@pytest.mark.parametrize("pair", [("x", "v"), ("x", "y")])
-def test_impossible_correlations(pair):
-    with pytest.raises(DataError):
-        Noise.given({"x": 1.0, "v": 1.0}, {pair: 1.5})
+@pytest.mark.parametrize(
+    ("correlation", "says"),
+    [
+        ({("x", "v"): 1.5}, "between -1 and 1"),
+        ({("x", "y"): 0.5}, "noise of 'y'"),
+        ({("x", "x"): 0.5}, "of two signals; got 0.5"),
+        ({("x", "v"): np.nan}, "one number"),
+        ({("x", "v"): 0.5, ("v", "x"): -0.5}, "one number"),
+    ],
+)
+def test_impossible_correlations(correlation, says):
+    with pytest.raises(DataError, match=says):
+        Noise.given({"x": 1.0, "v": 1.0}, correlation)
 
 
 @pytest.fixture

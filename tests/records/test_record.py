@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from riecjax.errors import DataError
+from riecjax.records.linear_op import LinearOp
 from riecjax.records.record import Record, stack_records
 from riecjax.records.signal import Noise, Signal
 
@@ -63,6 +66,7 @@ def signals_with(value, at):
             ["'x'", "of datetime64[s]", "convert it"],
         ),
         (dict(signals={1: ramp()}, time_step=1.0), ["signal's name is an int"]),
+        (dict(signals={"": ramp()}, time_step=1.0), ["signal's name is empty"]),
         (dict(signals={"x": 1j * ramp()}, time_step=1.0), ["'x'", "complex", "real or imaginary"]),
     ],
 )
@@ -143,6 +147,49 @@ def test_missing_samples_are_marked_and_hold_the_last_value():
 
 
 X, Y = np.array([[np.nan, 1, 2, 3, 4], [0, np.nan, 2, np.nan, 4]])
+
+
+@pytest.mark.parametrize(
+    "samples", [[0.0, np.nan, 2.0], np.ma.array([0.0, 9.0, 2.0], mask=[0, 1, 0])]
+)
+def test_bare_samples_are_missing_where_they_are_nan_or_masked(samples):
+    empty = Record({"y": np.ones(3)}, 1.0)
+    checked = Record.from_samples({"x": samples}, time_step=1.0)
+    for record in (checked, Record({"x": samples}, 1.0), empty.with_signals({"x": samples})):
+        assert np.asarray(record.present(["x"])).tolist() == [True, False, True]
+        assert record["x"].tolist() == [0.0, 0.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda r: Record({"x": X}, 1.0, stamps=X[:3]), r"same length; .* stamps \(3,\)"),
+        (lambda r: Record({"x": Signal(X, X[:3] > 0)}, 1.0), r"x.present \(3,\)"),
+        (lambda r: r.with_noise(Noise.given({"q": 0.1})), "no signal 'q'"),
+        (lambda r: r.with_noise({"x": 0.1}), "the noise is a dict"),
+        (lambda r: r.through(LinearOp.of_values("{}", X)), "have no names"),
+        (lambda r: r.through(GRID, "x"), "the same for all signals: x, y"),
+        (lambda r: r.through({"x": GRID, "y": replace(GRID, spacing=0.2)}), "make the same"),
+    ],
+)
+def test_what_a_record_cannot_be_made_of_is_said_and_nothing_is_dropped(make, says):
+    with pytest.raises(DataError, match=says):
+        make(Record({"x": X, "y": X}, 1.0))
+
+
+GRID = LinearOp("{}: finer", lambda samples, places: samples[places.astype(int)], spacing=0.5)
+
+
+@pytest.mark.parametrize(
+    ("taps", "first"), [([-1.0, 1.0], -1), ([1.0], -2), ([0.5, 0.0, 2.0], 1), ([1.0, 2.0, 3.0], -1)]
+)
+def test_noise_goes_through_the_sums_that_samples_go_through(taps, first):
+    samples = np.random.default_rng(0).normal(size=20_000)
+    record = Record({"x": samples}, 1.0).with_noise(Noise.given({"x": 1.0}))
+    made = record.through({"y": LinearOp.of_taps("{}", np.array(taps), first, source="x")})
+    total = made.signal("x") - made.signal("y")
+    assert total.noise is not None
+    np.testing.assert_allclose(total.noise.std, np.std(total.values), rtol=0.03)
 
 
 @pytest.mark.parametrize("traced", [False, True])

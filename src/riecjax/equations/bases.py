@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 
 
@@ -102,9 +102,23 @@ class RoofFunctions(AbstractBasis):
 
 
 class Polynomial(AbstractBasis):
-    """Powers x^p of a signal for the given exponents."""
+    """Powers x^p of a signal for the given exponents.
 
-    exponents: tuple[int, ...] = eqx.field(static=True, converter=tuple)
+    **Raises:** `ModelError` unless these are different whole numbers from 0 on.
+    """
+
+    exponents: tuple[int, ...] = eqx.field(static=True)
+
+    def __init__(self, exponents: Sequence[int]):
+        kinds = (tuple, list, range)
+        require("what a polynomial has for exponents", exponents, kinds, "rx.Polynomial((1, 3))")
+        self.exponents = tuple(exponents)
+        whole = all(isinstance(p, int | np.integer) and p >= 0 for p in self.exponents)
+        if not whole or not 0 < len(self.exponents) == len({*self.exponents}):
+            raise ModelError(
+                f"a polynomial's exponents must be different whole numbers from 0 on; got "
+                f"{self.exponents}."
+            )
 
     @property
     def labels(self) -> tuple[str, ...]:

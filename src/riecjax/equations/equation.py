@@ -1,6 +1,7 @@
 """An equation of motion, linear in its parameters."""
 
 from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ from jaxtyping import Array, Bool
 
 from riecjax.compilation import kept_jit
 from riecjax.equations.expressions import Expression, combined, evaluate, label_of, read_expression
-from riecjax.equations.term import AbstractTerm
+from riecjax.equations.term import AbstractTerm, from_elsewhere, samples_of
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record, Signals
@@ -143,39 +144,43 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
     """Expressions whose value at one sample depends on others, as `equation: name` (not under jit).
 
     A mean, a difference between neighbours or a filter would see only a chunk of the record, or
-    what fills it up. Each is tried on samples from all over the record, and on halves of these.
+    what fills it up. Each is tried on samples from all over the record, and on halves of these;
+    and so is what a class of terms from elsewhere makes.
     """
-    functions = [
-        (equation.name, expression)
-        for equation in equations
-        for expression in (*(term.of for term in equation.terms), equation.where)
-        if expression is not None and not isinstance(expression, str)
-    ]
-    if not functions:
+    tried: dict[str, Expression | AbstractTerm] = {}
+    for equation in equations:
+        for expression in (*(term.of for term in equation.terms), equation.where):
+            if expression is not None and not isinstance(expression, str):
+                tried[f"{equation.name}: {label_of(expression)}"] = expression
+        for term in equation.terms:
+            if from_elsewhere(type(term)):
+                tried[f"{equation.name}: {type(term).__name__}"] = term
+    if not tried:
         return []
     at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)
     probe = Record(
         {name: np.asarray(values)[at] for name, values in record.arrays.items()},
         record.time_step,
     )
-    alone = _each_by_itself(tuple(f for _, f in functions), probe)
-    return [
-        f"{label}: {label_of(function)}"
-        for (label, function), good in zip(functions, np.asarray(alone))
-        if not good
-    ]
+    alone = np.asarray(_each_by_itself(tuple(tried.values()), probe))
+    return [label for label, good in zip(tried, alone) if not good]
 
 
 @kept_jit
 def _each_by_itself(
-    functions: tuple[Expression, ...], record: Record
+    functions: tuple[Expression | AbstractTerm, ...], record: Record
 ) -> Bool[Array, " expressions"]:
     half = PROBE // 2
     parts = [record.part(0, half), record.part(half, PROBE)]
 
-    def alone(function: Expression) -> Bool[Array, ""]:
-        whole = evaluate(function, record).values
-        halves = jnp.concatenate([evaluate(function, part).values for part in parts])
+    def samples(function: Expression | AbstractTerm, record: Record) -> Any:
+        if isinstance(function, AbstractTerm):
+            return samples_of(function, record, 0).values
+        return evaluate(function, record).values
+
+    def alone(function: Expression | AbstractTerm) -> Bool[Array, ""]:
+        whole = samples(function, record)
+        halves = jnp.concatenate([samples(function, part) for part in parts], axis=-1)
         # Of differences of large numbers, compilers may round halves otherwise than the whole.
         size = jnp.max(jnp.abs(whole), where=jnp.isfinite(whole), initial=0.0)
         return jnp.all(jnp.isclose(whole, halves, rtol=1e-9, atol=1e-9 * size, equal_nan=True))

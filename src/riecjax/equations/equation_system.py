@@ -43,7 +43,7 @@ from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, label_of, signals_read
 from riecjax.equations.hidden_elements import HiddenState, SpringElement
-from riecjax.equations.term import AbstractTerm
+from riecjax.equations.term import AbstractTerm, made_by
 from riecjax.errors import ModelError, users_code
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
@@ -146,7 +146,9 @@ def read_structure(
     for term in (*terms, *(spring.element for spring in springs)):
         if not term.is_linear and term.basis is None:
             try:
-                jax.eval_shape(term.functions, jnp.zeros(1))
+                jax.eval_shape(
+                    lambda x, t=term: made_by(t, lambda: t.functions(x), 1), jnp.zeros(1)
+                )
             except ModelError as error:
                 raise ModelError(f"{label} cannot be simulated: {error}") from None
         read.append(expression_read(term, motions))

@@ -44,7 +44,8 @@ from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quanti
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, refuse_unknown, require, users_code
 from riecjax.extensions import element
-from riecjax.leaves import Leaf, is_concrete, is_under_trace
+from riecjax.leaves import Leaf, is_concrete, is_number, is_under_trace
+from riecjax.records.reading.units import same
 from riecjax.records.record import Record
 from riecjax.shows import Shown
 
@@ -142,16 +143,21 @@ class Model(Shown, eqx.Module):
         # The field's converter comes after, for what stands here is needed first.
         for name, kinds, write in FIELDS:
             require(f"{name} of a model", getattr(self, name), kinds, write)
-        if self.band is not None and not 0 < self.band[0] < self.band[1]:
+        ends = (0, *(self.band or (1, 2)), np.inf)
+        if len(ends) != 4 or not all(map(is_number, ends)) or not (np.diff(ends) > 0).all():
             raise ModelError(f"a model's band is from a low to a high frequency; got {self.band}.")
         if self.at_rest not in get_args(AtRest):
             raise ModelError(f"at_rest must be 'mask' or 'keep'; got {self.at_rest!r}.")
         self.stages = _in_stages(self.stages)
         self.system = self.system if isinstance(self.system, Machine) else Machine(self.system)
         for field_name in ("signals", "parameters", "inputs"):
+            names: list[str] = []
             for quantity in getattr(self, field_name):
                 write = f"{field_name}=(Quantity('x', 'm', 'position'), ...)"
                 require(f"what is in {field_name}", quantity, Quantity, write)
+                if quantity.name in names:
+                    raise ModelError(f"'{quantity.name}' stands twice in {field_name}.")
+                names.append(quantity.name)
         self.derived, self.rates = FrozenDict(self.derived), FrozenDict(self.rates)
         for mode in self.modes:
             require("a mode", mode, HiddenMode, "rx.HiddenMode(on='x4')")
@@ -161,6 +167,7 @@ class Model(Shown, eqx.Module):
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
         self._require_elements()
+        self._require_agreement()
         units, listed = self.units, {quantity.name for quantity in self.parameters}
         names = dict.fromkeys(name for equation in self.equations for name in equation.parameters)
         every = {name: Quantity(name, units[name], "") for name in names} | self._of_hidden
@@ -192,6 +199,27 @@ class Model(Shown, eqx.Module):
                     f"velocity or a map of one: {', '.join(fitting) or 'no equation has any'}."
                 )
             taken += every[0].parameters
+
+    def _require_agreement(self) -> None:
+        """Raise `ModelError` for a coefficient that its terms say different things of."""
+        known, units = self.known, self.units
+        for term in (term for equation in self.equations for term in equation.terms):
+            for name, value in term.known_values.items():
+                if is_concrete(value, known[name]) and value != known[name]:
+                    raise ModelError(
+                        f"{name} is known as {value:g} in one term and as {known[name]:g} in "
+                        f"another."
+                    )
+            for name, unit in term.units.items():
+                if unit and not same(unit, units[name]):
+                    raise ModelError(
+                        f"the unit of {name} is {unit} in one term and {units[name]} in another."
+                    )
+        for name, unit, *_ in self.parameters:
+            if unit and (said := units.get(name)) and not same(unit, said):
+                raise ModelError(
+                    f"the unit of {name} is {said} in the equations and {unit} among parameters."
+                )
 
     @property
     def kinematics(self) -> "tuple[Relation, ...]":
@@ -525,7 +553,7 @@ class Model(Shown, eqx.Module):
     def units(self) -> dict[str, str]:
         """Unit of each coefficient."""
         units = [pair for equation in self.equations for pair in equation.units.items()]
-        known = dict(units) | {name: unit for name, unit in units if unit}
+        known = dict(units) | {name: unit for name, unit in reversed(units) if unit}
         return known | {name: quantity.unit for name, quantity in self._of_hidden.items()}
 
     @property

@@ -42,7 +42,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import combined, evaluate, read_expression
-from riecjax.equations.term import AbstractTerm
+from riecjax.equations.term import AbstractTerm, samples_of
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.records.signal import Noise, Signal
@@ -102,9 +102,12 @@ class Columns(eqx.Module):
 def sampled_columns(equation: Equation, record: Record, smoothness: int) -> Columns:
     """The columns of an equation, of whose derivatives a criterion takes `smoothness` off.
 
-    **Raises:** `DataError` for a missing signal or derivative.
+    **Raises:** `DataError` for a missing signal or derivative, `ModelError` for a class of terms
+    that fails or makes another shape.
     """
-    read = [term.samples(record, max(term.derivative - smoothness, 0)) for term in equation.terms]
+    read = [
+        samples_of(term, record, max(term.derivative - smoothness, 0)) for term in equation.terms
+    ]
     return columns_of_terms(equation, record, smoothness, read)
 
 
@@ -215,7 +218,7 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
     clean, weights = [], []
     for term in equation.terms:
         above, order = max(term.derivative - smoothness, 0), min(term.derivative, smoothness)
-        sampled = term.samples(record, above)
+        sampled = samples_of(term, record, above)
         rises, curved = _term_noise(term, record, above, jnp.asarray(sampled.values), directions)
         for key, rise in rises.items():
             moves[key].append((term, order, rise))

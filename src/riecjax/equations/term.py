@@ -5,8 +5,9 @@ a term it asks by the methods of `AbstractTerm`, which a class from elsewhere an
 """
 
 import json
-from collections.abc import Mapping
-from typing import NamedTuple, Self
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -16,8 +17,8 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.expressions import Expression, combined, evaluate, source_of
-from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, as_leaf
+from riecjax.errors import DataError, ModelError, require, users_code
+from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 
@@ -30,6 +31,16 @@ class Column(NamedTuple):
 
     def __str__(self) -> str:
         return self.name + "'" * self.order
+
+
+def _number(what: str, value: Any) -> Leaf:
+    """One number, as a leaf."""
+    if not is_number(value) or (is_concrete(value) and not np.isfinite(value)):
+        raise ModelError(f"{what} must be one finite number; got {value!r}.")
+    return as_leaf(value)
+
+
+_factor = partial(_number, "the factor in front of a term")
 
 
 class AbstractTerm(eqx.Module):
@@ -53,8 +64,23 @@ class AbstractTerm(eqx.Module):
     derivative: int = eqx.field(static=True, kw_only=True, default=0)
     measured: tuple[str, ...] = eqx.field(static=True, kw_only=True, default=())
     unit: str | tuple[str, ...] = eqx.field(static=True, kw_only=True, default="")
-    factor: Leaf = eqx.field(converter=as_leaf, kw_only=True, default=1.0)  # pyright: ignore
+    factor: Leaf = eqx.field(converter=_factor, kw_only=True, default=1.0)  # pyright: ignore
     basis: AbstractBasis | None = eqx.field(kw_only=True, default=None)
+
+    def __check_init__(self):
+        if type(self.derivative) is not int or self.derivative < 0:
+            raise ModelError(
+                f"a term's derivative must be a whole number from 0 on; got {self.derivative}."
+            )
+        if not callable(self.of):
+            write = "a signal's name or a function: rx.Term('m', 'x')"
+            require("what a term is of", self.of, str, write)
+        require(f"what {type(self).__name__} calls parameters", self.parameters, tuple, "('m',)")
+        require("a term's unit", self.unit, (str, tuple, list), "unit='kg'")
+        if not isinstance(self.unit, str) and len(self.unit) != len(self.parameters):
+            raise ModelError(
+                f"{self.name}: {len(self.unit)} units for {len(self.parameters)} coefficients."
+            )
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -128,7 +154,7 @@ class AbstractTerm(eqx.Module):
             kind = "function" if self.basis is None else "basis"
             raise DataError(f"the derivative of the {kind} '{self.name}' is not recorded.")
         label = self.of if isinstance(self.of, str) else "an expression"
-        which = {1: "first", 2: "second"}[order]
+        which = {1: "first", 2: "second", 3: "third"}.get(order, f"{order}th")
         if order > len(self.measured):
             if isinstance(self.of, str):
                 _ = record.signals[self.of]
@@ -170,6 +196,40 @@ class AbstractTerm(eqx.Module):
         return eqx.tree_at(lambda term: term.factor, self, -self.factor)
 
 
+def from_elsewhere(kind: type) -> list[type]:
+    """A term's class and those that it is derived from, as far as they are not this package's."""
+    return [k for k in kind.__mro__ if k.__module__.partition(".")[0] not in _AT_HOME]
+
+
+_AT_HOME = ("riecjax", "equinox", "builtins")
+Made = TypeVar("Made", Array, Signal)
+
+
+def made_by(term: AbstractTerm, make: Callable[[], Made], samples: int) -> Made:
+    """What a term's class makes, a row for each coefficient and a column for each sample.
+
+    **Raises:** `ModelError` for a class from elsewhere that fails or makes another shape.
+    """
+    kind, rows = type(term).__name__, max(len(term.parameters), 1)
+    with users_code(kind):
+        made = make()
+    shape = jnp.shape(made.values if isinstance(made, Signal) else made)
+    if shape != (rows, samples):
+        raise ModelError(
+            f"{kind} must make a row for each of {rows} coefficient(s), a column for each sample: "
+            f"shape {(rows, samples)}; it made {shape}."
+        )
+    return made
+
+
+def samples_of(term: AbstractTerm, record: Record, order: int) -> Signal:
+    """[`AbstractTerm.samples`][], looked at.
+
+    **Raises:** as that and as [`made_by`][] do.
+    """
+    return made_by(term, lambda: term.samples(record, order), record.sample_count)
+
+
 class Term(AbstractTerm):
     """`coefficient x d^k/dt^k (signal expression)`.
 
@@ -180,7 +240,7 @@ class Term(AbstractTerm):
 
     - `coefficient`: a name for an unknown coefficient, or a number for a known one.
     - `of`: signal name or function of the signals.
-    - `derivative`: k, one of 0, 1, 2.
+    - `derivative`: k.
     - `measured`: names of the signals that hold the first, second, ... derivative of `of`.
     - `unit`: unit of the coefficient.
     - `known`: a value for a named coefficient, which is then not estimated.
@@ -188,7 +248,8 @@ class Term(AbstractTerm):
     - `basis`: functions of the expression in its place, with a coefficient each, see
       [`Terms`][riecjax.Terms].
 
-    **Raises:** `ModelError` for a derivative other than 0, 1, 2 or a known value without a name.
+    **Raises:** `ModelError` for a derivative that is no whole number from 0 on, for what is no
+    finite number, and for a known value, or several functions of a basis, without a name.
     """
 
     coefficient: str | None = eqx.field(static=True)
@@ -212,10 +273,6 @@ class Term(AbstractTerm):
             (str, int, float, np.ndarray, np.number, jax.Array),
             "a name or, for a known one, a number: rx.Term('m', 'x')",
         )
-        if not callable(of):
-            require(
-                "what a term is of", of, str, "a signal's name or a function: rx.Term('m', 'x')"
-            )
         require(
             "measured",
             measured,
@@ -224,23 +281,18 @@ class Term(AbstractTerm):
         )
         named = isinstance(coefficient, str)
         self.coefficient = coefficient if isinstance(coefficient, str) else None
-        self.factor = as_leaf(sign if isinstance(coefficient, str) else coefficient * sign)
+        sign = _number("a term's sign", sign)
+        self.factor = sign if named else _number("a term's coefficient", coefficient * sign)
         self.of = of
         self.derivative = derivative
         self.measured = tuple(measured)
         self.unit = unit
-        self.known = None if known is None else as_leaf(known)
-        self.basis = basis
-        if type(derivative) is not int or derivative not in (0, 1, 2):
-            raise ModelError(f"a term's derivative must be 0, 1 or 2; got {derivative}.")
+        self.known = None if known is None else _number(f"the known value of {coefficient}", known)
+        self.basis = basis if basis is None else _checked(basis)
         if known is not None and not named:
             raise ModelError("a known value belongs to a named coefficient.")
-        require("a term's unit", unit, (str, tuple, list), "unit='kg'")
-        if not isinstance(unit, str) and len(unit) != len(self.parameters):
-            raise ModelError(
-                f"{coefficient}: {len(unit)} units for {len(self.parameters)} functions of the "
-                f"basis."
-            )
+        if self.basis is not None and len(self.basis.labels) > 1 and not named:
+            raise ModelError("several functions of a basis need a name that theirs begin with.")
 
     @property
     def name(self) -> str | None:
@@ -304,10 +356,14 @@ def Terms(
     **Raises:** `ModelError` if there are several units and not one for each function, or for what
     is no basis.
     """
+    return Term(prefix, of, unit=unit, sign=sign, basis=_checked(basis))
+
+
+def _checked(basis: AbstractBasis) -> AbstractBasis:
     called = getattr(basis, "__name__", "").lower() == "friction"
     example = "rx.friction()" if called else "rx.roof([-1, 0, 1])"
     require("the basis", basis, AbstractBasis, f"rx.Terms('F', {example}, 'v')")
-    return Term(prefix, of, unit=unit, sign=sign, basis=basis)
+    return basis
 
 
 def written(value: object) -> str:

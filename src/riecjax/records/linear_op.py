@@ -59,7 +59,7 @@ class LinearOp:
     def of_taps(cls, words: str, taps: Taps, first: int, **fields: Any) -> "LinearOp":
         """Weighted sums of samples, the first of which lies so many samples on.
 
-        Where the middle one is at the place itself, noise goes through the same sums.
+        Noise goes through the same sums.
         """
 
         def sums(samples: Samples, *_: Any) -> Samples:
@@ -70,8 +70,13 @@ class LinearOp:
             made[places[there]] = valid[there]
             return made
 
-        fields = {"noise": convolved_with(*taps[::-1]), "shortest": taps.size, **fields}
-        lost = max(-first, 0), max(first + taps.size - 1, 0)
+        # The middle tap of a kernel is for the same sample.
+        last = first + taps.size - 1
+        reach = max(-first, last, 0)
+        kernel = np.zeros(2 * reach + 1)
+        kernel[reach - last : reach - first + 1] = taps[::-1]
+        fields = {"noise": convolved_with(*kernel), "shortest": taps.size, **fields}
+        lost = max(-first, 0), max(last, 0)
         return cls.of_stretches(words, sums, lost=lost, **fields)
 
     @classmethod
@@ -102,6 +107,12 @@ class LinearOp:
 
     def carry_out(self, ops: "Mapping[str, LinearOp]", record: Record) -> Record:
         """What [`Record.through`][] does with operations of this one's time base."""
+        kept = [] if self.spacing is None else [name for name in record.arrays if name not in ops]
+        if kept or any(op.spacing != self.spacing for op in ops.values()):
+            raise DataError(
+                f"operations that make a new time base must make the same for all signals: "
+                f"{', '.join(record.arrays)}."
+            )
         sources = {name: op.source or name for name, op in ops.items()}
         filtered = [sources[name] for name, op in ops.items() if op.noise is not None]
         record = judged(record, "auto", *filtered) if filtered else record

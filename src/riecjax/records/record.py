@@ -77,7 +77,7 @@ class Record(Drawn, eqx.Module):
         dtype = jnp.result_type(float)
         self.by_name = {}
         for name, given in by_name.items():
-            signal = given if isinstance(given, Signal) else Signal(_numbers(name, given))
+            signal = given if isinstance(given, Signal) else _signal(name, given)
             values = _owned(_numbers(name, signal.values), dtype)
             present = None if signal.present is None else _owned(signal.present, bool)
             self.by_name[name] = Signal(values, present, signal.unit, signal.noise)
@@ -92,8 +92,13 @@ class Record(Drawn, eqx.Module):
         lengths = {name: values.shape for name, values in self.arrays.items()}
         if not lengths:
             raise DataError("a record needs at least one signal.")
-        if len(set(lengths.values())) > 1:
-            listed = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
+        count = {"stamps": self.stamps} | {
+            f"{n}.present": s.present for n, s in self.by_name.items()
+        }
+        counts = {name: mask.shape[-1:] for name, mask in count.items() if mask is not None}
+        rows = {shape[-1:] for shape in lengths.values()} | {*counts.values()}
+        if len(set(lengths.values())) > 1 or len(rows) > 1:
+            listed = ", ".join(f"{name} {shape}" for name, shape in (lengths | counts).items())
             raise DataError(f"all signals of a record must have the same length; got {listed}.")
 
     @classmethod
@@ -228,14 +233,14 @@ class Record(Drawn, eqx.Module):
     def with_signals(self, signals: Mapping[str, Signal | ArrayLike | Array]) -> "Record":
         """A record with these signals added or replaced.
 
-        Of bare arrays, all samples are present and nothing is known of their noise; a signal that
-        they replace leaves them its unit.
+        Of bare arrays nothing is known of their noise; a signal that they replace leaves them its
+        unit. A NaN of NumPy's is a missing sample; in JAX's arrays, traced or not, all are present.
         """
         units = {name: signal.unit for name, signal in self.by_name.items()}
         given = {
             name: signal
             if isinstance(signal, Signal)
-            else Signal(_numbers(name, signal), unit=units.get(name, ""))
+            else _signal(name, signal, units.get(name, ""))
             for name, signal in signals.items()
         }
         return dataclasses.replace(self, by_name={**self.by_name, **given})
@@ -249,14 +254,26 @@ class Record(Drawn, eqx.Module):
         makes.
 
         **Raises:** `DataError` for a signal that the record lacks, or of which no stretch is long
-        enough.
+        enough; for no name at all; and for new time bases that differ or leave a signal out.
         """
         ops = op if isinstance(op, Mapping) else dict.fromkeys(names, op)
+        if not ops and not isinstance(op, Mapping):
+            raise DataError(
+                "the signals that the operation makes have no names. Write "
+                'record.through(op, "x", "dx").'
+            )
         return next(iter(ops.values())).carry_out(ops, self) if ops else self
 
     def with_noise(self, noise: Noise) -> "Record":
-        """The same samples; of the noise of the signals that it names, this is known."""
+        """The same samples; of the noise of the signals that it names, this is known.
 
+        **Raises:** `DataError` for a signal that the record lacks.
+        """
+        require(
+            "what is known of the noise", noise, Noise, "rx.Noise.given({'x': 0.01})", DataError
+        )
+        for name in noise.kernels:
+            self.signal(name)
         signals = {}
         for name, signal in self.by_name.items():
             if name in noise.kernels or signal.noise is not None:
@@ -437,7 +454,11 @@ def _numbers(name: str, values: Any) -> Any:
     no text.
     """
     require("a signal's name", name, str, WRITE_RECORD, DataError)
+    if not name.strip():
+        raise DataError(f"a signal's name is empty. Write {WRITE_RECORD}.")
     try:
+        if isinstance(values, np.ma.MaskedArray):
+            values = values.astype(float).filled(np.nan)
         samples = values if isinstance(values, jax.Array) else np.asarray(values)
         samples = samples.astype(float) if samples.dtype.kind == "O" else samples
     except (TypeError, ValueError):
@@ -453,6 +474,14 @@ def _numbers(name: str, values: Any) -> Any:
             f"first."
         )
     return samples
+
+
+def _signal(name: str, values: Any, unit: str = "") -> Signal:
+    """A signal of bare samples, of which NumPy's are missing where they are NaN or masked."""
+    samples = _numbers(name, values)
+    return (
+        Signal(samples, unit=unit) if isinstance(samples, jax.Array) else Signal.of(samples, unit)
+    )
 
 
 def _samples(name: str, values: ArrayLike) -> np.ndarray:

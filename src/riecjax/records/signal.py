@@ -197,6 +197,13 @@ class Noise(eqx.Module):
                 f"noise of '{unknown[0]}' is to be correlated, and has no standard deviation. "
                 f"Give it one."
             )
+        for (one, other), value in pairs.items():
+            # A NaN equals nothing.
+            if one == other or pairs.get((other, one), value) != value:
+                raise DataError(
+                    f"the correlation of the noise of '{one}' and '{other}' must be one number, of "
+                    f"two signals; got {value}."
+                )
         levels = {name: as_leaf(value) for name, value in std.items()}
         kernels = {
             n: {} if is_concrete(level) and not np.any(level) else {n: level[..., None]}
@@ -338,6 +345,8 @@ class Signal:
         """A signal of samples that are NaN where they are missing."""
         xp = namespace(samples)
         values = xp.asarray(samples)
+        # Sums of small whole numbers wrap around.
+        values = values.astype(float) if values.dtype.kind in "biu" else values
         present = ~xp.isnan(values)
         if xp is np and present.all():
             return cls(values, None, unit, noise)
@@ -351,7 +360,8 @@ class Signal:
         return values if self.present is None else xp.where(self.present, values, np.nan)
 
     def __mul__(self, factor: Any) -> "Signal":
-        noise = self.noise and factor * self.noise
+        # Noise of another size at each sample is none that is known.
+        noise = (self.noise and factor * self.noise) if np.ndim(factor) == 0 else None
         return dataclasses.replace(self, values=factor * self._array, noise=noise)
 
     __rmul__ = __mul__

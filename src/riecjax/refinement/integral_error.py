@@ -42,7 +42,7 @@ from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, require_no_slip, told_apart
-from riecjax.equations.term import Term, combined
+from riecjax.equations.term import Term, combined, samples_of
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import all_normal_equations
@@ -222,7 +222,7 @@ class ParametricBalance(eqx.Module):
             def total(columns: Float[Array, "columns n"], weights=coefficients) -> Array:
                 return jnp.stack(weights) @ columns if weights else jnp.sum(columns, axis=0)
 
-            level, order = combined(total, term.samples(record, read)), term.derivative - read
+            level, order = combined(total, samples_of(term, record, read)), term.derivative - read
             before = levels.get(order)
             levels[order] = level if before is None else combined(operator.add, before, level)
         return levels

@@ -19,6 +19,7 @@ from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.criteria.laws import LengthBins
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
+from riecjax.equations.term import from_elsewhere
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.record import Record
@@ -506,10 +507,21 @@ def _written(value: Any) -> object:
     if isinstance(value, eqx.Module):
         fields = [field.name for field in dataclasses.fields(value)]
         parts = {name: getattr(value, name) for name in fields if name not in ("known", "unit")}
-        return [type(value).__name__, {name: _written(part) for name, part in parts.items()}]
+        return [
+            type(value).__name__,
+            {name: _written(part) for name, part in parts.items()},
+            *_methods(type(value)),
+        ]
     if eqx.is_array(value):
         return np.asarray(value).tolist()
     return _function(value) if callable(value) else value
+
+
+def _methods(kind: type) -> list[object]:
+    """Those of a class from elsewhere; the name of this package's says which they are."""
+    names = {n for k in from_elsewhere(kind) for n in vars(k) if not n.startswith(("__", "_abc"))}
+    methods = [getattr(kind, name) for name in sorted(names)]
+    return [_function(getattr(method, "fget", method)) for method in methods]
 
 
 def _function(expression: str | Callable | None) -> object:

@@ -13,12 +13,14 @@ from jaxtyping import Array, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.equations.equation import Equation
+from riecjax.equations.expressions import signals_read as expression_signals
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.consistency import without_computed
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
+from riecjax.records.reading.units import readings, same
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
 
@@ -115,7 +117,8 @@ def _require_derivatives(model: Model, criterion: AbstractCriterion) -> None:
 def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Recording]:
     """Recordings with the velocities that only functions read, and with their noise judged.
 
-    **Raises:** `ModelError` for springs of which no sums tell.
+    **Raises:** `ModelError` for springs of which no sums tell; `DataError` for a batch of records,
+    and for a signal in another unit than the model reads it in, or an earlier record has it in.
     """
     if maps := [
         f"'{spring.of}'"
@@ -129,7 +132,15 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
             f"{{**estimate.values, 'K_series': stiff}}, rx.OutputError())."
         )
 
+    units = {signal.name: signal.unit for signal in model.signals if signal.unit}
+
     def of(recording: Recording) -> Recording:
+        _require_units(model, recording, units)
+        if recording.record.time_step.ndim or next(iter(recording.record.arrays.values())).ndim > 1:
+            raise DataError(
+                "a batch of records is one record under jax.vmap, which maps over it: "
+                "jax.vmap(lambda record: rx.identify(model, record).values)(records)."
+            )
         with recording.explaining_errors():
             record, steps = with_velocities(model, recording.record)
             known = {**record.noise.kernels, **given_noise(noise, record.arrays).kernels}
@@ -139,6 +150,22 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
+
+
+def _require_units(model: Model, recording: Recording, units: dict[str, str]) -> None:
+    """Raise `DataError` for a signal that is read and has another unit than these say; those that
+    they do not say yet are the recording's."""
+    for name, unit in recording.record.units:
+        said = units.setdefault(name, unit)
+        if same(unit, said) or not (readings(unit) and readings(said)):
+            continue
+        terms = [term for equation in model.equations for term in equation.terms]
+        if name in {n for t in terms for n in (*expression_signals(t.of), *t.measured)}:
+            raise DataError(
+                f"{recording.name} has {name} in {unit}, where the model or another record has it "
+                f"in {said}, and nothing converts one to the other. Convert its samples, or "
+                f"correct its unit."
+            )
 
 
 def require_key(key: object) -> None:
