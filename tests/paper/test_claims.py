@@ -1,6 +1,6 @@
 """Statements on made-up studies, of which it is known whether they hold."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
@@ -37,13 +37,13 @@ RNG = np.random.default_rng(5)
     ],
 )
 def test_evidence_keeps_its_limits(value, low, high, expected):
-    evidence = Evidence("it", value, None, low, high)
+    evidence = Evidence(value, None, low, high)
     assert evidence.holds is expected
-    assert Claim(1, "So it is.", (Evidence("other", 0.0), evidence)).holds is expected
+    assert Claim(1, "So it is.", {"other": Evidence(0.0), "it": evidence}).holds is expected
 
 
-def holds(evidence: Iterable[Evidence]) -> bool:
-    return all(each.holds for each in evidence)
+def holds(evidence: Mapping[str, Evidence]) -> bool:
+    return all(each.holds for each in evidence.values())
 
 
 def demonstration() -> reproduction.Demonstration:
@@ -76,7 +76,7 @@ def test_demonstration_holds_and_fails_with_noise_in_place_of_the_error():
     swapped = reproduction.Demonstration(
         found.error, found.noise, found.error_integral, found.noise_integral, found.bound
     )
-    failing = [each.what for each in bounded_impulse(swapped) if not each.holds]
+    failing = [what for what, each in bounded_impulse(swapped).items() if not each.holds]
     assert "growth of the error's impulse, power of time" in failing
 
 
@@ -167,7 +167,7 @@ def section_6(exchanged: bool = False) -> dict[int, bool]:
     parts = {"variations": reproduction.VariedStudy(BANDS, cases), "damper": damper}
     return {
         id: holds(numbers(*(parts[name] for name in names)))
-        for id, (numbers, names) in STATEMENTS.items()
+        for id, (numbers, *names) in STATEMENTS.items()
         if parts.keys() >= set(names)
     }
 

@@ -1,13 +1,13 @@
 """The 17 statements of the paper, each decided from numbers over many roads.
 
 A statement rests on numbers with intervals, and on the limits that these must keep. Each is a
-function that yields these numbers; its docstring is the statement and, in a second paragraph, how
-it is read here.
+function that returns these numbers by what they are; its docstring is the statement and, in a
+second paragraph, how it is read here.
 """
 
 import inspect
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -25,11 +25,10 @@ SEED = 1999
 class Evidence(NamedTuple):
     """A number that supports a statement or refutes it.
 
-    **Fields:** `what` it is; `value`; `interval95`, over resampled roads (`None`: the number is not
-    random); `at_least` and `at_most`, between which it must lie.
+    **Fields:** `value`; `interval95`, over resampled roads (`None`: the number is not random);
+    `at_least` and `at_most`, between which it must lie.
     """
 
-    what: str
     value: float
     interval95: tuple[float, float] | None = None
     at_least: float | None = None
@@ -43,6 +42,10 @@ class Evidence(NamedTuple):
         return bool(np.isfinite(self.value) and above and below)
 
 
+Numbers = dict[str, Evidence]
+"""The numbers behind a statement, by what they are."""
+
+
 class Claim(NamedTuple):
     """A statement of the paper, and the numbers that decide it.
 
@@ -52,17 +55,16 @@ class Claim(NamedTuple):
 
     id: int
     statement: str
-    evidence: tuple[Evidence, ...]
+    evidence: Numbers
     note: str = ""
 
     @property
     def holds(self) -> bool:
         """Whether all evidence keeps its limits."""
-        return all(number.holds for number in self.evidence)
+        return all(number.holds for number in self.evidence.values())
 
 
 def over_roads(
-    what: str,
     statistic: Callable[..., float | np.floating],
     *arrays: object,
     at_least: float | None = None,
@@ -77,23 +79,7 @@ def over_roads(
     draws = np.random.default_rng(SEED).integers(0, count, (RESAMPLES, count))
     values = [float(statistic(*(column[draw] for column in columns))) for draw in draws]
     low, high = np.nanquantile(values, [0.025, 0.975])
-    value = float(statistic(*columns))
-    return Evidence(what, value, (float(low), float(high)), at_least, at_most)
-
-
-Numbers = Callable[..., Iterator[Evidence]]
-STATEMENTS: dict[int, tuple[Numbers, tuple[str, ...]]] = {}
-"""Numbers of each statement, and the parts of a study that they are made of."""
-
-
-def statement(id: int, *parts: str) -> Callable[[Numbers], Numbers]:
-    """Enter a function of these parts of a study into the list of statements."""
-
-    def enter(numbers: Numbers) -> Numbers:
-        STATEMENTS[id] = numbers, parts
-        return numbers
-
-    return enter
+    return Evidence(float(statistic(*columns)), (float(low), float(high)), at_least, at_most)
 
 
 def evaluate_claims(study: reproduction.PaperStudy) -> list[Claim]:
@@ -102,12 +88,11 @@ def evaluate_claims(study: reproduction.PaperStudy) -> list[Claim]:
     if study.further is not None:
         computed |= study.further._asdict()
     claims = []
-    for id, (numbers, parts) in sorted(STATEMENTS.items()):
+    for id, (numbers, *parts) in STATEMENTS.items():
         if computed.keys() >= set(parts):
             said, _, note = inspect.cleandoc(numbers.__doc__ or "").partition("\n\n")
             said, note = (text.replace("\n", " ") for text in (said, note))
-            evidence = tuple(numbers(*(computed[part] for part in parts)))
-            claims.append(Claim(id, said, evidence, note))
+            claims.append(Claim(id, said, numbers(*(computed[part] for part in parts)), note))
     return claims
 
 
@@ -122,8 +107,7 @@ FIXED, TWO, BETWEEN = 0.1, (0.1, 0.33), (0.1, 1.0)
 """Window lengths of Fig. 3 in seconds: one, two, and a range of them."""
 
 
-@statement(1, "demonstrations")
-def bounded_impulse(demonstrations: reproduction.Demonstration) -> Iterator[Evidence]:
+def bounded_impulse(demonstrations: reproduction.Demonstration) -> Numbers:
     """The integrated mechanical error is bounded, that of white noise of equal r.m.s. is not.
 
     Growth is the slope of log r.m.s. over realisations against log time; a random walk has one
@@ -138,30 +122,35 @@ def bounded_impulse(demonstrations: reproduction.Demonstration) -> Iterator[Evid
         size = np.sqrt(np.mean(integrals**2, axis=0))
         return float(np.polyfit(np.log(places), np.log(size), 1)[0])
 
-    what = "largest impulse of the error over its bound 2 m2 v_max (eq. 8)"
-    yield over_roads(what, np.max, share, at_most=1.0)
-    what = "growth of the error's impulse, power of time"
-    yield over_roads(what, growth, error, at_most=0.1)
-    what = "growth of white noise's integral, power of time"
-    yield over_roads(what, growth, noise, at_least=0.35, at_most=0.65)
+    return {
+        "largest impulse of the error over its bound 2 m2 v_max (eq. 8)": over_roads(
+            np.max, share, at_most=1.0
+        ),
+        "growth of the error's impulse, power of time": over_roads(growth, error, at_most=0.1),
+        "growth of white noise's integral, power of time": over_roads(
+            growth, noise, at_least=0.35, at_most=0.65
+        ),
+    }
 
 
-@statement(2, "demonstrations")
-def drop_outs(_: reproduction.Demonstration) -> Iterator[Evidence]:
+def drop_outs(_: reproduction.Demonstration) -> Numbers:
     """A fixed T has drop-outs; the average over T ~ U(alpha, beta) has none."""
     frequency = np.linspace(0.5, 50, 4951)
     fixed = Boxcar().gain(frequency, np.array([FIXED]))[:, 0]
     between = Boxcar().mean_gain(frequency, *BETWEEN)
     # What is left of |2 sin(w T / 2) / w| where the sine is averaged.
     smooth = (2 / np.pi) * 2 / (2 * np.pi * frequency)
-    what = "least gain of T = 0.1 s against a smooth fall with frequency, 0.5 to 50 Hz"
-    yield Evidence(what, float(np.min(fixed / smooth)), at_most=1e-6)
-    what = "least expected gain of U(0.1, 1.0) s against the same"
-    yield Evidence(what, float(np.min(between / smooth)), at_least=0.5)
+    return {
+        "least gain of T = 0.1 s against a smooth fall with frequency, 0.5 to 50 Hz": Evidence(
+            float(np.min(fixed / smooth)), at_most=1e-6
+        ),
+        "least expected gain of U(0.1, 1.0) s against the same": Evidence(
+            float(np.min(between / smooth)), at_least=0.5
+        ),
+    }
 
 
-@statement(3, "window_errors")
-def window_errors(moments: reproduction.WindowErrorMoments) -> Iterator[Evidence]:
+def window_errors(moments: reproduction.WindowErrorMoments) -> Numbers:
     """Errors of random windows have equal variance and a small, equal cross-correlation (eq. 18).
 
     Of the body's equation in the quarter car. The symmetry is one over roads: on a single record
@@ -171,22 +160,27 @@ def window_errors(moments: reproduction.WindowErrorMoments) -> Iterator[Evidence
     def loudness(by_start: np.ndarray) -> np.ndarray:
         return by_start.mean(axis=0) / by_start.mean()
 
-    what = "mean square of the loudest eighth of starts over the mean, mean over roads"
-    yield over_roads(what, lambda m: np.max(loudness(m)), moments.by_start, at_most=1.3)
-    what = "mean square of the quietest eighth over the mean"
-    yield over_roads(what, lambda m: np.min(loudness(m)), moments.by_start, at_least=0.7)
     epsilon, most = moments.correlation, 0.02
-    what = "epsilon: mean product of two errors over their mean square"
-    yield over_roads(what, np.mean, epsilon, at_least=-most, at_most=most)
-    what = "scatter of epsilon over roads (standard deviation)"
-    yield over_roads(what, np.std, epsilon, at_most=most)
+    return {
+        "mean square of the loudest eighth of starts over the mean, mean over roads": over_roads(
+            lambda m: np.max(loudness(m)), moments.by_start, at_most=1.3
+        ),
+        "mean square of the quietest eighth over the mean": over_roads(
+            lambda m: np.min(loudness(m)), moments.by_start, at_least=0.7
+        ),
+        "epsilon: mean product of two errors over their mean square": over_roads(
+            np.mean, epsilon, at_least=-most, at_most=most
+        ),
+        "scatter of epsilon over roads (standard deviation)": over_roads(
+            np.std, epsilon, at_most=most
+        ),
+    }
 
 
-@statement(4, "roads")
-def eigenstructure(_: reproduction.RoadResult) -> Iterator[Evidence]:
+def eigenstructure(_: reproduction.RoadResult) -> Numbers:
     """The linearised source model has the eigenstructure of Table 1."""
     share = np.mean([published == reproduced for published, reproduced in table_1()])
-    yield Evidence("share of rows that agree in every printed digit", float(share), at_least=1.0)
+    return {"share of rows that agree in every printed digit": Evidence(float(share), at_least=1.0)}
 
 
 SLIGHT = 0.03
@@ -199,36 +193,43 @@ ABOUT_A_FIFTH = (-0.3, -0.1)
 
 def bias(
     roads: reproduction.RoadResult, name: str, criterion: str, low: float | None, high: float | None
-) -> Evidence:
+) -> Numbers:
     """Of a parameter of the variant B_id, relative."""
     true = {"K_t": 180e3, **reproduction.TRUE_MASSES}[name]
     values = roads.identified("B_id", name)[:, CRITERIA.index(criterion)]
-    what = f"bias of {name} by {criterion}"
-    return over_roads(what, lambda v: np.mean(v) / true - 1, values, at_least=low, at_most=high)
+    evidence = over_roads(lambda v: np.mean(v) / true - 1, values, at_least=low, at_most=high)
+    return {f"bias of {name} by {criterion}": evidence}
 
 
-@statement(5, "roads")
-def tyre_stiffness(roads: reproduction.RoadResult) -> Iterator[Evidence]:
+def tyre_stiffness(roads: reproduction.RoadResult) -> Numbers:
     """Both methods find the tyre stiffness with a very slight bias."""
-    yield from (bias(roads, "K_t", criterion, -SLIGHT, SLIGHT) for criterion in CRITERIA)
+    limits = -SLIGHT, SLIGHT
+    return bias(roads, "K_t", "RIEC", *limits) | bias(roads, "K_t", "DOLS", *limits)
 
 
-@statement(6, "roads")
-def masses(roads: reproduction.RoadResult) -> Iterator[Evidence]:
+def masses(roads: reproduction.RoadResult) -> Numbers:
     """RIEC finds the sprung mass and DOLS does not; both are about 20 % low on the unsprung."""
-    yield bias(roads, "M_s", "RIEC", -SLIGHT, SLIGHT)
-    yield bias(roads, "M_s", "DOLS", None, -WRONG_MASS)
-    yield from (bias(roads, "M_us", criterion, *ABOUT_A_FIFTH) for criterion in CRITERIA)
+    return {
+        **bias(roads, "M_s", "RIEC", -SLIGHT, SLIGHT),
+        **bias(roads, "M_s", "DOLS", None, -WRONG_MASS),
+        **bias(roads, "M_us", "RIEC", *ABOUT_A_FIFTH),
+        **bias(roads, "M_us", "DOLS", *ABOUT_A_FIFTH),
+    }
 
 
-@statement(7, "roads")
-def consistency(roads: reproduction.RoadResult) -> Iterator[Evidence]:
+def consistency(roads: reproduction.RoadResult) -> Numbers:
     """RIEC finds nearly the same K_s and F_i in all four variants, DOLS does not."""
-    for name in ("K_s", *reproduction.FORCES):
+
+    def spreads(name: str) -> np.ndarray:
         values = np.stack([roads.identified(variant, name) for variant in VARIANTS])
-        riec, dols = (np.ptp(values, axis=0) / np.abs(values.mean(axis=0))).T
-        what = f"spread of {name} over the variants, RIEC over DOLS"
-        yield over_roads(what, ratio_of_means, riec, dols, at_most=1.0)
+        return (np.ptp(values, axis=0) / np.abs(values.mean(axis=0))).T
+
+    return {
+        f"spread of {name} over the variants, RIEC over DOLS": over_roads(
+            ratio_of_means, *spreads(name), at_most=1.0
+        )
+        for name in ("K_s", *reproduction.FORCES)
+    }
 
 
 SHORT = 0.05
@@ -242,8 +243,7 @@ NARROW = 1.5
 """Ratio of beta to alpha below which they are called about equal."""
 
 
-@statement(8, "lengths")
-def window_lengths(lengths: Float[np.ndarray, "roads pairs parameters"]) -> Iterator[Evidence]:
+def window_lengths(lengths: Float[np.ndarray, "roads pairs parameters"]) -> Numbers:
     """Parameters are insensitive to alpha and beta within limits; alpha close to beta, or both
     below 50 ms, brings bias back.
 
@@ -258,46 +258,51 @@ def window_lengths(lengths: Float[np.ndarray, "roads pairs parameters"]) -> Iter
         mean = values.mean(axis=0)
         return np.max(np.abs(mean[chosen] / mean[reproduction.OF_TABLE_2] - 1))
 
-    what = "largest change of a parameter, beta at least 2 alpha, from 0.05 to 1.5 s"
-    yield over_roads(what, lambda v: largest(v, wide), lengths, at_most=INSENSITIVE)
-    what = "largest change of a parameter, both at most 0.05 s"
-    yield over_roads(what, lambda v: largest(v, short), lengths, at_least=0.1)
-    what = (
+    return {
+        "largest change of a parameter, beta at least 2 alpha, from 0.05 to 1.5 s": over_roads(
+            lambda v: largest(v, wide), lengths, at_most=INSENSITIVE
+        ),
+        "largest change of a parameter, both at most 0.05 s": over_roads(
+            lambda v: largest(v, short), lengths, at_least=0.1
+        ),
         "largest change of a parameter, alpha close to beta, 0.05 to 0.3 s, over that of wide "
-        "ranges"
-    )
-    yield over_roads(what, lambda v: largest(v, narrow) / largest(v, wide), lengths, at_least=2.0)
+        "ranges": over_roads(
+            lambda v: largest(v, narrow) / largest(v, wide), lengths, at_least=2.0
+        ),
+    }
 
 
-@statement(9, "roads")
-def validation(roads: reproduction.RoadResult) -> Iterator[Evidence]:
+def validation(roads: reproduction.RoadResult) -> Numbers:
     """RIEC validates better than DOLS in every variant, about a third better in most on the road,
     but for B_true on the pot-hole.
     """
-    for where, variant in itertools.product(INPUTS, VARIANTS):
-        limit = "at_least" if (variant, where) == ("B_true", "pothole") else "at_most"
-        what = f"error of {variant} on the {where}, RIEC over DOLS"
-        errors = roads.summed_error(variant, where).T
-        yield over_roads(what, ratio_of_means, *errors, **{limit: 1.0})
-    errors = np.stack([roads.summed_error(variant, "road") for variant in VARIANTS], axis=-1)
 
     def gain(errors: np.ndarray) -> float:
         riec, dols = errors.mean(axis=0)
         return np.median(1 - riec / dols)
 
+    numbers = {}
+    for where, variant in itertools.product(INPUTS, VARIANTS):
+        limit = "at_least" if (variant, where) == ("B_true", "pothole") else "at_most"
+        numbers[f"error of {variant} on the {where}, RIEC over DOLS"] = over_roads(
+            ratio_of_means, *roads.summed_error(variant, where).T, **{limit: 1.0}
+        )
+    errors = np.stack([roads.summed_error(variant, "road") for variant in VARIANTS], axis=-1)
     what = "errors less by, on the road, median of the variants"
-    yield over_roads(what, gain, errors, at_least=0.2, at_most=0.45)
+    return numbers | {what: over_roads(gain, errors, at_least=0.2, at_most=0.45)}
 
 
-@statement(10, "roads")
-def true_masses(roads: reproduction.RoadResult) -> Iterator[Evidence]:
+def true_masses(roads: reproduction.RoadResult) -> Numbers:
     """True masses validate worse than identified ones on the road, better on the pot-hole."""
     limits = {"road": "at_least", "pothole": "at_most"}
-    for where, (i, criterion), side in itertools.product(INPUTS, enumerate(CRITERIA), "WB"):
-        variants = (f"{side}_true", f"{side}_id")
-        errors = (roads.summed_error(variant, where)[:, i] for variant in variants)
-        what = f"error with true masses over identified ones, {side} by {criterion}, {where}"
-        yield over_roads(what, ratio_of_means, *errors, **{limits[where]: 1.0})
+    return {
+        f"error with true masses over identified ones, {side} by {criterion}, {where}": over_roads(
+            ratio_of_means,
+            *(roads.summed_error(f"{side}_{masses}", where)[:, i] for masses in ("true", "id")),
+            **{limits[where]: 1.0},
+        )
+        for where, (i, criterion), side in itertools.product(INPUTS, enumerate(CRITERIA), "WB")
+    }
 
 
 SHOWN = ("M_us", "M_s", "K_s")
@@ -316,34 +321,35 @@ def spread_ratio(values: np.ndarray, others: np.ndarray) -> float:
 
     Geometric mean of the parameters' ratios.
     """
-    spreads = []
-    for array in (values, others):
-        means = array.mean(axis=0)
-        spreads.append(np.ptp(means, axis=0) / np.abs(means.mean(axis=0)))
-    return np.exp(np.mean(np.log(spreads[0] / spreads[1])))
+    means = (array.mean(axis=0) for array in (values, others))
+    spread, other = (np.ptp(mean, axis=0) / np.abs(mean.mean(axis=0)) for mean in means)
+    return np.exp(np.mean(np.log(spread / other)))
 
 
-@statement(11, "variations")
-def bandwidth(study: reproduction.VariedStudy) -> Iterator[Evidence]:
+def bandwidth(study: reproduction.VariedStudy) -> Numbers:
     """Over input bandwidth RIEC's parameters vary less; DOLS is most biased for the included mode.
 
     Spread is the range over 0.5 to 30 Hz of the mean over roads; the geometric mean of the three
     ratios.
     """
-    for case in study.cases:
-        values = (study.identified(case, criterion, *SHOWN) for criterion in CRITERIA)
-        what = f"spread over bandwidth of M_us, M_s and K_s, RIEC over DOLS, {case}"
-        yield over_roads(what, spread_ratio, *values, at_most=0.7)
 
     def lead(*biases: np.ndarray) -> float:
         first, *others = (np.max(np.abs(values.mean(axis=0))) for values in biases)
         return first / max(others)
 
     cases = sorted(study.cases, key=lambda case: case != "included-mode")
-    for name, true in (("M_s", 300.0), ("K_s", 20e3)):
-        biases = (study.identified(case, "DOLS", name) / true - 1 for case in cases)
-        what = f"worst bias of {name} by DOLS, included mode over the other cases"
-        yield over_roads(what, lead, *biases, at_least=1.0)
+    spreads = {
+        f"spread over bandwidth of M_us, M_s and K_s, RIEC over DOLS, {case}": over_roads(
+            spread_ratio, *(study.identified(case, c, *SHOWN) for c in CRITERIA), at_most=0.7
+        )
+        for case in study.cases
+    }
+    return spreads | {
+        f"worst bias of {name} by DOLS, included mode over the other cases": over_roads(
+            lead, *(study.identified(c, "DOLS", name) / true - 1 for c in cases), at_least=1.0
+        )
+        for name, true in (("M_s", 300.0), ("K_s", 20e3))
+    }
 
 
 def distance(*cases: np.ndarray) -> float:
@@ -356,8 +362,7 @@ def distance(*cases: np.ndarray) -> float:
     )
 
 
-@statement(12, "variations")
-def agreement(study: reproduction.VariedStudy) -> Iterator[Evidence]:
+def agreement(study: reproduction.VariedStudy) -> Numbers:
     """Above about 15 Hz the pathological and included-mode RIEC models agree, and all three agree
     at the highest bandwidths.
 
@@ -372,28 +377,35 @@ def agreement(study: reproduction.VariedStudy) -> Iterator[Evidence]:
             study.identified(case, method, *reproduction.PARAMETERS)[:, bands] for case in cases
         ]
 
-    what = "distance of the two RIEC models from 15 Hz on, mean over parameters"
-    yield over_roads(what, distance, *models("RIEC", pair, above), at_most=0.03)
-    what = "distance of the two DOLS models, for comparison"
-    yield over_roads(what, distance, *models("DOLS", pair, above))
-    what = "largest distance of two of the three RIEC models at 30 Hz"
-    yield over_roads(what, distance, *models("RIEC", every, last), at_most=0.05)
-    what = "largest distance of two of the three DOLS models at 30 Hz, for comparison"
-    yield over_roads(what, distance, *models("DOLS", every, last))
+    return {
+        "distance of the two RIEC models from 15 Hz on, mean over parameters": over_roads(
+            distance, *models("RIEC", pair, above), at_most=0.03
+        ),
+        "distance of the two DOLS models, for comparison": over_roads(
+            distance, *models("DOLS", pair, above)
+        ),
+        "largest distance of two of the three RIEC models at 30 Hz": over_roads(
+            distance, *models("RIEC", every, last), at_most=0.05
+        ),
+        "largest distance of two of the three DOLS models at 30 Hz, for comparison": over_roads(
+            distance, *models("DOLS", every, last)
+        ),
+    }
 
 
-@statement(13, "variations")
-def higher_mode(study: reproduction.VariedStudy) -> Iterator[Evidence]:
+def higher_mode(study: reproduction.VariedStudy) -> Numbers:
     """The higher mode disturbs both methods least."""
 
     def ratio(higher: np.ndarray, *others: np.ndarray) -> float:
         return max(spread_ratio(higher, other) for other in others)
 
     cases = sorted(study.cases, key=lambda case: case != "higher-mode")
-    for method in CRITERIA:
-        values = (study.identified(case, method, *SHOWN) for case in cases)
-        what = f"spread over bandwidth by {method}, higher mode over the next best case"
-        yield over_roads(what, ratio, *values, at_most=1.0)
+    return {
+        f"spread over bandwidth by {method}, higher mode over the next best case": over_roads(
+            ratio, *(study.identified(case, method, *SHOWN) for case in cases), at_most=1.0
+        )
+        for method in CRITERIA
+    }
 
 
 def change(values: np.ndarray, since: int) -> np.ndarray:
@@ -402,10 +414,7 @@ def change(values: np.ndarray, since: int) -> np.ndarray:
     return means[-1] / means[since] - 1
 
 
-@statement(14, "variations", "damper")
-def damper_forces(
-    study: reproduction.VariedStudy, damper: reproduction.Hysteresis
-) -> Iterator[Evidence]:
+def damper_forces(study: reproduction.VariedStudy, damper: reproduction.Hysteresis) -> Numbers:
     """DOLS damper forces drift down with bandwidth, RIEC's are flat above about 10 Hz; the
     hysteresis of the compliant damper explains it.
 
@@ -415,15 +424,7 @@ def damper_forces(
     riec, dols = (
         study.identified("pathological", method, *reproduction.FORCES) for method in CRITERIA
     )
-    what = "change of DOLS' forces from 10 to 30 Hz, mean of the four"
-    yield over_roads(what, lambda v: np.mean(change(v, start)), dols, at_most=-0.05)
-    what = "change of the DOLS force that falls least, from 15 to 30 Hz"
-    yield over_roads(what, lambda v: np.max(change(v, middle)), dols, at_most=0.0)
-    what = "largest change of a RIEC force from 10 to 30 Hz"
-    yield over_roads(what, lambda v: np.max(np.abs(change(v, start))), riec, at_most=0.07)
     width, (low, high) = np.asarray(damper.width), (reproduction.BANDWIDTHS.index(WHEEL_HOP), -1)
-    what = "hysteresis at 30 Hz over that at 6 Hz (r.m.s. off the curve, share of the force)"
-    yield over_roads(what, ratio_of_means, width[:, 0, high], width[:, 0, 0], at_least=1.5)
 
     def drift(values: np.ndarray) -> float:
         """With the stiffer damper over the source's own."""
@@ -432,14 +433,27 @@ def damper_forces(
         return stiffer / compliant
 
     times = f"{reproduction.STIFFER:g} times"
-    what = f"DOLS' drift from 15 to 30 Hz with a damper {times} as stiff, over its drift"
     places = [reproduction.PARAMETERS.index(name) for name in reproduction.FORCES]
-    forces = np.asarray(damper.by_dols)[..., places]
-    yield over_roads(what, drift, forces, at_most=0.7)
+    return {
+        "change of DOLS' forces from 10 to 30 Hz, mean of the four": over_roads(
+            lambda v: np.mean(change(v, start)), dols, at_most=-0.05
+        ),
+        "change of the DOLS force that falls least, from 15 to 30 Hz": over_roads(
+            lambda v: np.max(change(v, middle)), dols, at_most=0.0
+        ),
+        "largest change of a RIEC force from 10 to 30 Hz": over_roads(
+            lambda v: np.max(np.abs(change(v, start))), riec, at_most=0.07
+        ),
+        "hysteresis at 30 Hz over that at 6 Hz (r.m.s. off the curve, share of the force)": (
+            over_roads(ratio_of_means, width[:, 0, high], width[:, 0, 0], at_least=1.5)
+        ),
+        f"DOLS' drift from 15 to 30 Hz with a damper {times} as stiff, over its drift": over_roads(
+            drift, np.asarray(damper.by_dols)[..., places], at_most=0.7
+        ),
+    }
 
 
-@statement(15, "variations")
-def bandwidth_validation(study: reproduction.VariedStudy) -> Iterator[Evidence]:
+def bandwidth_validation(study: reproduction.VariedStudy) -> Numbers:
     """RIEC's validation error falls as bandwidth rises, and is least at the highest; DOLS' is not.
 
     Least means within 3 % of the least at any bandwidth: RIEC's curves are flat from about 12 Hz
@@ -451,20 +465,23 @@ def bandwidth_validation(study: reproduction.VariedStudy) -> Iterator[Evidence]:
         medians = np.median(errors[:, simulated], axis=0)
         return medians[-1] / np.min(medians)
 
-    for case, where in itertools.product(study.cases, INPUTS):
-        errors = study.summed_error(case, "RIEC", where)
-        what = f"RIEC's error at 30 Hz over its least, {case}, {where}"
-        yield over_roads(what, last_over_least, errors, at_most=1.03)
-    for case in study.cases:
-        errors = study.summed_error(case, "DOLS", "road")
-        what = f"DOLS' error at 30 Hz over its least, {case}, road"
-        yield over_roads(what, last_over_least, errors, at_least=1.05)
+    by_riec = {
+        f"RIEC's error at 30 Hz over its least, {case}, {where}": over_roads(
+            last_over_least, study.summed_error(case, "RIEC", where), at_most=1.03
+        )
+        for case, where in itertools.product(study.cases, INPUTS)
+    }
+    return by_riec | {
+        f"DOLS' error at 30 Hz over its least, {case}, road": over_roads(
+            last_over_least, study.summed_error(case, "DOLS", "road"), at_least=1.05
+        )
+        for case in study.cases
+    }
 
 
-@statement(16, "roads", "ramps")
 def wheel_velocity(
     roads: reproduction.RoadResult, ramps: Float[Array, "ramps roads criteria variants 4"] | None
-) -> Iterator[Evidence]:
+) -> Numbers:
     """The wheel velocity's error p_3 predominates in the validations.
 
     Means over both methods and the four variants of Table 5. On the pot-hole it depends on the
@@ -476,17 +493,18 @@ def wheel_velocity(
         p_1, p_2, p_3, p_4 = errors.mean(axis=(0, 1, 2))
         return p_3 / max(p_1, p_2, p_4)
 
-    for i, where in enumerate(INPUTS):
-        errors = np.asarray(roads.errors)[..., i, :]
-        what = f"p_3 over the largest of the others, {where}"
-        yield over_roads(what, margin, errors, at_least=1.0)
-    for length, errors in zip(reproduction.RAMPS, [] if ramps is None else ramps):
-        what = f"the same on a pot-hole with ramps of {length:g} m, for comparison"
-        yield over_roads(what, margin, errors)
+    on_inputs = {
+        f"p_3 over the largest of the others, {where}": over_roads(
+            margin, np.asarray(roads.errors)[..., i, :], at_least=1.0
+        )
+        for i, where in enumerate(INPUTS)
+    }
+    what = "the same on a pot-hole with ramps of {:g} m, for comparison"
+    pairs = zip(reproduction.RAMPS, [] if ramps is None else ramps)
+    return on_inputs | {what.format(ramp): over_roads(margin, errors) for ramp, errors in pairs}
 
 
-@statement(17, "variations")
-def higher_mode_validation(study: reproduction.VariedStudy) -> Iterator[Evidence]:
+def higher_mode_validation(study: reproduction.VariedStudy) -> Numbers:
     """For the higher mode DOLS' validation worsens at high bandwidth although its parameters hardly
     change.
 
@@ -501,12 +519,37 @@ def higher_mode_validation(study: reproduction.VariedStudy) -> Iterator[Evidence
     def largest(values: np.ndarray) -> float:
         return np.max(np.abs(change(values, start)))
 
-    for where in INPUTS:
-        errors = study.summed_error("higher-mode", "DOLS", where)
-        yield over_roads(f"error at 30 Hz over that at 10 Hz, {where}", rise, errors, at_least=1.05)
+    errors = {where: study.summed_error("higher-mode", "DOLS", where) for where in INPUTS}
     higher, included = (
         study.identified(case, "DOLS", "M_s", "K_s") for case in ("higher-mode", "included-mode")
     )
-    what = "largest change of M_s and K_s from 10 to 30 Hz"
-    yield over_roads(what, largest, higher, at_most=0.05)
-    yield over_roads("the same for the included mode, for comparison", largest, included)
+    return {
+        **{
+            f"error at 30 Hz over that at 10 Hz, {where}": over_roads(rise, p, at_least=1.05)
+            for where, p in errors.items()
+        },
+        "largest change of M_s and K_s from 10 to 30 Hz": over_roads(largest, higher, at_most=0.05),
+        "the same for the included mode, for comparison": over_roads(largest, included),
+    }
+
+
+STATEMENTS: dict[int, tuple[Callable[..., Numbers], *tuple[str, ...]]] = {
+    1: (bounded_impulse, "demonstrations"),
+    2: (drop_outs, "demonstrations"),
+    3: (window_errors, "window_errors"),
+    4: (eigenstructure, "roads"),
+    5: (tyre_stiffness, "roads"),
+    6: (masses, "roads"),
+    7: (consistency, "roads"),
+    8: (window_lengths, "lengths"),
+    9: (validation, "roads"),
+    10: (true_masses, "roads"),
+    11: (bandwidth, "variations"),
+    12: (agreement, "variations"),
+    13: (higher_mode, "variations"),
+    14: (damper_forces, "variations", "damper"),
+    15: (bandwidth_validation, "variations"),
+    16: (wheel_velocity, "roads", "ramps"),
+    17: (higher_mode_validation, "variations"),
+}
+"""Numbers of each statement, and the parts of a study that they are made of."""

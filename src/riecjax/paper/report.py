@@ -75,8 +75,8 @@ def reproduction_document(study: PaperStudy, claims: Sequence[Claim], *, seed: i
         {
             **told(claim, "id", "statement", "holds"),
             "evidence": {
-                evidence.what: told(evidence, "value", "interval95", "at_least", "at_most", "holds")
-                for evidence in claim.evidence
+                what: told(evidence, "value", "interval95", "at_least", "at_most", "holds")
+                for what, evidence in claim.evidence.items()
             },
             "note": claim.note,
         }
