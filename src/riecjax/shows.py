@@ -95,11 +95,11 @@ class Tabled(Drawn):
 
     def to_markdown(self) -> str:
         """A table in Markdown: value, standard error, unit, rounded by the standard error."""
-        return reported("exports", "to_markdown", self)
+        return reported("tables", "in_markdown", reported("exports", "paper_table", self))
 
     def to_latex(self) -> str:
         """The same as a `tabular` of LaTeX, which needs no package."""
-        return reported("exports", "to_latex", self)
+        return reported("tables", "in_latex", reported("exports", "paper_table", self))
 
 
 class Saved(Tabled):

@@ -13,10 +13,10 @@ from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper import reproduction
 from riecjax.paper.claims import (
-    STATEMENTS,
     Claim,
     Evidence,
     bounded_impulse,
+    evaluate_claims,
     window_errors,
     window_lengths,
 )
@@ -165,11 +165,7 @@ def section_6(exchanged: bool = False) -> dict[int, bool]:
         jnp.zeros(1), jnp.zeros(1), jnp.asarray(width), jnp.asarray(by_dols)
     )
     parts = {"variations": reproduction.VariedStudy(BANDS, cases), "damper": damper}
-    return {
-        id: holds(numbers(*(parts[name] for name in names)))
-        for id, (numbers, *names) in STATEMENTS.items()
-        if parts.keys() >= set(names)
-    }
+    return {claim.id: claim.holds for claim in evaluate_claims(parts)}
 
 
 def test_section_6_holds_where_riec_is_steady():

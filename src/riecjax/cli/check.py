@@ -5,8 +5,7 @@ import dataclasses
 import click
 
 from riecjax import reporting, settings
-from riecjax.cli.command import Given, settings_command
-from riecjax.cli.progress import Progress
+from riecjax.cli import Given, Progress, settings_command
 from riecjax.runtime import start_jax
 
 SETTINGS = (

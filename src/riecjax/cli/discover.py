@@ -3,8 +3,7 @@
 import dataclasses
 
 from riecjax import reporting, settings
-from riecjax.cli.command import Given, settings_command
-from riecjax.cli.progress import Progress
+from riecjax.cli import Given, Progress, settings_command
 from riecjax.runtime import start_jax
 
 MODEL_FILE = "model.py"

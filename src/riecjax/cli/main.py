@@ -139,8 +139,7 @@ def _no_answer(message: str, code: str) -> int:
     if is_for_answers():
         from riecjax.reporting.document import SCHEMA
 
-        error = {"code": code, "message": message}
-        answer({"schema": SCHEMA, "error": error})
+        answer({"schema": SCHEMA, "error": {"code": code, "message": message}})
     return _fail(message, 1)
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from riecjax.cli.command import Given, settings_command
 from riecjax.equations.quantity import Quantity
@@ -66,18 +66,14 @@ def _entry(quantity: Quantity) -> dict[str, object]:
 
 
 def _table(model: Any) -> Table:
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 2))
-    table.add_column("role", style="dim")
-    table.add_column("name")
-    table.add_column("unit")
-    table.add_column("meaning")
-    roles = (
+    columns = Column("role", style="dim"), "name", "unit", "meaning"
+    table = Table(*columns, box=None, show_header=False, padding=(0, 2, 0, 2))
+    for role, quantities in (
         ("parameter", model.parameters),
         ("signal", model.signals),
         ("to simulate", model.system.parameters),
         ("input", model.inputs),
-    )
-    for role, quantities in roles:
+    ):
         for i, q in enumerate(quantities):
             default = f" (default {q.default:g})" if role == "to simulate" and q.default else ""
             table.add_row(role if i == 0 else "", q.name, q.unit, q.meaning + default)

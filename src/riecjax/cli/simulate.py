@@ -6,8 +6,7 @@ from pathlib import Path
 import click
 
 from riecjax import settings
-from riecjax.cli.command import Given, settings_command
-from riecjax.cli.progress import Progress
+from riecjax.cli import Given, Progress, settings_command
 from riecjax.memory import require_memory
 from riecjax.runtime import start_jax
 from riecjax.settings import CODE, NEW_FILE, POSITIVE, TEXT, Settings, setting

@@ -24,12 +24,12 @@ from riecjax.reporting import (
     Table,
     View,
     charts,
-    finite,
     in_rich,
     number,
     print_table,
     probability,
     say,
+    told,
     versions,
 )
 from riecjax.reporting.charts import Axis, Chart, Dots, Level, Line, Panel, in_rows, labelled
@@ -129,18 +129,12 @@ def fleet_document(fleet: Fleet, command: Sequence[str] = (), seconds: float = 0
         ((row, some, max(some, key=lambda f: f["doubt"])) for row, some in findings if some),
         key=lambda each: (-each[2]["doubt"], -len(each[1]), each[0].name),
     )
-
-    def spread_entry(spread: Spread) -> Document:
-        verdicts = (str(e.verdict) for e in answered if e.parameter == spread.parameter)
-        return {
-            "unit": spread.unit,
-            **{name: finite(getattr(spread, name)) for name in NUMBERS},
-            "groups": spread.groups,
-            "verdicts": dict(Counter(verdicts).most_common()),
-            "differing": [group._asdict() for group in spread.differing[:LISTED]],
-            "differing_count": len(spread.differing),
-        }
-
+    verdicts = {
+        spread.parameter: Counter(
+            str(e.verdict) for e in answered if e.parameter == spread.parameter
+        )
+        for spread in fleet.spreads
+    }
     return {
         "schema": SCHEMA,
         "model": fleet.model.name,
@@ -154,7 +148,15 @@ def fleet_document(fleet: Fleet, command: Sequence[str] = (), seconds: float = 0
             "samples": fleet.samples,
             "seconds": sum(row.seconds for row in summed),
         },
-        "parameters": {spread.parameter: spread_entry(spread) for spread in fleet.spreads},
+        "parameters": {
+            spread.parameter: {
+                **told(spread, "unit", *NUMBERS, "groups"),
+                "verdicts": dict(verdicts[spread.parameter].most_common()),
+                "differing": [group._asdict() for group in spread.differing[:LISTED]],
+                "differing_count": len(spread.differing),
+            }
+            for spread in fleet.spreads
+        },
         "changes": [change._asdict() for change in fleet.changes[:LISTED]],
         "changes_count": len(fleet.changes),
         "estimates": [e._asdict() for e in answered if e.group in groups[:LISTED]],

@@ -363,13 +363,13 @@ def _neighbours(path: Path) -> Iterator[None]:
         with contextlib.suppress(ValueError):  # the file may have removed it
             sys.path.remove(str(folder))
         new = {name: module for name, module in sys.modules.items() if name not in before}
-
-        def lies_beside(module: ModuleType) -> bool:
-            """Whether its file, or the folder of a package, lies directly in this folder."""
-            places = (*getattr(module, "__path__", ()), getattr(module, "__file__", None))
-            return any(Path(place).parent == folder for place in places if place)
-
-        beside = {name for name, module in new.items() if lies_beside(module)}
+        # A module's file, or the folder of a package, lies directly in this folder.
+        beside = {
+            name
+            for name, module in new.items()
+            for place in (*getattr(module, "__path__", ()), getattr(module, "__file__", None))
+            if place and Path(place).parent == folder
+        }
         for name in new:
             if name.partition(".")[0] in beside:
                 del sys.modules[name]

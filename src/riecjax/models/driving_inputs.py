@@ -12,7 +12,6 @@ from riecjax.records.record import Record
 from riecjax.records.recording import read_record
 from riecjax.simulation.inputs import band_limited_noise, pothole, robson_road
 
-KINDS = ("white-noise", "robson", "pothole")
 DEFAULT_RATE = 200.0
 SAME_RATE = 1e-6
 """Share by which a rate may differ from a file's by rounding."""
@@ -35,9 +34,11 @@ def drive(
     **Raises:** `ModelError` for an unknown kind or sizes that cannot be, `DataError` for a file
     that cannot be read or lacks an input.
     """
-    if source not in KINDS:
+    if source not in DEFAULT_DURATION:
         if not Path(source).suffix and not Path(source).exists():
-            raise ModelError(f"unknown input '{source}'; give {', '.join(KINDS)} or a file.")
+            raise ModelError(
+                f"unknown input '{source}'; give {', '.join(DEFAULT_DURATION)} or a file."
+            )
         try:
             record = read_record(source).select(*input_names)
         except MissingSignalError as error:

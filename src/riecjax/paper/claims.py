@@ -1,14 +1,14 @@
 """The 17 statements of the paper, each decided from numbers over many roads.
 
 A statement rests on numbers with intervals, and on the limits that these must keep. Each is a
-function that returns these numbers by what they are; its docstring is the statement and, in a
-second paragraph, how it is read here.
+function of the parts of a study that its parameters name, and returns these numbers by what they
+are; its docstring is the statement and, in a second paragraph, how it is read here.
 """
 
 import inspect
 import itertools
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -82,17 +82,15 @@ def over_roads(
     return Evidence(float(statistic(*columns)), (float(low), float(high)), at_least, at_most)
 
 
-def evaluate_claims(study: reproduction.PaperStudy) -> list[Claim]:
-    """All statements that the study has the parts for, in the order of their numbers."""
-    computed = {"roads": study.roads, "ramps": None}
-    if study.further is not None:
-        computed |= study.further._asdict()
+def evaluate_claims(parts: Mapping[str, Any]) -> list[Claim]:
+    """All statements whose parts of a study there are, in the order of their numbers."""
     claims = []
-    for id, (numbers, *parts) in STATEMENTS.items():
-        if computed.keys() >= set(parts):
+    for id, numbers in enumerate(STATEMENTS, 1):
+        names = inspect.signature(numbers).parameters
+        if parts.keys() >= names.keys():
             said, _, note = inspect.cleandoc(numbers.__doc__ or "").partition("\n\n")
             said, note = (text.replace("\n", " ") for text in (said, note))
-            claims.append(Claim(id, said, numbers(*(computed[part] for part in parts)), note))
+            claims.append(Claim(id, said, numbers(*(parts[name] for name in names)), note))
     return claims
 
 
@@ -133,7 +131,7 @@ def bounded_impulse(demonstrations: reproduction.Demonstration) -> Numbers:
     }
 
 
-def drop_outs(_: reproduction.Demonstration) -> Numbers:
+def drop_outs(demonstrations: reproduction.Demonstration) -> Numbers:
     """A fixed T has drop-outs; the average over T ~ U(alpha, beta) has none."""
     frequency = np.linspace(0.5, 50, 4951)
     fixed = Boxcar().gain(frequency, np.array([FIXED]))[:, 0]
@@ -150,7 +148,7 @@ def drop_outs(_: reproduction.Demonstration) -> Numbers:
     }
 
 
-def window_errors(moments: reproduction.WindowErrorMoments) -> Numbers:
+def window_errors(window_errors: reproduction.WindowErrorMoments) -> Numbers:
     """Errors of random windows have equal variance and a small, equal cross-correlation (eq. 18).
 
     Of the body's equation in the quarter car. The symmetry is one over roads: on a single record
@@ -160,13 +158,13 @@ def window_errors(moments: reproduction.WindowErrorMoments) -> Numbers:
     def loudness(by_start: np.ndarray) -> np.ndarray:
         return by_start.mean(axis=0) / by_start.mean()
 
-    epsilon, most = moments.correlation, 0.02
+    epsilon, most = window_errors.correlation, 0.02
     return {
         "mean square of the loudest eighth of starts over the mean, mean over roads": over_roads(
-            lambda m: np.max(loudness(m)), moments.by_start, at_most=1.3
+            lambda m: np.max(loudness(m)), window_errors.by_start, at_most=1.3
         ),
         "mean square of the quietest eighth over the mean": over_roads(
-            lambda m: np.min(loudness(m)), moments.by_start, at_least=0.7
+            lambda m: np.min(loudness(m)), window_errors.by_start, at_least=0.7
         ),
         "epsilon: mean product of two errors over their mean square": over_roads(
             np.mean, epsilon, at_least=-most, at_most=most
@@ -177,7 +175,7 @@ def window_errors(moments: reproduction.WindowErrorMoments) -> Numbers:
     }
 
 
-def eigenstructure(_: reproduction.RoadResult) -> Numbers:
+def eigenstructure(roads: reproduction.RoadResult) -> Numbers:
     """The linearised source model has the eigenstructure of Table 1."""
     share = np.mean([published == reproduced for published, reproduced in table_1()])
     return {"share of rows that agree in every printed digit": Evidence(float(share), at_least=1.0)}
@@ -326,7 +324,7 @@ def spread_ratio(values: np.ndarray, others: np.ndarray) -> float:
     return np.exp(np.mean(np.log(spread / other)))
 
 
-def bandwidth(study: reproduction.VariedStudy) -> Numbers:
+def bandwidth(variations: reproduction.VariedStudy) -> Numbers:
     """Over input bandwidth RIEC's parameters vary less; DOLS is most biased for the included mode.
 
     Spread is the range over 0.5 to 30 Hz of the mean over roads; the geometric mean of the three
@@ -337,16 +335,16 @@ def bandwidth(study: reproduction.VariedStudy) -> Numbers:
         first, *others = (np.max(np.abs(values.mean(axis=0))) for values in biases)
         return first / max(others)
 
-    cases = sorted(study.cases, key=lambda case: case != "included-mode")
+    cases = sorted(variations.cases, key=lambda case: case != "included-mode")
     spreads = {
         f"spread over bandwidth of M_us, M_s and K_s, RIEC over DOLS, {case}": over_roads(
-            spread_ratio, *(study.identified(case, c, *SHOWN) for c in CRITERIA), at_most=0.7
+            spread_ratio, *(variations.identified(case, c, *SHOWN) for c in CRITERIA), at_most=0.7
         )
-        for case in study.cases
+        for case in variations.cases
     }
     return spreads | {
         f"worst bias of {name} by DOLS, included mode over the other cases": over_roads(
-            lead, *(study.identified(c, "DOLS", name) / true - 1 for c in cases), at_least=1.0
+            lead, *(variations.identified(c, "DOLS", name) / true - 1 for c in cases), at_least=1.0
         )
         for name, true in (("M_s", 300.0), ("K_s", 20e3))
     }
@@ -362,19 +360,20 @@ def distance(*cases: np.ndarray) -> float:
     )
 
 
-def agreement(study: reproduction.VariedStudy) -> Numbers:
+def agreement(variations: reproduction.VariedStudy) -> Numbers:
     """Above about 15 Hz the pathological and included-mode RIEC models agree, and all three agree
     at the highest bandwidths.
 
     The unsprung mass is the one parameter that still differs at 30 Hz: the higher mode leaves it
     less biased.
     """
-    above, last = study.bandwidths >= WHEEL_HOP, slice(-1, None)
-    pair, every = ("pathological", "included-mode"), tuple(study.cases)
+    above, last = variations.bandwidths >= WHEEL_HOP, slice(-1, None)
+    pair, every = ("pathological", "included-mode"), tuple(variations.cases)
 
     def models(method: str, cases: tuple[str, ...], bands: np.ndarray | slice) -> list[np.ndarray]:
         return [
-            study.identified(case, method, *reproduction.PARAMETERS)[:, bands] for case in cases
+            variations.identified(case, method, *reproduction.PARAMETERS)[:, bands]
+            for case in cases
         ]
 
     return {
@@ -393,16 +392,16 @@ def agreement(study: reproduction.VariedStudy) -> Numbers:
     }
 
 
-def higher_mode(study: reproduction.VariedStudy) -> Numbers:
+def higher_mode(variations: reproduction.VariedStudy) -> Numbers:
     """The higher mode disturbs both methods least."""
 
     def ratio(higher: np.ndarray, *others: np.ndarray) -> float:
         return max(spread_ratio(higher, other) for other in others)
 
-    cases = sorted(study.cases, key=lambda case: case != "higher-mode")
+    cases = sorted(variations.cases, key=lambda case: case != "higher-mode")
     return {
         f"spread over bandwidth by {method}, higher mode over the next best case": over_roads(
-            ratio, *(study.identified(case, method, *SHOWN) for case in cases), at_most=1.0
+            ratio, *(variations.identified(case, method, *SHOWN) for case in cases), at_most=1.0
         )
         for method in CRITERIA
     }
@@ -414,15 +413,15 @@ def change(values: np.ndarray, since: int) -> np.ndarray:
     return means[-1] / means[since] - 1
 
 
-def damper_forces(study: reproduction.VariedStudy, damper: reproduction.Hysteresis) -> Numbers:
+def damper_forces(variations: reproduction.VariedStudy, damper: reproduction.Hysteresis) -> Numbers:
     """DOLS damper forces drift down with bandwidth, RIEC's are flat above about 10 Hz; the
     hysteresis of the compliant damper explains it.
 
     The last number is a trial of the explanation: the same study with less compliance.
     """
-    start, middle = (int(np.argmin(np.abs(study.bandwidths - f))) for f in (FLAT, WHEEL_HOP))
+    start, middle = (int(np.argmin(np.abs(variations.bandwidths - f))) for f in (FLAT, WHEEL_HOP))
     riec, dols = (
-        study.identified("pathological", method, *reproduction.FORCES) for method in CRITERIA
+        variations.identified("pathological", method, *reproduction.FORCES) for method in CRITERIA
     )
     width, (low, high) = np.asarray(damper.width), (reproduction.BANDWIDTHS.index(WHEEL_HOP), -1)
 
@@ -453,13 +452,13 @@ def damper_forces(study: reproduction.VariedStudy, damper: reproduction.Hysteres
     }
 
 
-def bandwidth_validation(study: reproduction.VariedStudy) -> Numbers:
+def bandwidth_validation(variations: reproduction.VariedStudy) -> Numbers:
     """RIEC's validation error falls as bandwidth rises, and is least at the highest; DOLS' is not.
 
     Least means within 3 % of the least at any bandwidth: RIEC's curves are flat from about 12 Hz
     on.
     """
-    simulated = study.bandwidths >= SIMULATED
+    simulated = variations.bandwidths >= SIMULATED
 
     def last_over_least(errors: np.ndarray) -> float:
         medians = np.median(errors[:, simulated], axis=0)
@@ -467,15 +466,15 @@ def bandwidth_validation(study: reproduction.VariedStudy) -> Numbers:
 
     by_riec = {
         f"RIEC's error at 30 Hz over its least, {case}, {where}": over_roads(
-            last_over_least, study.summed_error(case, "RIEC", where), at_most=1.03
+            last_over_least, variations.summed_error(case, "RIEC", where), at_most=1.03
         )
-        for case, where in itertools.product(study.cases, INPUTS)
+        for case, where in itertools.product(variations.cases, INPUTS)
     }
     return by_riec | {
         f"DOLS' error at 30 Hz over its least, {case}, road": over_roads(
-            last_over_least, study.summed_error(case, "DOLS", "road"), at_least=1.05
+            last_over_least, variations.summed_error(case, "DOLS", "road"), at_least=1.05
         )
-        for case in study.cases
+        for case in variations.cases
     }
 
 
@@ -504,13 +503,13 @@ def wheel_velocity(
     return on_inputs | {what.format(ramp): over_roads(margin, errors) for ramp, errors in pairs}
 
 
-def higher_mode_validation(study: reproduction.VariedStudy) -> Numbers:
+def higher_mode_validation(variations: reproduction.VariedStudy) -> Numbers:
     """For the higher mode DOLS' validation worsens at high bandwidth although its parameters hardly
     change.
 
     What changes is the unsprung mass, by a tenth, and the damper forces.
     """
-    start = int(np.argmin(np.abs(study.bandwidths - FLAT)))
+    start = int(np.argmin(np.abs(variations.bandwidths - FLAT)))
 
     def rise(errors: np.ndarray) -> float:
         medians = np.median(errors, axis=0)
@@ -519,9 +518,10 @@ def higher_mode_validation(study: reproduction.VariedStudy) -> Numbers:
     def largest(values: np.ndarray) -> float:
         return np.max(np.abs(change(values, start)))
 
-    errors = {where: study.summed_error("higher-mode", "DOLS", where) for where in INPUTS}
+    errors = {where: variations.summed_error("higher-mode", "DOLS", where) for where in INPUTS}
     higher, included = (
-        study.identified(case, "DOLS", "M_s", "K_s") for case in ("higher-mode", "included-mode")
+        variations.identified(case, "DOLS", "M_s", "K_s")
+        for case in ("higher-mode", "included-mode")
     )
     return {
         **{
@@ -533,23 +533,9 @@ def higher_mode_validation(study: reproduction.VariedStudy) -> Numbers:
     }
 
 
-STATEMENTS: dict[int, tuple[Callable[..., Numbers], *tuple[str, ...]]] = {
-    1: (bounded_impulse, "demonstrations"),
-    2: (drop_outs, "demonstrations"),
-    3: (window_errors, "window_errors"),
-    4: (eigenstructure, "roads"),
-    5: (tyre_stiffness, "roads"),
-    6: (masses, "roads"),
-    7: (consistency, "roads"),
-    8: (window_lengths, "lengths"),
-    9: (validation, "roads"),
-    10: (true_masses, "roads"),
-    11: (bandwidth, "variations"),
-    12: (agreement, "variations"),
-    13: (higher_mode, "variations"),
-    14: (damper_forces, "variations", "damper"),
-    15: (bandwidth_validation, "variations"),
-    16: (wheel_velocity, "roads", "ramps"),
-    17: (higher_mode_validation, "variations"),
-}
-"""Numbers of each statement, and the parts of a study that they are made of."""
+STATEMENTS: tuple[Callable[..., Numbers], ...] = (
+    *(bounded_impulse, drop_outs, window_errors, eigenstructure, tyre_stiffness, masses),
+    *(consistency, window_lengths, validation, true_masses, bandwidth, agreement, higher_mode),
+    *(damper_forces, bandwidth_validation, wheel_velocity, higher_mode_validation),
+)
+"""In the order of their numbers, from 1 on."""

@@ -61,7 +61,7 @@ def command(given: Given) -> None:
     with Progress() as progress:
         study = run_study(scale, key, shapes, folder=parts, progress=progress.count)
         progress.count("statements", 0, 1)
-        claims = evaluate_claims(study)
+        claims = evaluate_claims(study.parts)
     others = {}
     if study.further is not None:
         variations = study.further.variations

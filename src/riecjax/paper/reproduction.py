@@ -115,9 +115,8 @@ def validation_inputs(key: Key[Array, ""], shapes: Reconstruction) -> dict[str, 
 
 def pothole_velocity(hole: Pothole) -> Float[Array, " n"]:
     """Road velocity of a pot-hole in m/s, at Table 2's rate."""
-    depth, length, ramp = (jnp.asarray(leaf) for leaf in (hole.depth, hole.length, hole.ramp))
     count = round(POTHOLE_DURATION * TABLE_2.rate)
-    return pothole(count, STEP, depth=depth, length=length, ramp=ramp)
+    return pothole(count, STEP, **vars(jax.tree.map(jnp.asarray, hole)))
 
 
 def identification_record(
@@ -292,8 +291,7 @@ def estimates_over_lengths(
 
 
 SECOND_MASS = 1.0
-TWO_MASS = {"m1": 10.0, "m2": SECOND_MASS, "omega_n": 100.0, "zeta": 0.5}
-"""Published, in kg, rad/s and 1."""
+"""kg, published, as all of the model's own values."""
 DURATION, RATE = 20.0, 1000.0
 """s and Hz; the text gives neither. The rate is 60 times the natural frequency."""
 
@@ -316,7 +314,7 @@ def demonstrate(key: Key[Array, ""]) -> Demonstration:
     """Drive the two masses by a white Gaussian force, and integrate; vmap over keys for many."""
     force_key, noise_key = jax.random.split(key)
     count = round(DURATION * RATE)
-    masses = rx.find_model("two-mass").build_system(TWO_MASS)
+    masses = rx.find_model("two-mass").build_system({})
     force = jax.random.normal(force_key, (count,))
     run = rx.simulate(masses, rx.Record({"F": force}, 1 / RATE), method=rx.FixedStep(1)).record
     error = run["error"]
@@ -664,6 +662,15 @@ class PaperStudy(NamedTuple):
 
     roads: RoadResult
     further: Further | None = None
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """All that statements may rest on, by name; `ramps` are there to compare with."""
+        return {
+            "roads": self.roads,
+            "ramps": None,
+            **(self.further._asdict() if self.further else {}),
+        }
 
     @property
     def road_count(self) -> int:

@@ -8,8 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from riecjax.assessment.verdict import joined
-from riecjax.discovery.discovery import Discovery
-from riecjax.discovery.search import Step
+from riecjax.discovery import Discovery, Step
 from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
 from riecjax.findings import option_for
 from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows

@@ -14,7 +14,7 @@ from riecjax.records.record import Record
 from riecjax.reporting.document import Document
 from riecjax.reporting.estimate import estimate_entries, known_entries, parameter_entries
 from riecjax.reporting.identification import identification_document
-from riecjax.reporting.tables import Table, in_latex, in_markdown, rounded
+from riecjax.reporting.tables import Table, rounded
 
 COLUMNS = ("value", "std_error", "low95", "high95")
 """Numbers of each parameter in a frame."""
@@ -138,13 +138,3 @@ def paper_table(source: Any) -> Table:
         error = "known" if entry["known"] else f"{error}{power}"
         rows.append((name, f"{value}{power}", error, entry["unit"]))
     return Table(("parameter", "value", "±", "unit"), rows)
-
-
-def to_markdown(source: Any) -> str:
-    """A table in Markdown."""
-    return in_markdown(paper_table(source))
-
-
-def to_latex(source: Any) -> str:
-    """A `tabular` of LaTeX."""
-    return in_latex(paper_table(source))

@@ -44,9 +44,7 @@ from riecjax.reporting.result_figures import (
 )
 from riecjax.reporting.result_page import write_report
 from riecjax.reporting.tables import with_error
-from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residuals import ResidualTests
-from riecjax.validation.sweep import WindowSweep
+from riecjax.validation import HeldOut, ResidualTests, WindowSweep
 
 FARTHEST = 100.0
 """Percent beyond which the ends of an interval are not drawn."""

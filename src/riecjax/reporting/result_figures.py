@@ -41,15 +41,8 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
-from riecjax.validation.choice import WindowChoice
-from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residuals import (
-    Correlation,
-    EquationResidual,
-    ErrorSpectrum,
-    ResidualTests,
-)
-from riecjax.validation.sweep import WindowSweep
+from riecjax.validation import HeldOut, ResidualTests, WindowChoice, WindowSweep
+from riecjax.validation.residuals import Correlation, EquationResidual, ErrorSpectrum
 
 LOWEST = 0.3
 """Where nothing is left, beside the least that is, on a logarithmic axis."""

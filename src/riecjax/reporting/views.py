@@ -11,9 +11,8 @@ from riecjax.assessment.verdict import Verdict
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
-from riecjax.estimation.check import Check
+from riecjax.estimation import Check, ModeEvidence
 from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
-from riecjax.estimation.evidence import ModeEvidence
 from riecjax.leaves import is_concrete, on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
@@ -31,9 +30,7 @@ from riecjax.reporting.estimate import USUAL, parameter_table
 from riecjax.reporting.exports import document_of
 from riecjax.reporting.tables import Table, View, in_html, in_text, with_error
 from riecjax.summaries.summary import Summary
-from riecjax.validation.held_out import HeldOut
-from riecjax.validation.residuals import ResidualTests
-from riecjax.validation.sweep import WindowSweep
+from riecjax.validation import HeldOut, ResidualTests, WindowSweep
 
 
 def in_words(thing: Any, *, brief: bool = False) -> str:

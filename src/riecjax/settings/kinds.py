@@ -132,11 +132,7 @@ def _test_function(text: str) -> str:
 TEST_FUNCTION = Kind("|".join((*TEST_FUNCTIONS, "FILE.py:CLASS")), _test_function, path="code")
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(","))
-
-
-NAMES = Kind("A,B,...", _names, ",".join)
+NAMES = Kind("A,B,...", lambda text: tuple(map(str.strip, text.split(","))), ",".join)
 
 
 def parts(

@@ -58,14 +58,6 @@ class _Experiment(eqx.Module):
         """The system at these values."""
         return self.model.build({**self.known, **dict(zip(self.parameters, values))})
 
-    def signals(
-        self, values: Float[Array, " p"], start: Float[Array, " states"], inputs: Record
-    ) -> dict[str, Array]:
-        """All that is simulated from an initial state, along the inputs."""
-        system = self.system(values)
-        initial = dict(zip(system.state_names, start))
-        return simulate(system, inputs, method=self.method, initial_state=initial).record.arrays
-
     def standard_errors(self, inputs: Record) -> tuple[Float[Array, " p"], dict[str, Array]]:
         """Least standard deviation of each parameter in its unit, and the simulated signals.
 
@@ -76,7 +68,10 @@ class _Experiment(eqx.Module):
         size = jnp.where(self.values != 0, jnp.abs(self.values), 1.0)
 
         def measured(unknown: Array) -> tuple[Array, dict[str, Array]]:
-            signals = self.signals(unknown[:p] * size, unknown[p:], inputs)
+            system = self.system(unknown[:p] * size)
+            initial = dict(zip(system.state_names, unknown[p:]))
+            run = simulate(system, inputs, method=self.method, initial_state=initial)
+            signals = run.record.arrays
             columns = jnp.stack([signals[name] for name in self.channels], axis=-1)
             return columns / self.sigma[None, :], signals
 
@@ -351,8 +346,7 @@ def design_input(
     experiment = _planned(family, values, sampling, channels, sigma, settings)
     if parameter not in values:
         raise ModelError(f"'{parameter}' is not estimated; estimated are: {', '.join(values)}.")
-    system = experiment.system(experiment.values)
-    system.require_states(travel or {})
+    experiment.system(experiment.values).require_states(travel or {})
     limits = {name: jnp.asarray(limit, float) for name, limit in (travel or {}).items()}
     if wrong := [n for n, limit in limits.items() if is_concrete(limit) and not limit > 0]:
         raise ModelError(f"the travel of {wrong[0]} needs a positive limit.")
