@@ -62,10 +62,9 @@ def command(given: Given) -> None:
         study = run_study(scale, key, shapes, folder=parts, progress=progress.count)
         progress.count("statements", 0, 1)
         claims = evaluate_claims(study.parts)
-    others = {}
-    if study.further is not None:
-        variations = study.further.variations
-        others["variations.parquet"] = functools.partial(write_variations, variations)
+    others, further = {}, study.further
+    if further is not None:
+        others["variations.parquet"] = functools.partial(write_variations, further.variations)
     emit(
         reproduction_document(study, claims, seed=given.seed),
         as_json=given.as_json,
@@ -75,5 +74,5 @@ def command(given: Given) -> None:
         page=reproduction_page,
         others=others,
     )
-    if study.further is not None and parts is not None:
+    if further is not None and parts is not None:
         shutil.rmtree(parts, ignore_errors=True)

@@ -8,7 +8,20 @@ import numpy as np
 from jaxtyping import Float
 
 from riecjax.models.quarter_car import QuarterCarSource, quarter_car_source, reconstructed
-from riecjax.paper import published as paper
+from riecjax.paper.published import (
+    CONTACT_SHARE,
+    CRITERIA,
+    DAMPING_RATE,
+    INPUTS,
+    TABLE_1,
+    TABLE_3,
+    TABLE_4,
+    TABLE_5,
+    TABLE_6,
+    VARIANTS,
+    MountVariant,
+    PublishedMode,
+)
 from riecjax.paper.reproduction import RoadResult
 from riecjax.simulation import linearise, modes
 
@@ -41,7 +54,7 @@ def cell(published: float, over_roads: Float[np.ndarray, " roads"], rounding: fl
 
 def contact(roads: RoadResult) -> Cell:
     """Share of the record during which the tyre touches the road."""
-    return cell(paper.CONTACT_SHARE, np.asarray(roads.contact), rounding=0.005)
+    return cell(CONTACT_SHARE, np.asarray(roads.contact), rounding=0.005)
 
 
 def number_tables(roads: RoadResult) -> dict[str, dict[str, dict[str, Cell]]]:
@@ -54,39 +67,27 @@ def number_tables(roads: RoadResult) -> dict[str, dict[str, dict[str, Cell]]]:
     def row(
         published: dict[str, float], values: Float[np.ndarray, "roads criteria"], rounding: float
     ) -> dict[str, Cell]:
-        return {c: cell(published[c], v, rounding) for c, v in zip(paper.CRITERIA, values.T)}
+        return {c: cell(published[c], v, rounding) for c, v in zip(CRITERIA, values.T)}
 
     # Printed to a tenth: of kN/m, kg, and percent.
     tenths = {"K_t": 50.0, "M_s": 0.05, "M_us": 0.05}
     return {
-        "3": {
-            n: row(paper.TABLE_3[n], roads.identified("B_id", n), tenths[n]) for n in paper.TABLE_3
-        },
-        "4": {
-            v: row(paper.TABLE_4[v], roads.identified(v, "K_s"), tenths["K_t"])
-            for v in paper.VARIANTS
-        },
+        "3": {n: row(TABLE_3[n], roads.identified("B_id", n), tenths[n]) for n in TABLE_3},
+        "4": {v: row(TABLE_4[v], roads.identified(v, "K_s"), tenths["K_t"]) for v in VARIANTS},
         "5": {
-            f"{v} {where}": row(
-                paper.TABLE_5[v][where], roads.summed_error(v, where), rounding=0.05
-            )
-            for v in paper.TABLE_5
-            for where in paper.INPUTS
+            f"{v} {where}": row(TABLE_5[v][where], roads.summed_error(v, where), rounding=0.05)
+            for v in TABLE_5
+            for where in INPUTS
         },
     }
 
 
-def linear_source(mount: paper.MountVariant = paper.TABLE_6["pathological"]) -> QuarterCarSource:
+def linear_source(mount: MountVariant = TABLE_6["pathological"]) -> QuarterCarSource:
     """The source model as linearised in Section 3: 1.5 kN s/m, 20 kN/m, and a linear mount."""
     shapes = eqx.tree_at(
         lambda s: (s.damper.low_speed_rate, s.damper.high_speed_rates, s.stop_rates, s.mount_cubic),
         reconstructed(),
-        (
-            jnp.asarray(paper.DAMPING_RATE),
-            jnp.full(2, paper.DAMPING_RATE),
-            np.zeros(2),
-            np.zeros(()),
-        ),
+        (jnp.asarray(DAMPING_RATE), jnp.full(2, DAMPING_RATE), np.zeros(2), np.zeros(())),
     )
     return quarter_car_source(shapes, mount_rate=mount.stiffness, mount_damping=mount.damping)
 
@@ -95,13 +96,13 @@ WHEEL, BODY, ENGINE = 2, 3, 5
 """Places of the velocities x3, x4, x6 in the state."""
 
 
-def table_1() -> list[tuple[paper.PublishedMode, paper.PublishedMode]]:
+def table_1() -> list[tuple[PublishedMode, PublishedMode]]:
     """Every row of Table 1, published and reproduced to the printed digits.
 
     Shapes are scaled so that the larger of the velocities of wheel and body is 1.
     """
     rows = []
-    for published, mode in zip(paper.TABLE_1, modes(linearise(linear_source())[0]), strict=True):
+    for published, mode in zip(TABLE_1, modes(linearise(linear_source())[0]), strict=True):
         wheel, body, engine = mode.shape[[WHEEL, BODY, ENGINE]]
         larger = wheel if abs(wheel) >= abs(body) else body
         # Adding zero turns -0.0 into 0.0.
@@ -111,8 +112,6 @@ def table_1() -> list[tuple[paper.PublishedMode, paper.PublishedMode]]:
             None if value is None else round(float(value), 2)
             for value in (mode.frequency, mode.damping_ratio)
         )
-        reproduced = paper.PublishedMode(
-            eigenvalue, frequency, ratio, *shape, digits=published.digits
-        )
+        reproduced = PublishedMode(eigenvalue, frequency, ratio, *shape, digits=published.digits)
         rows.append((published, reproduced))
     return rows

@@ -11,9 +11,8 @@ from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.extensions import require_packages
 from riecjax.leaves import on_host
 from riecjax.records.record import Record
-from riecjax.reporting.document import Document
+from riecjax.reporting import Document, identification_document
 from riecjax.reporting.estimate import estimate_entries, known_entries, parameter_entries
-from riecjax.reporting.identification import identification_document
 from riecjax.reporting.tables import Table, rounded
 
 COLUMNS = ("value", "std_error", "low95", "high95")

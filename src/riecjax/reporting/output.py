@@ -119,15 +119,12 @@ def require_folder(folder: Path) -> None:
     **Raises:** `DataError` if not, or without a package for reports.
     """
     require_packages("report")
-    with _folder_beside(folder):
-        try:
-            if not folder.is_dir() and os.path.lexists(folder):
-                raise NotADirectoryError
-            if folder.is_dir() and not os.access(folder, os.W_OK):
-                raise DataError(f"cannot write to '{folder}': it may not be written to.")
-            folder.lstat()
-        except FileNotFoundError:
-            pass
+    with _folder_beside(folder), contextlib.suppress(FileNotFoundError):
+        if not folder.is_dir() and os.path.lexists(folder):
+            raise NotADirectoryError
+        if folder.is_dir() and not os.access(folder, os.W_OK):
+            raise DataError(f"cannot write to '{folder}': it may not be written to.")
+        folder.lstat()
 
 
 @contextlib.contextmanager

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from riecjax.reporting import Document, Table
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.charts.interactive import Spaces, interactive
-from riecjax.reporting.document import Document
-from riecjax.reporting.tables import Table
 
 SCREEN_INCH = 100
 """Pixels to an inch of the printed figure, at most, so that a small figure stays small."""

@@ -17,6 +17,7 @@ from riecjax.estimation.evidence import ModeEvidence
 from riecjax.leaves import on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
+from riecjax.reporting import Document, write_report
 from riecjax.reporting.charts.chart import (
     BOLD,
     LARGE,
@@ -32,7 +33,6 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
-from riecjax.reporting.document import Document
 from riecjax.reporting.exports import document_of
 from riecjax.reporting.result_figures import (
     held_out_figure,
@@ -42,7 +42,6 @@ from riecjax.reporting.result_figures import (
     spectra_figure,
     sweep_figure,
 )
-from riecjax.reporting.result_page import write_report
 from riecjax.reporting.tables import with_error
 from riecjax.validation import HeldOut, ResidualTests, WindowSweep
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from riecjax.assessment.assessment import Assessment
+from riecjax.reporting import Page, Section, Table, identification_figures
 from riecjax.reporting.checking import excitation_table, named
 from riecjax.reporting.document import Document, ends_of, number
 from riecjax.reporting.estimate import fits_of, parameter_table, settings_in_words
@@ -15,9 +16,6 @@ from riecjax.reporting.identification import (
     windows_in_words,
 )
 from riecjax.reporting.output import require_folder, write_folder
-from riecjax.reporting.page import Page, Section
-from riecjax.reporting.result_figures import identification_figures
-from riecjax.reporting.tables import Table
 
 
 def identification_page(document: Document) -> Page:

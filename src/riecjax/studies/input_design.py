@@ -261,12 +261,6 @@ class _Problem(eqx.Module):
         sampling = self.sampling
         return multisine(coefficients, phases, both, sampling.sample_count, sampling.time_step)
 
-    def polar(self, coefficients: Float[Array, " 2k"]) -> tuple[Array, Array]:
-        """Amplitudes and phases of the input."""
-        cosine, sine = jnp.split(coefficients, 2)
-        factor = self.rms / _rms(self.wave(coefficients))
-        return factor * jnp.hypot(cosine, sine), jnp.arctan2(-sine, cosine)
-
     def outcome(
         self, coefficients: Float[Array, " 2k"]
     ) -> tuple[Float[Array, " n"], Float[Array, " p"], dict[str, Array], Float[Array, ""]]:
@@ -398,7 +392,8 @@ def _best(
     promised = jnp.where(within, errors[:, place], jnp.inf)
     nearest = jnp.argmin(jnp.where(finite, excess, jnp.inf))
     best = jnp.where(jnp.any(within), jnp.argmin(promised), nearest)
-    amplitudes, phases = problem.polar(found[best])
+    cosine, sine = jnp.split(found[best], 2)
+    factor = problem.rms / _rms(problem.wave(found[best]))
     status = DesignStatus.where(settled[best], DesignStatus.converged, DesignStatus.out_of_steps)
     status = DesignStatus.where(jnp.any(within), status, DesignStatus.travel_exceeded)
     status = DesignStatus.where(jnp.any(finite), status, DesignStatus.not_finite)
@@ -409,8 +404,8 @@ def _best(
             {name: Signal(wave, unit=dict(system.inputs).get(name, ""))}, problem.sampling.time_step
         ),
         frequencies=problem.frequencies,
-        amplitudes=amplitudes,
-        phases=phases,
+        amplitudes=factor * jnp.hypot(cosine, sine),
+        phases=jnp.arctan2(-sine, cosine),
         standard_error=errors[best, place],
         standard_errors=dict(zip(experiment.parameters, errors[best])),
         rms=_rms(wave),

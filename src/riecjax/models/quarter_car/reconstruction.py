@@ -110,7 +110,7 @@ def source_system(
     """
     shapes = reconstructed() if shapes is None else shapes
     gaps, rates = jnp.asarray(shapes.stop_gaps), jnp.asarray(shapes.stop_rates)
-    mount = HardeningMount(jnp.asarray(MOUNT_RATE), jnp.asarray(shapes.mount_cubic))
+    gain = parameters["K_m"] / MOUNT_RATE
     return QuarterCarSource(
         wheel_mass=parameters["M_w"],
         body_mass=parameters["M_b"],
@@ -120,5 +120,5 @@ def source_system(
         mount_damping=parameters["B_m"],
         damper=jax.tree.map(jnp.asarray, shapes.damper),
         spring=BumpStopSpring(jnp.asarray(SPRING_RATE), gaps, rates),
-        mount=mount.scaled(parameters["K_m"] / MOUNT_RATE),
+        mount=HardeningMount(MOUNT_RATE * gain, jnp.asarray(shapes.mount_cubic) * gain),
     )

@@ -173,7 +173,3 @@ class HardeningMount(eqx.Module):
     def __call__(self, deflection: Array) -> Array:
         """Force in N at a deflection in m."""
         return deflection * (self.rate + self.cubic * deflection**2)
-
-    def scaled(self, gain: Array | float) -> "HardeningMount":
-        """The same curve times a gain, as the paper makes its Table 6 variants."""
-        return HardeningMount(self.rate * gain, self.cubic * gain)
