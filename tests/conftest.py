@@ -90,27 +90,31 @@ def _count_compilation(event: str, duration_secs: float, **kwargs: str | int) ->
 
 jax.monitoring.register_event_duration_secs_listener(_count_compilation)
 
-MOST_MAPS = 55_000
-"""Memory maps of a process past which compiled functions are forgotten; Linux allows 65530. To
-forget them all takes a dozen seconds."""
-COUNTED_AFTER = 300
-"""Compilations between two counts of the maps, which take as long as a small test."""
-counted = 0
+MOST_MAPS = 60_000
+"""Memory maps of a process past which no function may be compiled; Linux allows 65530."""
+MAPS_EACH = 50
+"""Of a compiled function at most: 15 as tests are compiled, more as users' processes are."""
+FEWEST = 100
+"""Functions that there must be room for, or all are forgotten, which takes a dozen seconds."""
+looked_at, room = 0, MOST_MAPS // MAPS_EACH
 
 
 @pytest.fixture(autouse=True)
 def forget_compiled_functions() -> Iterator[None]:
-    """Every function that XLA compiles keeps some 15 memory maps; a whole suite of them runs out,
-    and XLA then ends the process."""
-    global counted
+    """A whole suite of compiled functions runs out of memory maps, and XLA then ends the process.
+
+    To count the maps takes as long as a small test, so that they are where they may have run out.
+    """
+    global looked_at, room
     yield
-    if compilations - counted < COUNTED_AFTER:
-        return
-    counted = compilations
     maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+    if compilations - looked_at < room - FEWEST or not maps.exists():
+        return
+    looked_at, room = compilations, (MOST_MAPS - maps.read_bytes().count(b"\n")) // MAPS_EACH
+    if room <= FEWEST:
         jax.clear_caches()
         release_memory()
+        room = MOST_MAPS // MAPS_EACH
 
 
 @pytest.fixture(autouse=True)

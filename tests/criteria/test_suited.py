@@ -44,6 +44,18 @@ def test_a_velocity_that_no_sensor_measured_is_left_out(made):
     assert float(found.windows.beta) == pytest.approx(2.0)
 
 
+def test_a_velocity_that_a_model_says_how_to_derive_is_formed():
+    machine = MACHINES["linear"]
+    record = machine.record().select("x", "u")
+    inertia, damper = rx.Term("m", "x", derivative=2), rx.Term("c", "dx")
+    equation = rx.Equation(inertia, damper, rx.Term("k", "x"), -rx.Term(1.0, "u"))
+    with pytest.raises(rx.DataError, match="no signal 'dx'"):
+        rx.identify(equation, record)
+    model = rx.Model(stages=equation, derived={"dx": "x"})
+    for name, value in rx.identify(model, record, intervals=rx.Naive()).values.items():
+        assert float(value) == pytest.approx(machine.truth[name], rel=0.02)
+
+
 def test_bumps_hold_enough_samples_and_fit_into_a_short_record():
     for step, count in ((0.1, 2000), (0.01, 300), (0.02, 150)):
         time = step * np.arange(count)

@@ -37,8 +37,8 @@ def said_twice(**fields: tuple[Any, Any]) -> Any:
         (lambda: Term(1.0, "x", basis=rx.Polynomial((1, 3))), "need a name"),
         (lambda: rx.Polynomial((1, 1)), "different whole numbers from 0 on"),
         (lambda: rx.Polynomial("13"), "exponents is the text '13'"),  # pyright: ignore
-        (lambda: said_twice(known=(2.0, 3.0)), "m is known as 2 in one term and as 3"),
-        (lambda: said_twice(unit=("kg", "N")), "unit of m is N in one term and kg in another"),
+        (lambda: said_twice(known=(2.0, 3.0)), "m is known as 2 and, in another term, as 3"),
+        (lambda: said_twice(unit=("kg", "N")), "unit of m is kg and, in another term, N"),
         (lambda: rx.Equation(rx.Term(" ", "x"), FORCE), "equation: a name is empty"),
         (lambda: Model(PUSHED), "the name stands first"),
         (lambda: Model("mass", stages=(PUSHED, "u")), "in stages is the text 'u'"),
@@ -50,11 +50,11 @@ def said_twice(**fields: tuple[Any, Any]) -> Any:
         (lambda: model(band=(1.0, 2.0, 3.0)), "from a low to a high frequency"),
         (
             lambda: model(parameters=[rx.equations.Quantity("m", "lb", "")]),
-            "m is kg in .* lb among param",
+            "m is lb and, in another term, kg",
         ),
         (
             lambda: model(signals=2 * (rx.equations.Quantity("x", "m", ""),)),
-            "'x' stands twice in signals",
+            "a name stands twice in signals",
         ),
         (lambda: model(at_rest="no"), "'mask' or 'keep'; got 'no'"),
         (lambda: model(modes=rx.HiddenMode(on="x")), "modes of a model is a HiddenMode"),

@@ -149,9 +149,7 @@ def test_missing_samples_are_marked_and_hold_the_last_value():
 X, Y = np.array([[np.nan, 1, 2, 3, 4], [0, np.nan, 2, np.nan, 4]])
 
 
-@pytest.mark.parametrize(
-    "samples", [[0.0, np.nan, 2.0], np.ma.array([0.0, 9.0, 2.0], mask=[0, 1, 0])]
-)
+@pytest.mark.parametrize("samples", [[0.0, np.nan, 2.0], np.ma.masked_equal([0.0, 9.0, 2.0], 9)])
 def test_bare_samples_are_missing_where_they_are_nan_or_masked(samples):
     empty = Record({"y": np.ones(3)}, 1.0)
     checked = Record.from_samples({"x": samples}, time_step=1.0)

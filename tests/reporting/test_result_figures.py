@@ -148,6 +148,18 @@ def test_curves_pass_through_their_break_points_and_leave_the_hysteresis():
     np.testing.assert_allclose(np.asarray(band.high), curve.y + 1.96 * curve.error)
 
 
+def test_a_curve_is_drawn_beside_what_each_recording_has_of_its_own():
+    v = np.sin(0.01 * np.arange(2000)) + 0.3 * np.sin(0.037 * np.arange(2000))
+    records = [rx.Record({"v": v, "F": 3 * v + v**3 + zero}, 0.01) for zero in (1.0, 2.0)]
+    law, zero = rx.Terms("k", rx.Polynomial((1, 3)), "v"), rx.Term("zero", rx.constant)
+    model = staged(rx.Equation(law, zero, -rx.Term(1.0, "F")))
+    estimate = rx.identify(model, records, per_record=["zero"], intervals=rx.Naive())
+    (curve,) = identified_curves(result_of(estimate, model, records[0]))
+    assert curve.samples is not None
+    np.testing.assert_allclose(curve.samples[1], 3 * v + v**3, atol=1e-8)
+    np.testing.assert_allclose(curve.y, 3 * curve.x + curve.x**3, atol=1e-8)
+
+
 def recording() -> tuple[rx.Equation, rx.Record]:
     """A spring with a left-out oscillation at 12 Hz, unit and a gap."""
     n, step = 4000, 0.005

@@ -155,14 +155,14 @@ def _with_modes(model: Model, band: tuple[float, float], records: Sequence[Recor
 def with_velocities(model: Model, record: Record) -> tuple[Record, list[str]]:
     """Add the velocities that functions of an equation read and the record lacks, if it can.
 
-    Slopes of local polynomials of the signals that the equations call them derivatives of (not
-    under jit).
+    Slopes of local polynomials of the signals that the equations, or the model's `derived`, call
+    them derivatives of (not under jit).
 
     **Returns:** the record, and what was added, in words.
     """
     steps = []
     for equation in model.equations:
-        below = {name: of for of, name in equation.derivatives}
+        below = {**model.derived, **{name: of for of, name in equation.derivatives}}
         while any(name not in record.arrays for name in below):
             try:
                 equation.signals_read(record, MOST)

@@ -9,10 +9,19 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from riecjax.compilation import kept_jit
-from riecjax.equations.expressions import Expression, combined, evaluate, label_of, read_expression
+from riecjax.equations.expressions import (
+    Expression,
+    combined,
+    evaluate,
+    label_of,
+    read_expression,
+    signals_read,
+)
+from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, from_elsewhere, samples_of
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, is_concrete
+from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 from riecjax.shows import Shown
@@ -99,6 +108,11 @@ class Equation(Shown, eqx.Module):
         return {name: value for term in self.terms for name, value in term.known_values.items()}
 
     @property
+    def signals(self) -> set[str]:
+        """Names of the signals that the terms are of, or call derivatives of these."""
+        return {name for t in self.terms for name in (*signals_read(t.of), *t.measured)}
+
+    @property
     def has_target(self) -> bool:
         """Whether a term without an unknown name sets the scale of the solution."""
         return any(not term.parameters for term in self.terms)
@@ -140,6 +154,20 @@ class Equation(Shown, eqx.Module):
         return signals.read
 
 
+def require_agreement(equations: Iterable[Equation], quantities: Iterable[Quantity]) -> None:
+    """Raise `ModelError` for a coefficient of which terms, or these quantities, say two things."""
+    values: dict[str, Leaf] = {}
+    units = {name: unit for name, unit, *_ in quantities if unit}
+    for term in (term for equation in equations for term in equation.terms):
+        for name, value in term.known_values.items():
+            said = values.setdefault(name, value)
+            if is_concrete(said, value) and said != value:
+                raise ModelError(f"{name} is known as {said:g} and, in another term, as {value:g}.")
+        for name, unit in term.units.items():
+            if unit and contradict(unit, said := units.setdefault(name, unit)):
+                raise ModelError(f"the unit of {name} is {said} and, in another term, {unit}.")
+
+
 def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[str]:
     """Expressions whose value at one sample depends on others, as `equation: name` (not under jit).
 
@@ -153,7 +181,7 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
             if expression is not None and not isinstance(expression, str):
                 tried[f"{equation.name}: {label_of(expression)}"] = expression
         for term in equation.terms:
-            if from_elsewhere(type(term)):
+            if from_elsewhere(type(term)) or from_elsewhere(type(term.basis)):
                 tried[f"{equation.name}: {type(term).__name__}"] = term
     if not tried:
         return []

@@ -21,7 +21,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from riecjax.equations.equation import Equation
+from riecjax.equations.equation import Equation, require_agreement
 from riecjax.equations.equation_system import (
     EquationSystem,
     read_structure,
@@ -45,7 +45,6 @@ from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, refuse_unknown, require, users_code
 from riecjax.extensions import element
 from riecjax.leaves import Leaf, is_concrete, is_number, is_under_trace
-from riecjax.records.reading.units import same
 from riecjax.records.record import Record
 from riecjax.shows import Shown
 
@@ -101,8 +100,8 @@ class Model(Shown, eqx.Module):
     - `name`, `summary`: for listings.
     - `stages` of equations: an `Equation`, or several by [`staged`][] or [`simultaneous`][].
     - `signals`: what identification reads from a record.
-    - `derived`: signal to the signal whose time derivative it is, formed by central differences
-      if the record lacks it.
+    - `derived`: signal to the signal whose time derivative it is, formed by local polynomials
+      (where there is no noise, by central differences) if the record lacks it.
     - `parameters`: of the equations, with what they mean and values to simulate with. Those that
       are not given are added.
     - `inputs`: what drives it. Recordings that hold these are simulated with `rates`.
@@ -151,13 +150,12 @@ class Model(Shown, eqx.Module):
         self.stages = _in_stages(self.stages)
         self.system = self.system if isinstance(self.system, Machine) else Machine(self.system)
         for field_name in ("signals", "parameters", "inputs"):
-            names: list[str] = []
-            for quantity in getattr(self, field_name):
+            quantities = getattr(self, field_name)
+            for quantity in quantities:
                 write = f"{field_name}=(Quantity('x', 'm', 'position'), ...)"
                 require(f"what is in {field_name}", quantity, Quantity, write)
-                if quantity.name in names:
-                    raise ModelError(f"'{quantity.name}' stands twice in {field_name}.")
-                names.append(quantity.name)
+            if len({quantity.name for quantity in quantities}) < len(quantities):
+                raise ModelError(f"a name stands twice in {field_name}.")
         self.derived, self.rates = FrozenDict(self.derived), FrozenDict(self.rates)
         for mode in self.modes:
             require("a mode", mode, HiddenMode, "rx.HiddenMode(on='x4')")
@@ -167,7 +165,7 @@ class Model(Shown, eqx.Module):
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
         self._require_elements()
-        self._require_agreement()
+        require_agreement(self.equations, self.parameters)
         units, listed = self.units, {quantity.name for quantity in self.parameters}
         names = dict.fromkeys(name for equation in self.equations for name in equation.parameters)
         every = {name: Quantity(name, units[name], "") for name in names} | self._of_hidden
@@ -199,27 +197,6 @@ class Model(Shown, eqx.Module):
                     f"velocity or a map of one: {', '.join(fitting) or 'no equation has any'}."
                 )
             taken += every[0].parameters
-
-    def _require_agreement(self) -> None:
-        """Raise `ModelError` for a coefficient that its terms say different things of."""
-        known, units = self.known, self.units
-        for term in (term for equation in self.equations for term in equation.terms):
-            for name, value in term.known_values.items():
-                if is_concrete(value, known[name]) and value != known[name]:
-                    raise ModelError(
-                        f"{name} is known as {value:g} in one term and as {known[name]:g} in "
-                        f"another."
-                    )
-            for name, unit in term.units.items():
-                if unit and not same(unit, units[name]):
-                    raise ModelError(
-                        f"the unit of {name} is {unit} in one term and {units[name]} in another."
-                    )
-        for name, unit, *_ in self.parameters:
-            if unit and (said := units.get(name)) and not same(unit, said):
-                raise ModelError(
-                    f"the unit of {name} is {said} in the equations and {unit} among parameters."
-                )
 
     @property
     def kinematics(self) -> "tuple[Relation, ...]":

@@ -458,7 +458,7 @@ def _numbers(name: str, values: Any) -> Any:
         raise DataError(f"a signal's name is empty. Write {WRITE_RECORD}.")
     try:
         if isinstance(values, np.ma.MaskedArray):
-            values = values.astype(float).filled(np.nan)
+            values = np.ma.filled(values.astype(float), np.nan)
         samples = values if isinstance(values, jax.Array) else np.asarray(values)
         samples = samples.astype(float) if samples.dtype.kind == "O" else samples
     except (TypeError, ValueError):

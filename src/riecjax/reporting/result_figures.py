@@ -283,7 +283,8 @@ def _curve(
     variable = np.asarray(sampled.values)
     # The curve's value by the rest of the equation, at every sample: with all other coefficients
     # known, sign sum_i c_i b_i = target is what a pointwise row says.
-    others = {n: estimate[n] for n in equation.parameters if n not in term.parameters}
+    found = estimate.table.values_of(estimate.values, 0)
+    others = {n: found[n] for n in equation.parameters if n not in term.parameters}
     samples = None
     with contextlib.suppress(DataError):  # a derivative that is not recorded
         rows = eqx.filter_jit(DOLS().rows)(equation, record).fix(others)

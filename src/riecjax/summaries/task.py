@@ -13,14 +13,13 @@ from jaxtyping import Array, Key
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import signals_read as expression_signals
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
 from riecjax.records.consistency import without_computed
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
-from riecjax.records.reading.units import readings, same
+from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import Recording, as_recordings
 
@@ -157,10 +156,7 @@ def _require_units(model: Model, recording: Recording, units: dict[str, str]) ->
     they do not say yet are the recording's."""
     for name, unit in recording.record.units:
         said = units.setdefault(name, unit)
-        if same(unit, said) or not (readings(unit) and readings(said)):
-            continue
-        terms = [term for equation in model.equations for term in equation.terms]
-        if name in {n for t in terms for n in (*expression_signals(t.of), *t.measured)}:
+        if contradict(unit, said) and any(name in e.signals for e in model.equations):
             raise DataError(
                 f"{recording.name} has {name} in {unit}, where the model or another record has it "
                 f"in {said}, and nothing converts one to the other. Convert its samples, or "

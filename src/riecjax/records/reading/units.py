@@ -130,6 +130,11 @@ def same(some: str, other: str) -> bool:
     )
 
 
+def contradict(some: str, other: str) -> bool:
+    """Whether two texts are units, and not the same."""
+    return not same(some, other) and bool(readings(some) and readings(other))
+
+
 def usual_name(unit: Unit) -> str:
     """What SI calls the unit with these powers of its base units."""
     powers = zip(BASE, unit.powers, strict=True)
