@@ -106,8 +106,7 @@ def _status(given: list[str]) -> int:
     except RiecjaxError as error:
         return _no_answer(str(error), error.code)
     except MemoryError as error:
-        message = str(error) or "not enough memory for this record."
-        return _no_answer(message, "memory")
+        return _no_answer(str(error) or "not enough memory for this record.", "memory")
     except RuntimeError as error:
         # XLA's own word, where more was asked for than was foreseen.
         if "RESOURCE_EXHAUSTED" not in str(error):

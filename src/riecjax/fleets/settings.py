@@ -44,7 +44,6 @@ class Groups(Settings):
 
     def contradictions(self) -> Iterator[str]:
         """Workers of this machine and of a scheduler; raises for names of groups that are none."""
-        yield from super().contradictions()
         if not self.keys or not all(isinstance(key, str) and key for key in self.keys):
             raise ModelError("by names what groups are: by='file', 'folder' or names of columns.")
         if self.workers is not None and self.scheduler is not None:

@@ -15,7 +15,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, ClassVar, Concatenate, Literal, ParamSpec, Protocol, TypeVar, overload
@@ -256,7 +256,8 @@ def flag(said: str, default: bool = False, **more: Any) -> Any:
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings that belong together. Fields made by [`setting`][], [`many`][], [`named`][] and
-    [`flag`][] are options too; others are of Python alone.
+    [`flag`][] are options too; others are of Python alone. A method `contradictions` yields what of
+    its class does not go together, as templates of [`Contradiction`][]; what bases say comes first.
 
     **Raises:** `error` for a value of the wrong kind, [`Contradiction`][] for settings that do not
     go together.
@@ -268,12 +269,9 @@ class Settings:
         for name, option in self.options().items():
             value = getattr(self, name)
             object.__setattr__(self, name, _checked(name, option, value, self.owner(name).error))
-        for template in self.contradictions():
-            raise Contradiction(template, self.options())
-
-    def contradictions(self) -> Iterator[str]:
-        """What does not go together, as templates of [`Contradiction`][]: first what bases say."""
-        yield from ()
+        for kind in reversed(type(self).__mro__):
+            for template in vars(kind).get("contradictions", lambda _: ())(self):
+                raise Contradiction(template, self.options())
 
     @classmethod
     def options(cls) -> dict[str, Option]:

@@ -154,7 +154,6 @@ class Prepare(Settings):
 
     def contradictions(self) -> Iterator[str]:
         """A record that ends before it begins."""
-        yield from super().contradictions()
         if self.start is not None and self.stop is not None and self.start >= self.stop:
             yield "{start} must lie before {stop}."
 
@@ -266,7 +265,6 @@ class Fit(Settings):
 
     def contradictions(self) -> Iterator[str]:
         """What belongs to another criterion, or says the same twice."""
-        yield from super().contradictions()
         if self.criterion is not None and self.says("criterion") and self.says_of_windows:
             yield (
                 "{band}, {alpha}, {beta}, {windows}, {test_function} and {quadrature} belong to "
@@ -331,7 +329,6 @@ class Refine(Settings):
 
     def contradictions(self) -> Iterator[str]:
         """What the refinement that is asked for does not use."""
-        yield from super().contradictions()
         by = self.refine
         if not (by is None or isinstance(by, str) or hasattr(type(by), "specify")):
             require("refine", by, (), "refine=rx.OutputError(), 'auto' or None")
@@ -400,7 +397,6 @@ class Assess(Validate, Uncertainty, Sharing, Known, Refine, Sums):
 
     def contradictions(self) -> Iterator[str]:
         """What nothing uses, and parameters without a value."""
-        yield from super().contradictions()
         validates = self.hold_out is not None or bool(self.validate_on)
         if self.horizon is not None and self.refine in (None, "none", "integral") and not validates:
             yield (

@@ -327,7 +327,7 @@ def design_input(
     phases = jax.random.uniform(key, (starts, grid.shape[0]), maxval=2 * jnp.pi)
     wave = multisine(jnp.ones_like(grid), phases[0], grid, sample_count, time_step)
     wave = wave * (rms / _rms(wave))
-    family = as_parametric_system(model, Record({"": wave}, time_step))
+    family = as_parametric_system(model, Record({"the input": wave}, time_step))
     at: dict[str, Any] = {**family.defaults, **dict(known or {}), **values}
     inputs = family.build(at).input_names
     if len(inputs) != 1:
