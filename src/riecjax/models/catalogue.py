@@ -22,13 +22,17 @@ if TYPE_CHECKING:
 
 _ROAD = (Quantity("v_r", "m/s", "road velocity, downwards positive"),)
 _QUARTER_CAR_COLUMNS = ("v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t")
-_AXIS_SIGNALS = (
-    Quantity("q", "m", "position"),
-    Quantity("force", "N", "driving force"),
-    Quantity("dq", "m/s", "velocity (central differences of q if absent)"),
-    Quantity("ddq", "m/s^2", "acceleration (DOLS only; central differences of dq if absent)"),
-)
-_AXIS_INPUT = (Quantity("force", "N", "driving force"),)
+_AXIS: dict[str, Any] = {
+    "signals": (
+        Quantity("q", "m", "position"),
+        Quantity("force", "N", "driving force"),
+        Quantity("dq", "m/s", "velocity (central differences of q if absent)"),
+        Quantity("ddq", "m/s^2", "acceleration (DOLS only; central differences of dq if absent)"),
+    ),
+    "derived": {"dq": "q", "ddq": "dq"},
+    "inputs": (Quantity("force", "N", "driving force"),),
+}
+"""What is recorded of a driven axis."""
 
 
 class Listing(SimpleNamespace):
@@ -140,8 +144,7 @@ LISTED = {
         Listing(
             name="emps",
             summary="M q'' + Fv q' + Fc sign(q') + offset = force",
-            signals=_AXIS_SIGNALS,
-            derived={"dq": "q", "ddq": "dq"},
+            **_AXIS,
             stages="riecjax.models.emps:emps_equation",
             parameters=(
                 Quantity("M", "kg", "mass", 95.1),
@@ -149,13 +152,11 @@ LISTED = {
                 Quantity("Fc", "N", "Coulomb friction", 20.4),
                 Quantity("offset", "N", "force offset", -3.16),
             ),
-            inputs=_AXIS_INPUT,
         ),
         Listing(
             name="emps-asymmetric",
             summary="M q'' + friction = force, with separate friction for each direction",
-            signals=_AXIS_SIGNALS,
-            derived={"dq": "q", "ddq": "dq"},
+            **_AXIS,
             stages="riecjax.models.emps:emps_asymmetric_equation",
             parameters=(
                 Quantity("M", "kg", "mass", 95.15),
@@ -164,7 +165,6 @@ LISTED = {
                 Quantity("Fv_neg", "N s/m", "viscous friction, q' < 0", 240.4),
                 Quantity("Fc_neg", "N", "Coulomb friction, q' < 0", 20.63),
             ),
-            inputs=_AXIS_INPUT,
         ),
         Listing(
             name="duffing",

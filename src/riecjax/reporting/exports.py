@@ -1,6 +1,5 @@
 """What objects hold as plain documents, and these as dictionaries, frames and tables of a paper."""
 
-import functools
 from typing import Any
 
 import numpy as np
@@ -19,12 +18,20 @@ COLUMNS = ("value", "std_error", "low95", "high95")
 """Numbers of each parameter in a frame."""
 
 
-@functools.singledispatch
 def document_of(source: Any) -> Document:
     """`parameters` and `known` of what holds some, as in the document of an identification.
 
     **Raises:** `ModelError` for anything else.
     """
+    match source:
+        case dict():
+            return source
+        case Assessment():
+            return identification_document(source)
+        case Estimate():
+            return estimate_entries("", source)
+        case AbstractEstimate():
+            return {"parameters": parameter_entries(source), "known": known_entries(source)}
     document = getattr(source, "document", None)
     if document is None:
         kind = type(source).__name__
@@ -33,26 +40,6 @@ def document_of(source: Any) -> Document:
             f"rx.assess or rx.load return."
         )
     return document
-
-
-@document_of.register
-def _(source: dict) -> Document:
-    return source
-
-
-@document_of.register
-def _(source: AbstractEstimate) -> Document:
-    return {"parameters": parameter_entries(source), "known": known_entries(source)}
-
-
-@document_of.register
-def _(source: Estimate) -> Document:
-    return estimate_entries("", source)
-
-
-@document_of.register
-def _(source: Assessment) -> Document:
-    return identification_document(source)
 
 
 def to_dict(source: Any) -> dict[str, dict[str, Any]]:

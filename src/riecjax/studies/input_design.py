@@ -243,7 +243,8 @@ class _Problem(eqx.Module):
     """The cost of an input in terms of the cosine and sine part of each harmonic.
 
     Unlike a phase, which means nothing at zero amplitude, these have no singular point. Their
-    common factor is free, since the input is scaled to its r.m.s.
+    common factor is free, since the input is scaled to its r.m.s. `place` is that of the parameter
+    that matters among those that are estimated.
     """
 
     experiment: _Experiment
@@ -251,7 +252,7 @@ class _Problem(eqx.Module):
     rms: Float[Array, ""]
     travel: dict[str, Array]
     sampling: Record
-    parameter: str = eqx.field(static=True)
+    place: int = eqx.field(static=True)
 
     def wave(self, coefficients: Float[Array, " 2k"]) -> Float[Array, " n"]:
         """The input before it is scaled."""
@@ -279,8 +280,7 @@ class _Problem(eqx.Module):
     def cost(self, coefficients: Float[Array, " 2k"], penalty: Array) -> Float[Array, ""]:
         """Logarithm of the parameter's variance, with a penalty on travel."""
         _, errors, _, excess = self.outcome(coefficients)
-        place = self.experiment.parameters.index(self.parameter)
-        return 2 * jnp.log(errors[place]) + penalty * excess
+        return 2 * jnp.log(errors[self.place]) + penalty * excess
 
 
 def design_input(
@@ -345,7 +345,8 @@ def design_input(
     if wrong := [n for n, limit in limits.items() if is_concrete(limit) and not limit > 0]:
         raise ModelError(f"the travel of {wrong[0]} needs a positive limit.")
     rms = jnp.asarray(rms, float)
-    problem = _Problem(experiment, grid, rms, limits, sampling, parameter)
+    place = experiment.parameters.index(parameter)
+    problem = _Problem(experiment, grid, rms, limits, sampling, place)
     found = jnp.concatenate([jnp.cos(phases), -jnp.sin(phases)], axis=1)
     settled = jnp.zeros(starts, bool)
     for penalty in PENALTIES if travel else PENALTIES[:1]:
@@ -383,8 +384,7 @@ def _best(
     problem: _Problem, found: Float[Array, "starts 2k"], settled: Bool[Array, " starts"]
 ) -> Design:
     """The best of those that keep the travel; if none does, the one that comes nearest."""
-    experiment = problem.experiment
-    place = experiment.parameters.index(problem.parameter)
+    experiment, place = problem.experiment, problem.place
     waves, errors, peaks, excess = jax.vmap(problem.outcome)(found)
     within = finite = jnp.isfinite(errors[:, place])
     for name, limit in problem.travel.items():
@@ -412,5 +412,5 @@ def _best(
         peaks={name: peak[best] for name, peak in peaks.items()},
         starts=promised,
         status=status,
-        parameter=problem.parameter,
+        parameter=experiment.parameters[place],
     )
