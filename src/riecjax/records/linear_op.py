@@ -7,15 +7,16 @@ a `DataError`.
 """
 
 import functools
+import inspect
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ParamSpec, Protocol, TypeAlias
+from typing import Any, ParamSpec, Protocol, TypeAlias, get_origin
 
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.errors import DataError
+from riecjax.errors import DataError, require
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, runs
 from riecjax.records.signal import Signal, SignalNoise
@@ -189,10 +190,18 @@ class Step(Protocol[Asked]):
 def step(operations: Callable[Asked, Operations]) -> Step[Asked]:
     """The step of preparation that takes a record first, by its operations."""
 
+    signature = inspect.signature(operations)
+    by_signal = {n for n, p in signature.parameters.items() if get_origin(p.annotation) is Mapping}
+
     @functools.wraps(operations)
     def step_taken(*args: Asked.args, **kwargs: Asked.kwargs) -> Record:
-        record: Any = args[0] if args else kwargs["record"]
-        return record.through(dict(operations(*args, **kwargs)))
+        asked = signature.bind(*args, **kwargs).arguments
+        require(
+            "the record", asked["record"], Record, "recording.record, of a recording", DataError
+        )
+        for name in by_signal:
+            require(name, asked[name], Mapping, "{'x': ...}, by signal", DataError)
+        return asked["record"].through(dict(operations(*args, **kwargs)))
 
     taken: Any = step_taken
     taken.ops, taken.__annotations__["return"] = operations, Record
