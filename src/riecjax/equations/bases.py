@@ -21,6 +21,9 @@ from riecjax.leaves import Leaf, as_leaf, is_concrete
 class AbstractBasis(eqx.Module):
     """A family of functions of one variable."""
 
+    is_continuous: ClassVar[bool] = False
+    """Whether none of them jumps; a family that does not say so is tried."""
+
     @property
     def labels(self) -> tuple[str, ...]:
         """What is appended to a coefficient's name, one for each function."""
@@ -54,10 +57,11 @@ class RoofFunctions(AbstractBasis):
     **Raises:** `ModelError` unless there are at least two break points in increasing order.
     """
 
-    break_points: Float[Array, " points"]
+    break_points: Float[Leaf, " points"]
+    is_continuous: ClassVar[bool] = True
 
     def __init__(self, break_points: Sequence[float] | ArrayLike | Array):
-        self.break_points = jnp.asarray(break_points, jnp.result_type(float))
+        self.break_points = as_leaf(break_points)
 
     def __check_init__(self):
         points = self.break_points
@@ -67,6 +71,11 @@ class RoofFunctions(AbstractBasis):
             raise ModelError(f"break points must increase; got {points.tolist()}.")
 
     @property
+    def points(self) -> Float[Array, " points"]:
+        """The break points, to compute with."""
+        return jnp.asarray(self.break_points, jnp.result_type(float))
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """`1`, `2`, ... in the order of the break points."""
         return tuple(str(i + 1) for i in range(self.break_points.shape[0]))
@@ -74,7 +83,8 @@ class RoofFunctions(AbstractBasis):
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "points n"]:
         """R_i(x) for every i."""
         # Each roof looks at x by itself: to look up the segment of x takes four times as long.
-        points, widths, x = self.break_points, jnp.diff(self.break_points), x[None, :]
+        points, x = self.points, x[None, :]
+        widths = jnp.diff(points)
         one, inner = jnp.ones(1, points.dtype), points[1:-1]
         far = jnp.inf * one
         falls = ~(x < jnp.concatenate([-far, inner, far])[:, None])
@@ -92,7 +102,7 @@ class RoofFunctions(AbstractBasis):
     def interpolate(self, values: Float[Array, " points"], x: Array) -> Array:
         """`sum values_i R_i(x)`, without forming the functions; x of any shape."""
         # The segment that x lies on (the nearest one outside), and its share along it.
-        points = self.break_points
+        points = self.points
         last = points.shape[0] - 2
         # Comparing with the inner points vectorises where a binary search does not.
         inside = [(x >= points[i]).astype(jnp.int32) for i in range(1, last + 1)]
@@ -108,6 +118,7 @@ class Polynomial(AbstractBasis):
     """
 
     exponents: tuple[int, ...] = eqx.field(static=True)
+    is_continuous: ClassVar[bool] = True
 
     def __init__(self, exponents: Sequence[int]):
         kinds = (tuple, list, range)

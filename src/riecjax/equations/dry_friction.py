@@ -159,9 +159,10 @@ def reversing_states(
     """
     found: set[str] = set()
     for term in terms:
-        if not term.is_linear:
+        continuous = term.is_linear or (term.basis is not None and term.basis.is_continuous)
+        if not continuous:
             found |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
-        elif term.signal is None:
+        elif not isinstance(term.of, str):
             found |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
     return tuple(state for state in states if state in found)
 

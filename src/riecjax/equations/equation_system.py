@@ -31,7 +31,7 @@ forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_eleme
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -470,11 +470,12 @@ def require_solvable(label: str, system: EquationSystem) -> None:
         which = spring.element.parameters[0]
         if spring.element.is_linear and float(system.values[which]) == 0:
             raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
-    state = jnp.asarray(np.random.default_rng(0).uniform(0.2, 0.9, len(system.states)))
-    level = jnp.asarray(np.linspace(0.3, 0.7, len(system.structure.inputs)))
+    # Of NumPy's, which the compiled function takes as they are.
+    state: Any = np.random.default_rng(0).uniform(0.2, 0.9, len(system.states))
+    level: Any = np.linspace(0.3, 0.7, len(system.structure.inputs))
     unknowns = system.structure.unknowns
-    probe = np.random.default_rng(1).uniform(0.5, 1.5, len(unknowns))
-    probed = system.probed(state, level, jnp.asarray(probe))
+    probe: Any = np.random.default_rng(1).uniform(0.5, 1.5, len(unknowns))
+    probed = system.probed(state, level, probe)
     rest, slopes, found = (np.asarray(part) for part in probed)
     columns = np.max(np.abs(slopes), axis=0, initial=0.0)
     rows = np.max(np.abs(slopes), axis=1, initial=0.0)

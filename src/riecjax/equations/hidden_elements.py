@@ -281,7 +281,7 @@ class SpringElement(eqx.Module):
     def points(self) -> Float[Array, " points"] | None:
         """Break points of the element's law, `None` of a linear one."""
         basis = self.element.basis
-        return basis.break_points if isinstance(basis, RoofFunctions) else None
+        return basis.points if isinstance(basis, RoofFunctions) else None
 
     def rate(self, signals: Values, values: Values, across: Array) -> Array:
         """Time derivative of the force, with the velocity across both."""

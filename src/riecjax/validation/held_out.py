@@ -327,10 +327,12 @@ def validate_held_out(
             if start == stretches[0][0] or name not in recorded
         }
         beginning = measured.part(start, start + 3)
-        states = measured_states(system, beginning)[0]
+        states = np.asarray(measured_states(system, beginning))[0]
         first = dict(zip(system.state_names, states)) | first
-        there = {name: samples[:1] for name, samples in beginning.arrays.items()}
-        there |= {name: jnp.reshape(value, 1) for name, value in first.items()}
+        there: dict[str, Any] = {
+            name: np.asarray(samples)[:1] for name, samples in beginning.arrays.items()
+        }
+        there |= {name: np.reshape(np.asarray(value), 1) for name, value in first.items()}
         told = {*recorded, *given}
         first |= {n: v[0] for n, v in system.carried_levels(there).items() if n not in told}
         count = stop - start
