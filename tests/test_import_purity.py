@@ -17,6 +17,8 @@ for module in pkgutil.walk_packages(riecjax.__path__, "riecjax."):
         names.append(module.name)
 for name in dir(riecjax):
     getattr(riecjax, name)
+for name in riecjax.models.catalogue.LISTED:
+    riecjax.find_model(name)
 changed = [key for key, value in jax.config.values.items() if before.get(key) != value]
 from jax._src import xla_bridge
 started = list(xla_bridge._backends)
@@ -44,6 +46,6 @@ def test_importing_changes_no_global_setting_of_jax(imported):
     assert imported["changed"] == []
 
 
-def test_importing_creates_no_array_and_starts_no_backend(imported):
+def test_importing_and_models_create_no_array_and_start_no_backend(imported):
     assert imported["arrays"] == 0
     assert imported["started"] == []
