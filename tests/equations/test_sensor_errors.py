@@ -42,7 +42,7 @@ def estimate(model, x, force, **settings):
 def test_the_zero_of_a_load_cell():
     x, force = motion()
     load = rx.equations.Quantity("F", "N", "force")
-    model = rx.Model(stages=equation(), signals=[load]).with_sensor_errors(offsets=["F"])
+    model = rx.Model(stages=equation(), signals=(load,)).with_sensor_errors(offsets=["F"])
     assert model.units["offset_F"] == "N"
     # The recording's force is 7 N too high.
     found = estimate(model, x, force + 7.0)

@@ -59,8 +59,8 @@ def test_identify_and_check(case, verb):
         (EQUATION, ("m", "mm"), "record 2 has x in mm, .* another record has it in m"),
         (EQUATION, ("m", "meter"), ""),
         (EQUATION, ("counts", "raw"), ""),
-        (rx.Model(stages=EQUATION, signals=[Quantity("x", "m", "")]), ("mm",), "has x in mm"),
-        (rx.Model(stages=EQUATION, signals=[Quantity("y", "m", "")]), ("mm",), ""),
+        (rx.Model(stages=EQUATION, signals=(Quantity("x", "m", ""),)), ("mm",), "has x in mm"),
+        (rx.Model(stages=EQUATION, signals=(Quantity("y", "m", ""),)), ("mm",), ""),
     ],
 )
 def test_units_that_differ_are_refused(model, units, says, verb):
