@@ -90,11 +90,11 @@ def _count_compilation(event: str, duration_secs: float, **kwargs: str | int) ->
 
 jax.monitoring.register_event_duration_secs_listener(_count_compilation)
 
-MOST_MAPS = 60_000
+MOST_MAPS = 63_000
 """Memory maps of a process past which no function may be compiled; Linux allows 65530."""
 MAPS_EACH = 50
 """Of a compiled function at most: 15 as tests are compiled, more as users' processes are."""
-FEWEST = 100
+FEWEST = 60
 """Functions that there must be room for, or all are forgotten, which takes a dozen seconds."""
 looked_at, room = 0, MOST_MAPS // MAPS_EACH
 

@@ -101,7 +101,7 @@ def refusal(path: Path, record: Record) -> str | None:
 
 NAMES = (
     "speed, left", "file", "allow_pickle", "_hidden", "größe", "a;b", 'say "no"', " x",
-    "line\nend", "", "m", "7", "F (left)", "#1", "-", "=1+1", "@A1", "a;\t=HYPERLINK(0)",
+    "line\nend", "m", "7", "F (left)", "#1", "-", "=1+1", "@A1", "a;\t=HYPERLINK(0)",
     "/etc/x", "a/../../x", "C:x", "a/..b",
 )  # fmt: skip
 """Of signals, as no format and all of them can hold."""
