@@ -92,7 +92,7 @@ jax.monitoring.register_event_duration_secs_listener(_count_compilation)
 
 MOST_MAPS = 63_000
 """Memory maps of a process past which no function may be compiled; Linux allows 65530."""
-MAPS_EACH = 80
+MAPS_EACH = 80 if PRODUCTION else 40
 """Of a compiled function at most: of an assessment's 41 functions they are 34 on average, and 67
 where they are compiled as users' processes do."""
 FEWEST = 40
