@@ -8,6 +8,10 @@ from tests.machines import DRAG_TRUTH, drag_record
 
 import riecjax as rx
 from riecjax.criteria.test_functions import GradedBump
+from riecjax.equations.bases import AbstractBasis
+from riecjax.equations.dry_friction import InMotion
+from riecjax.equations.equation import mixing_expressions
+from riecjax.equations.term import from_elsewhere
 from riecjax.reporting.equations import equation_in_words
 
 
@@ -120,6 +124,21 @@ def test_a_mean_is_one_of_the_samples_recorded_and_sums_are_of_its_code():
         np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9)
     with pytest.raises(rx.ModelError, match="made for other equations"):
         rx.estimate(FOREIGN[0], rx.summarise(models[0], RECORD))
+
+
+def test_a_basis_that_mixes_samples_is_found_out():
+    class Centred(AbstractBasis):
+        @property
+        def labels(self):
+            return ("mean",)
+
+        def __call__(self, x):
+            return (x - jnp.mean(x))[None]
+
+    assert not any(map(from_elsewhere, (rx.Term, InMotion, rx.Polynomial)))
+    bases = Centred(), rx.Polynomial((1, 3))
+    mixing = [mixing_expressions([equation(rx.Terms("r", b, "dx"))], RECORD) for b in bases]
+    assert mixing == [["equation: Term"], []]
 
 
 @pytest.mark.parametrize("foreign", FOREIGN)

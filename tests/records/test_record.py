@@ -190,6 +190,12 @@ def test_noise_goes_through_the_sums_that_samples_go_through(taps, first):
     np.testing.assert_allclose(total.noise.std, np.std(total.values), rtol=0.03)
 
 
+def test_small_integers_do_not_wrap_and_a_factor_for_each_sample_leaves_no_known_noise():
+    small = Signal.of(np.array([200, 100], np.uint8), noise=Noise.given({"x": 0.1})["x"])
+    assert (small + small).values.tolist() == [400.0, 200.0]
+    assert (np.ones(2) * small).noise is None
+
+
 @pytest.mark.parametrize("traced", [False, True])
 def test_a_sum_of_signals_is_there_where_all_are_and_holds_its_last_value(traced):
     def total(x, y):

@@ -175,14 +175,14 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
     what fills it up. Each is tried on samples from all over the record, and on halves of these;
     and so is what a class of terms from elsewhere makes.
     """
-    tried: dict[str, Expression | AbstractTerm] = {}
+    tried: list[tuple[str, Expression | AbstractTerm]] = []
     for equation in equations:
         for expression in (*(term.of for term in equation.terms), equation.where):
             if expression is not None and not isinstance(expression, str):
-                tried[f"{equation.name}: {label_of(expression)}"] = expression
+                tried.append((f"{equation.name}: {label_of(expression)}", expression))
         for term in equation.terms:
             if from_elsewhere(type(term)) or from_elsewhere(type(term.basis)):
-                tried[f"{equation.name}: {type(term).__name__}"] = term
+                tried.append((f"{equation.name}: {type(term).__name__}", term))
     if not tried:
         return []
     at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)
@@ -190,8 +190,8 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
         {name: np.asarray(values)[at] for name, values in record.arrays.items()},
         record.time_step,
     )
-    alone = np.asarray(_each_by_itself(tuple(tried.values()), probe))
-    return [label for label, good in zip(tried, alone) if not good]
+    alone = np.asarray(_each_by_itself(tuple(function for _, function in tried), probe))
+    return [label for (label, _), good in zip(tried, alone) if not good]
 
 
 @kept_jit

@@ -201,7 +201,7 @@ def from_elsewhere(kind: type) -> list[type]:
     return [k for k in kind.__mro__ if k.__module__.partition(".")[0] not in _AT_HOME]
 
 
-_AT_HOME = ("riecjax", "equinox", "builtins")
+_AT_HOME = ("riecjax", "equinox", "builtins", "collections", "abc", "typing")
 Made = TypeVar("Made", Array, Signal)
 
 
