@@ -47,6 +47,7 @@ def said_twice(**fields: tuple[Any, Any]) -> Any:
         (lambda: model(band=5.0), "band of a model is a float"),
         (lambda: model(band=(10.0, 1.0)), "from a low to a high frequency"),
         (lambda: model(band=("1", "10")), "from a low to a high frequency"),
+        (lambda: model(band=()), "from a low to a high frequency"),
         (lambda: model(band=(1.0, 2.0, 3.0)), "from a low to a high frequency"),
         (
             lambda: model(parameters=[rx.equations.Quantity("m", "lb", "")]),

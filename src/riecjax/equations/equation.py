@@ -1,6 +1,6 @@
 """An equation of motion, linear in its parameters."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -100,7 +100,7 @@ class Equation(Shown, eqx.Module):
     def units(self) -> dict[str, str]:
         """Unit of each named coefficient."""
         units = [pair for term in self.terms for pair in term.units.items()]
-        return dict(units) | {name: unit for name, unit in reversed(units) if unit}
+        return first_stated(units)
 
     @property
     def known(self) -> Mapping[str, Leaf]:
@@ -152,6 +152,11 @@ class Equation(Shown, eqx.Module):
             order = max(term.derivative - smoothness, 0)
             read_expression(term.expression(record, order), signals)
         return signals.read
+
+
+def first_stated(units: Sequence[tuple[str, str]]) -> dict[str, str]:
+    """Unit by name as the first of these pairs states it, empty where none does."""
+    return dict(units) | {name: unit for name, unit in reversed(units) if unit}
 
 
 def require_agreement(equations: Iterable[Equation], quantities: Iterable[Quantity]) -> None:

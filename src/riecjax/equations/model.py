@@ -21,7 +21,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from riecjax.equations.equation import Equation, require_agreement
+from riecjax.equations.equation import Equation, first_stated, require_agreement
 from riecjax.equations.equation_system import (
     EquationSystem,
     read_structure,
@@ -142,7 +142,7 @@ class Model(Shown, eqx.Module):
         # The field's converter comes after, for what stands here is needed first.
         for name, kinds, write in FIELDS:
             require(f"{name} of a model", getattr(self, name), kinds, write)
-        ends = (0, *(self.band or (1, 2)), np.inf)
+        ends = (0, *((1, 2) if self.band is None else self.band), np.inf)
         if len(ends) != 4 or not all(map(is_number, ends)) or not (np.diff(ends) > 0).all():
             raise ModelError(f"a model's band is from a low to a high frequency; got {self.band}.")
         if self.at_rest not in get_args(AtRest):
@@ -530,8 +530,9 @@ class Model(Shown, eqx.Module):
     def units(self) -> dict[str, str]:
         """Unit of each coefficient."""
         units = [pair for equation in self.equations for pair in equation.units.items()]
-        known = dict(units) | {name: unit for name, unit in reversed(units) if unit}
-        return known | {name: quantity.unit for name, quantity in self._of_hidden.items()}
+        return first_stated(units) | {
+            name: quantity.unit for name, quantity in self._of_hidden.items()
+        }
 
     @property
     def known(self) -> Mapping[str, Leaf]:

@@ -71,12 +71,16 @@ class LinearOp:
             made[places[there]] = valid[there]
             return made
 
-        # The middle tap of a kernel is for the same sample.
         last = first + taps.size - 1
-        reach = max(-first, last, 0)
-        kernel = np.zeros(2 * reach + 1)
-        kernel[reach - last : reach - first + 1] = taps[::-1]
-        fields = {"noise": convolved_with(*kernel), "shortest": taps.size, **fields}
+
+        def noise(of: SignalNoise) -> SignalNoise:
+            # The middle tap of a kernel is for the same sample.
+            reach = max(-first, last, 0)
+            kernel = np.zeros(2 * reach + 1)
+            kernel[reach - last : reach - first + 1] = taps[::-1]
+            return of.convolved(kernel)
+
+        fields = {"noise": noise, "shortest": taps.size, **fields}
         lost = max(-first, 0), max(last, 0)
         return cls.of_stretches(words, sums, lost=lost, **fields)
 

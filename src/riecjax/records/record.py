@@ -92,13 +92,12 @@ class Record(Drawn, eqx.Module):
         lengths = {name: values.shape for name, values in self.arrays.items()}
         if not lengths:
             raise DataError("a record needs at least one signal.")
-        count = {"stamps": self.stamps} | {
-            f"{n}.present": s.present for n, s in self.by_name.items()
-        }
-        counts = {name: mask.shape[-1:] for name, mask in count.items() if mask is not None}
-        rows = {shape[-1:] for shape in lengths.values()} | {*counts.values()}
+        beside = {f"{name}.present": signal.present for name, signal in self.by_name.items()}
+        beside = {"stamps": self.stamps} | beside
+        samples = {name: each.shape[-1:] for name, each in beside.items() if each is not None}
+        rows = {shape[-1:] for shape in lengths.values()} | {*samples.values()}
         if len(set(lengths.values())) > 1 or len(rows) > 1:
-            listed = ", ".join(f"{name} {shape}" for name, shape in (lengths | counts).items())
+            listed = ", ".join(f"{name} {shape}" for name, shape in (lengths | samples).items())
             raise DataError(f"all signals of a record must have the same length; got {listed}.")
 
     @classmethod

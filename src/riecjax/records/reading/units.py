@@ -124,8 +124,10 @@ def readings(text: str) -> Mapping[str, Unit]:
 
 def same(some: str, other: str) -> bool:
     """Whether two texts are one unit, spelled alike or not."""
+    if some.strip() == other.strip():
+        return True
     powers = {unit.powers: unit.factor for unit in readings(other).values()}
-    return some.strip() == other.strip() or any(
+    return any(
         math.isclose(unit.factor, powers.get(unit.powers, 0.0)) for unit in readings(some).values()
     )
 
