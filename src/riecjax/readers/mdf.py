@@ -50,13 +50,11 @@ def _read(file: Path) -> reading.Channels:
                 if samples.ndim != 1 or samples.dtype.kind not in "fiub":
                     whole.left_out[name] = "it holds no single numbers"
                     continue
-                whole.columns[name] = samples.astype(float)
+                whole.take(name, samples.astype(float), str(signal.unit or ""))
                 invalid = getattr(signal, "invalidation_bits", None)
                 if invalid is not None:
                     whole.columns[name][np.asarray(invalid, bool)] = np.nan
                 whole.columns[time] = np.asarray(signal.timestamps, float)
                 whole.time_of[name] = time
-                if signal.unit:
-                    whole.units[name] = str(signal.unit)
-    whole.notes.extend(f"channel '{name}' left out: {why}" for name, why in whole.left_out.items())
+    whole.note_left_out("channel")
     return whole

@@ -1,5 +1,6 @@
 """Reading bags of ROS 1 (.bag) and ROS 2 (.mcap, .db3, or their folder), with the extra `ros`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +50,8 @@ def _read(file: Path) -> reading.Channels:
         reading.check_column_count(len(whole.columns) + len(fields.columns))
         is_taken = f"{topic}.time" in {*fields.columns, *fields.left_out}
         time = f"{topic}.log_time" if is_taken else f"{topic}.time"
-        whole.columns[time] = (times[topic] - earliest) * 1e-9
-        whole.units[time] = "s"
-        whole.columns.update(fields.columns)
-        whole.left_out.update(fields.left_out)
-        whole.time_of.update(dict.fromkeys(fields.columns, time))
+        whole.take(time, (times[topic] - earliest) * 1e-9, "s")
+        whole.take_all(replace(fields, time_of=dict.fromkeys(fields.columns, time)))
         if times[topic].tolist() != logged[topic]:
             whole.notes.append(f"topic '{topic}': time by its headers")
     return reading.without_common_group(whole, ".")

@@ -41,7 +41,7 @@ def _read(file: Path) -> reading.Channels:
             whole = reading.joined(
                 {group.name: _group(group.channels()) for group in source.groups()}
             )
-    whole.notes.extend(f"channel '{name}' left out: {why}" for name, why in whole.left_out.items())
+    whole.note_left_out("channel")
     # Groups of it are no parts before their times tell.
     return reading.with_structure_times(
         reading.without_common_group(replace(whole, parts=[]), "/"), "/"

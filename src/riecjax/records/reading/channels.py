@@ -119,6 +119,27 @@ class Channels:
         name, unit = split_unit(column, self.nested)
         return name, self.units.get(column) or unit
 
+    def take(self, name: str, values: np.ndarray | None, unit: str = "", why: str = "") -> None:
+        """Add a column, in its unit where it has one; leave out what is none, with the reason."""
+        if values is None:
+            self.left_out[name] = why
+            return
+        self.columns[name] = values
+        if unit:
+            self.units[name] = unit
+
+    def take_all(self, other: "Channels") -> None:
+        """Add what another one holds, but for its notes."""
+        self.columns.update(other.columns)
+        self.units.update(other.units)
+        self.time_of.update(other.time_of)
+        self.left_out.update(other.left_out)
+
+    def note_left_out(self, kind: str) -> None:
+        """Note why each part that is left out is, which the format calls `kind`."""
+        notes = (f"{kind} '{name}' left out: {why}" for name, why in self.left_out.items())
+        self.notes.extend(map(str.lstrip, notes))
+
 
 def check_names(names: Iterable[str]) -> None:
     """Refuse a file in which two columns have one name, with a `DataError`."""
@@ -135,15 +156,14 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
     """
     found = Channels({})
     for name, values in arrays.items():
-        array, stamped = _real(np.asarray(values))
+        array, unit = _real(np.asarray(values))
         sides = () if array is None else [side for side in array.shape if side != 1]
         if array is None:
             found.left_out[name] = "it holds no real numbers"
         elif not array.size:
             found.left_out[name] = "it is empty"
         elif len(sides) == 1:
-            found.columns[name] = array.reshape(-1).astype(float)
-            found.units.update({name: "s"} if stamped else {})
+            found.take(name, array.reshape(-1).astype(float), unit)
         elif len(sides) == 2 and sides[0] != sides[1] and min(sides) <= WIDEST_MATRIX:
             matrix = array.reshape(sides)
             by_channel = enumerate(matrix if sides[0] < sides[1] else matrix.T)
@@ -155,17 +175,17 @@ def vectors(arrays: Mapping[str, object]) -> Channels:
     return found
 
 
-def _real(array: np.ndarray) -> tuple[np.ndarray | None, bool]:
-    """An array's real numbers, and whether they are seconds of stamps; `None` if it has none."""
+def _real(array: np.ndarray) -> tuple[np.ndarray | None, str]:
+    """An array's real numbers, `None` if it has none, and their unit where they were stamps."""
     if array.dtype.kind in "mM":
-        return seconds_of(array), True
+        return seconds_of(array), "s"
     if array.dtype.kind == "S":
         array = np.char.decode(array, "utf-8", "replace")
     if array.dtype.kind == "U":
-        return of_texts(array.tolist()) if array.ndim == 1 and array.size > 1 else (None, False)
+        return of_texts(array.tolist()) if array.ndim == 1 and array.size > 1 else (None, "")
     if array.dtype.kind == "c" and not np.imag(array).any():
-        return np.real(array), False
-    return (array if array.dtype.kind in "fiub" else None), False
+        array = np.real(array)
+    return (array if array.dtype.kind in "fiub" else None), ""
 
 
 def seconds_of(stamps: np.ndarray) -> np.ndarray:
@@ -231,11 +251,7 @@ def joined(parts: Mapping[str, Channels]) -> Channels:
     """Parts as one, columns called `part/column`."""
     whole = Channels({}, parts=list(parts))
     for name, part in parts.items():
-        inner = called(part, f"{name}/{{}}".format)
-        whole.columns.update(inner.columns)
-        whole.units.update(inner.units)
-        whole.time_of.update(inner.time_of)
-        whole.left_out.update(inner.left_out)
+        whole.take_all(called(part, f"{name}/{{}}".format))
         whole.notes.extend(f"{name}: {note}" for note in part.notes)
     return whole
 
@@ -285,7 +301,8 @@ def read_npz(file: Path) -> Channels:
                 check_names([*arrays, *inner])
                 arrays |= inner
     found = vectors(arrays)
-    return replace(found, left_out=found.left_out | left_out)
+    found.left_out.update(left_out)
+    return found
 
 
 def read_array(stream: IO[bytes], size: int) -> np.ndarray | None:

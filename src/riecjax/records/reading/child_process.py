@@ -8,9 +8,8 @@ takes longer than most reading, and is ended where a file took too long or too m
 
 import atexit
 import contextlib
-import importlib
-import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -20,8 +19,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.memory import free_memory
@@ -47,35 +44,27 @@ def read_apart(
 ) -> Channels:
     """What `read(file, *arguments)` returns, a function of a module, run in a process of its own.
 
-    **Arguments:** `kind` of the file, for messages; `arguments` that JSON can say; `is_trusted`, as
-    for [`foreign_reader`][riecjax.records.reading.foreign_reader], within which it runs.
+    **Arguments:** `kind` of the file, for messages; `is_trusted`, as for
+    [`foreign_reader`][riecjax.records.reading.foreign_reader], within which it runs.
 
     **Raises:** `DataError` where the function fails, crashes, or takes too long; `MemoryError`.
     """
     limit = PATIENCE + size_of(file) / SLOWEST_READING
-    function = [read.__module__, read.__name__]
-    words = [*function, str(file.absolute()), arguments, kind, is_trusted, limit]
     with _lock:
         if not (_readers and _readers[0].is_usable):
             _end()
             _readers.append(_Reader())
-        reader, began = _readers[0], time.monotonic()
+        began, answer = time.monotonic(), None
         try:
-            if reader.answers(words, limit):
-                with np.load(reader.out) as archive:
-                    described = json.loads(archive["described"].tobytes())
-                    if "error" in described:
-                        raise DataError(described["error"])
-                    if "memory" in described:
-                        raise MemoryError(described["memory"])
-                    names = enumerate(described.pop("columns"))
-                    return Channels({name: archive[str(i)] for i, name in names}, **described)
-        except DataError:
-            raise  # about the file, by a process that goes on
-        except BaseException:
-            _end()
-            raise
-        _end()
+            question = read, file.absolute(), arguments, kind, is_trusted, limit
+            answer = _readers[0].answer(question, limit)
+        finally:
+            if answer is None:
+                _end()
+    if isinstance(answer, Channels):
+        return answer
+    if answer is not None:
+        raise answer
     if time.monotonic() - began < limit:
         why = "its reader crashed, as it does on damaged files"
     else:
@@ -84,18 +73,17 @@ def read_apart(
 
 
 class _Reader:
-    """The reading process and the folder for what it hands over, and what crashes leave behind."""
+    """The reading process and the folder for what crashes leave behind."""
 
     def __init__(self):
         self.ending = contextlib.ExitStack()
         place = temporary(Path(tempfile.gettempdir()), is_folder=True, mode=0o700)
-        folder = str(self.ending.enter_context(place))
-        self.out = Path(folder) / "channels.npz"
+        self.folder = self.ending.enter_context(place)
         self.made_for = _surroundings()
-        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
-        self.process = subprocess.Popen(
+        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(self.folder))
+        self.process: Any = subprocess.Popen(
             # -P: it finds its modules where this process does, and not in the working folder.
-            [sys.executable, "-P", "-m", __spec__.name, folder],
+            [sys.executable, "-P", "-m", __spec__.name, str(self.folder)],
             env={**os.environ, **places, "PYTHONPATH": self.made_for[1]},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -104,22 +92,20 @@ class _Reader:
 
     @property
     def is_usable(self) -> bool:
-        """Whether it runs, for this process, and what it hands over has its place."""
-        is_alive = self.process.poll() is None and self.out.parent.is_dir()
+        """Whether it runs, for this process, and what crashes leave behind has its place."""
+        is_alive = self.process.poll() is None and self.folder.is_dir()
         return is_alive and self.made_for == _surroundings()
 
-    def answers(self, words: list[object], limit: float) -> bool:
-        """Whether a file was read, or refused, within `limit` seconds: the answer is in `out`."""
+    def answer(self, question: tuple[object, ...], limit: float) -> Channels | Exception | None:
+        """What a file holds, or why it cannot be read; `None` for nothing in `limit` seconds."""
         timer = threading.Timer(limit, self.process.kill)
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
         timer.start()
         try:
-            self.process.stdin.write(json.dumps(words).encode() + b"\n")
+            pickle.dump(question, self.process.stdin)
             self.process.stdin.flush()
-            return bool(self.process.stdout.readline())
-        except OSError:  # it has ended
-            return False
+            return pickle.load(self.process.stdout)
+        except (OSError, EOFError, pickle.UnpicklingError):  # it has ended
+            return None
         finally:
             timer.cancel()
 
@@ -147,7 +133,7 @@ def _end() -> None:
 
 
 def _serve(folder: str) -> None:
-    """Read the files that are asked for, a line each, until nobody can ask any more.
+    """Read the files that are asked for, one by one, until nobody can ask any more.
 
     Damaged sizes are kept from the machine's memory, and crashes from its disk. Windows has neither
     limit, but a dialog after a crash, for which reading would wait.
@@ -163,11 +149,11 @@ def _serve(folder: str) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     # What a library prints is no answer.
-    answers = os.dup(1)
+    answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     try:
-        for line in sys.stdin.buffer:
-            module, function, file, arguments, kind, is_trusted, limit = json.loads(line)
+        while True:
+            read, file, arguments, kind, is_trusted, limit = pickle.load(sys.stdin.buffer)
             # Ends a loop that the parent cannot, having been killed itself; threads count together.
             with contextlib.suppress(ImportError, ValueError, OSError):
                 import resource
@@ -175,20 +161,13 @@ def _serve(folder: str) -> None:
                 seconds = int(time.process_time() + limit * (1 + (os.cpu_count() or 1))) + 1
                 _, most = resource.getrlimit(resource.RLIMIT_CPU)
                 resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
-            columns: dict[str, Any] = {}
             try:
-                read = getattr(importlib.import_module(module), function)
                 with foreign_reader(kind, is_trusted):
-                    found = read(Path(file), *arguments)
-                columns = {str(i): values for i, values in enumerate(found.columns.values())}
-                described = {**vars(found), "columns": list(found.columns)}
-            except DataError as error:
-                described = {"error": str(error)}
-            except MemoryError as error:
-                described = {"memory": str(error)}
-            written = np.frombuffer(json.dumps(described).encode(), np.uint8)
-            np.savez(Path(folder) / "channels.npz", described=written, **columns)
-            os.write(answers, b"\n")
+                    answer = read(file, *arguments)
+            except (DataError, MemoryError) as error:
+                answer = error
+            pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
+            answers.flush()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

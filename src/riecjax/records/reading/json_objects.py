@@ -139,10 +139,9 @@ def _channels(tables: Mapping[str, Iterable[Any]], texts: Mapping[str, str] = {}
     whole = Channels({})
     for table, rows in tables.items():
         part = gathered(table, rows)
-        whole.columns.update({k: v for k, v in part.columns.items() if v.size > 1})
-        whole.units.update(part.units)
-        whole.left_out.update(part.left_out)
-    whole.notes.extend(f"'{name}' left out: {why}" for name, why in whole.left_out.items())
+        columns = {k: v for k, v in part.columns.items() if v.size > 1}
+        whole.take_all(replace(part, columns=columns))
+    whole.note_left_out("")
     return with_structure_times(without_common_group(with_units_beside(whole, texts), "."))
 
 
@@ -173,12 +172,7 @@ def gathered(table: str, rows: Iterable[Any]) -> Channels:
         values = [column.get(place) for place in range(count)]
         text = next((value for value in values if isinstance(value, str)), None)
         if text is None:
-            found.columns[name] = np.array([np.nan if v is None else float(v) for v in values])
-            continue
-        numbers, stamped = of_texts(values)
-        if numbers is None:
-            found.left_out[name] = f"it holds text, {text[:40]!r}"
+            found.take(name, np.array([np.nan if v is None else float(v) for v in values]))
         else:
-            found.columns[name] = numbers
-            found.units.update({name: "s"} if stamped else {})
+            found.take(name, *of_texts(values), why=f"it holds text, {text[:40]!r}")
     return found

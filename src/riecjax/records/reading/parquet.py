@@ -15,7 +15,7 @@ from riecjax.records.reading.channels import (
 )
 from riecjax.records.reading.child_process import read_apart
 from riecjax.records.reading.numerals import compute, floats
-from riecjax.records.reading.times import TIME_COLUMNS, of_text_column, unwrapped
+from riecjax.records.reading.times import TIME_COLUMNS, of_texts, unwrapped
 
 BESIDE = 6
 """Columns of numbers that PyArrow holds beside those that are read, at most: with time stamps."""
@@ -65,31 +65,27 @@ def _read(file: Path) -> Channels:
         held = 8.0 * metadata.num_rows * (2 * len(names) + BESIDE)
         require_memory("reading its columns", held, "Read a part of the file.")
         # One after the other: a table of all takes as much again as their numbers.
-        columns = {name: _numbers(column(name)) for name in names}
-        stated = {name: (schema.field(name).metadata or {}).get(b"unit") for name in names}
-        units = {name: unit.decode(errors="replace") for name, unit in stated.items() if unit}
-        left_out = {}
-        for name in [name for name in kinds if name not in columns]:
-            found, stamped = None, False
+        found = Channels({})
+        for name in names:
+            unit = (schema.field(name).metadata or {}).get(b"unit", b"")
+            found.take(name, _numbers(column(name)), unit.decode(errors="replace"))
+        for name in [name for name in kinds if name not in found.columns]:
+            read = None, ""
             if types.is_string(kinds[name]) or types.is_large_string(kinds[name]):
-                found, stamped = of_text_column(compute().cast(column(name), pa.string()))
-            if found is None:
-                left_out[name] = f"it holds {schema.field(name).type}, not numbers"
-            else:
-                columns[name] = found
-                units |= {name: "s"} if stamped else {}
+                read = of_texts(compute().cast(column(name), pa.string()))
+            found.take(name, *read, why=f"it holds {schema.field(name).type}, not numbers")
         described = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
-    notes = [f"column '{name}' left out: {why}" for name, why in left_out.items()]
+    found.note_left_out("column")
     # The only time in the file may be the index of a frame of pandas.
     if (
         UNNAMED_INDEX in described.get("index_columns", ())
-        and UNNAMED_INDEX in columns
-        and not any(name in columns for name in TIME_COLUMNS)
+        and UNNAMED_INDEX in found.columns
+        and not any(name in found.columns for name in TIME_COLUMNS)
         and not types.is_integer(schema.field(UNNAMED_INDEX).type)
     ):
-        columns["time"] = columns.pop(UNNAMED_INDEX)
-        notes.append("the frame's index taken as time")
-    return Channels(columns, units, {}, left_out, notes)
+        found.columns["time"] = found.columns.pop(UNNAMED_INDEX)
+        found.notes.append("the frame's index taken as time")
+    return found
 
 
 def _numbers(column: Any) -> np.ndarray:

@@ -6,7 +6,7 @@ constant). So names propose, and the samples decide: time rises from row to row.
 
 import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,25 +83,24 @@ def seconds(text: Any) -> np.ndarray:
     return since - _first(since)
 
 
-def of_texts(values: Sequence[object]) -> tuple[np.ndarray | None, bool]:
-    """Numbers or time stamps that stand there as text, and whether they are stamps.
+def of_texts(values: Any) -> tuple[np.ndarray | None, str]:
+    """Numbers or time stamps that stand there as text, and their unit where they are stamps.
 
-    `None` for other text.
+    `None` for other text, and where there is none.
+
+    **Arguments:** `values`: a list, or a column of strings (PyArrow).
     """
     import pyarrow as pa
 
-    return of_text_column(pa.array([None if v is None else str(v) for v in values], pa.string()))
-
-
-def of_text_column(column: Any) -> tuple[np.ndarray | None, bool]:
-    """As [`of_texts`][], of a column of strings (PyArrow); `None` where there are none."""
-    texts = stripped(column)
+    if isinstance(values, list):
+        values = pa.array([None if v is None else str(v) for v in values], pa.string())
+    texts = stripped(values)
     if texts.null_count == len(texts):
-        return None, False
+        return None, ""
     found = numbers(texts, ".", False)
     if found is None and all_true(are_stamps(texts)):
-        return seconds(texts), True
-    return found, False
+        return seconds(texts), "s"
+    return found, ""
 
 
 def _since(found: list[re.Match[str] | None], days: np.ndarray | None, places: int) -> np.ndarray:
