@@ -37,37 +37,37 @@ def read_hdf5(file: Path) -> reading.Channels:
 
 
 def _read(file: Path) -> reading.Channels:
-    arrays: dict[str, Any] = {}
-    units: dict[str, str] = {}
-    left_out: dict[str, str] = {}
-    notes: list[str] = []
     import h5py
 
+    arrays: dict[str, Any] = {}
+    stated: dict[str, str] = {}
+    whole = reading.Channels({})
     with h5py.File(file, "r") as source:
         datasets = dict(walk(source))
         for name, dataset in [*datasets.items()]:
             if sum(side > 1 for side in dataset.shape) > 2:
-                left_out[name] = f"its shape {dataset.shape} is not that of channels over time"
+                why = f"its shape {dataset.shape} is not that of channels over time"
+                whole.left_out[name] = why
                 del datasets[name]
         check_size([*datasets.values()], file)
         for name, dataset in datasets.items():
-            columns, note = _columns(name, dataset)
-            notes += note
-            reading.check_names([*arrays, *columns])
+            columns, notes = _columns(name, dataset)
+            whole.notes.extend(notes)
+            reading.check_declared(names=[*arrays, *columns])
             arrays |= columns
-            reading.check_column_count(len(arrays))
-            units |= _units(columns, dataset)
-    read = reading.vectors(arrays)
-    notes += [f"dataset '{name}' left out: {why}" for name, why in left_out.items()]
-    units = {c: unit for c in read.columns if (unit := units.get(c) or units.get(c.split("[")[0]))}
-    units = read.units | units
-    whole = reading.Channels(read.columns, units, {}, left_out | read.left_out, notes)
+            stated |= _units(columns, dataset)
+    whole.note_left_out("dataset")
+    whole.take_all(reading.vectors(arrays))
+    for column in whole.columns:
+        if unit := stated.get(column) or stated.get(column.split("[")[0]):
+            whole.units[column] = unit
     return reading.with_structure_times(reading.without_common_group(whole, "/"), "/")
 
 
 def check_size(datasets: list[Any], file: Path) -> None:
     """Refuse datasets that declare more numbers than are read, or than the file can hold."""
-    reading.check_unpacked(sum(d.size * d.dtype.itemsize for d in datasets), file.stat().st_size)
+    size = sum(d.size * d.dtype.itemsize for d in datasets)
+    reading.check_declared(unpacked=size, packed=file.stat().st_size)
 
 
 def walk(
@@ -111,7 +111,7 @@ def walk(
             continue
         if within is None:
             columns += 1
-            reading.check_column_count(columns)
+            reading.check_declared(columns)
             yield name, item
         else:
             entered.add(item)

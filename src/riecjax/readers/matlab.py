@@ -65,8 +65,8 @@ def _channels_v5(file: Path) -> reading.Channels:
 
     with file.open("rb") as stream:
         declared = [(name, shape) for name, shape, _ in scipy.io.whosmat(stream) if name]
-    reading.check_names(name for name, _ in declared)
-    reading.check_unpacked(8 * sum(math.prod(shape) for _, shape in declared))
+    size = 8 * sum(math.prod(shape) for _, shape in declared)
+    reading.check_declared(unpacked=size, names=[name for name, _ in declared])
     if not all(name.isprintable() for name, _ in declared):
         raise ValueError("a variable's name is not text.")
     with file.open("rb") as stream:
@@ -80,7 +80,7 @@ def _channels_v5(file: Path) -> reading.Channels:
         elif not name.startswith("__"):
             for inner, array in _parts(name, value):
                 arrays[inner] = array
-                reading.check_column_count(len(arrays))
+                reading.check_declared(len(arrays))
     return _channels(arrays, objects)
 
 
@@ -91,7 +91,7 @@ def _word(text: object) -> str:
 def _parts(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
     """The arrays of a variable of SciPy's, those in structures and cells included."""
     if hasattr(value, "toarray"):  # it is sparse
-        reading.check_unpacked(8 * math.prod(value.shape))
+        reading.check_declared(unpacked=8 * math.prod(value.shape))
         value = value.toarray()
     array = np.asarray(value)
     if depth > DEEPEST or type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
@@ -143,7 +143,7 @@ def _elements(name: str, item: Any) -> list[tuple[str, Any]] | None:
         return None
     if h5py.check_ref_dtype(item.dtype) is not h5py.Reference:
         return []
-    reading.check_column_count(int(item.size or 0))
+    reading.check_declared(int(item.size or 0))
     references = enumerate(np.asarray(item[()]).reshape(-1), start=1)
     whole, _, field = name.rpartition(".")
     is_cell = item.attrs.get("MATLAB_class") == b"cell" or not whole

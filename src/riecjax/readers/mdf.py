@@ -33,11 +33,10 @@ def _read(file: Path) -> reading.Channels:
     import asammdf
 
     with file.open("rb") as stream, asammdf.MDF(stream) as source:
-        reading.check_column_count(sum(len(group.channels) for group in source.groups))
-        count = sum(g.channel_group.cycles_nr * len(g.channels) for g in source.groups)
-        reading.check_unpacked(8 * count)
         whole = reading.Channels({})
         names = [channel.name for group in source.groups for channel in group.channels]
+        count = sum(g.channel_group.cycles_nr * len(g.channels) for g in source.groups)
+        reading.check_declared(len(names), 8 * count)
         for place, group in enumerate(source.groups):
             time = f"time (group {place + 1})" if len(source.groups) > 1 else "time"
             for index, channel in enumerate(group.channels):

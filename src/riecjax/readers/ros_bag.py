@@ -47,7 +47,7 @@ def _read(file: Path) -> reading.Channels:
     whole = reading.Channels({})
     for topic, messages in rows.items():
         fields = reading.gathered(topic, messages)
-        reading.check_column_count(len(whole.columns) + len(fields.columns))
+        reading.check_declared(len(whole.columns) + len(fields.columns))
         is_taken = f"{topic}.time" in {*fields.columns, *fields.left_out}
         time = f"{topic}.log_time" if is_taken else f"{topic}.time"
         whole.take(time, (times[topic] - earliest) * 1e-9, "s")

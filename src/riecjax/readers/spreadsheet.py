@@ -46,8 +46,8 @@ def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> reading.Ch
     import python_calamine
 
     with zipfile.ZipFile(file) as archive:
-        sizes = [member.file_size for member in archive.infolist()]
-    reading.check_unpacked(sum(sizes), file.stat().st_size)
+        size = sum(member.file_size for member in archive.infolist())
+    reading.check_declared(unpacked=size, packed=file.stat().st_size)
     book = python_calamine.load_workbook(str(file))
     worksheet = python_calamine.SheetTypeEnum.WorkSheet
     sheets = [sheet for sheet in book.sheets_metadata if sheet.typ == worksheet]
@@ -57,8 +57,7 @@ def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> reading.Ch
     refused: dict[str, str] = {}
     for name in names:
         sheet = book.get_sheet_by_name(name)
-        reading.check_column_count(sheet.width)
-        reading.check_unpacked(8 * sheet.width * sheet.height)
+        reading.check_declared(sheet.width, 8 * sheet.width * sheet.height)
         try:
             text = as_text(sheet.to_python(), decimal)
             table = reading.read_table(text.encode(), "\t", decimal, columns)

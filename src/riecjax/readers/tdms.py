@@ -33,9 +33,8 @@ def _read(file: Path) -> reading.Channels:
 
         source = TdmsFile.read_metadata(stream)
         channels = [channel for group in source.groups() for channel in group.channels()]
-        reading.check_column_count(len(channels))
-        reading.check_unpacked(8 * sum(map(len, channels)), file.stat().st_size)
-        reading.check_names(f"{channel.group_name}/{channel.name}" for channel in channels)
+        names = [f"{channel.group_name}/{channel.name}" for channel in channels]
+        reading.check_declared(0, 8 * sum(map(len, channels)), file.stat().st_size, names)
         stream.seek(0)
         with TdmsFile.open(stream) as source:
             whole = reading.joined(

@@ -1,7 +1,5 @@
 from .channels import Channels as Channels
-from .channels import check_column_count as check_column_count
-from .channels import check_names as check_names
-from .channels import check_unpacked as check_unpacked
+from .channels import check_declared as check_declared
 from .channels import foreign_reader as foreign_reader
 from .channels import joined as joined
 from .channels import vectors as vectors

@@ -31,21 +31,28 @@ LONGEST_REASON = 200
 """Characters of a library's error that are passed on; some quote the whole file."""
 
 
-def check_unpacked(size: int, packed: int | None = None) -> None:
-    """Refuse a file that declares to unpack to `size` bytes from `packed` ones.
+def check_declared(
+    columns: int = 0, unpacked: int = 0, packed: int | None = None, names: Iterable[str] = ()
+) -> None:
+    """Refuse a file for what it declares, before anything is made of it.
 
-    **Raises:** `DataError` past `LARGEST_FILE`, or past what any packing could give.
+    **Arguments:** `columns`: how many; `unpacked`: bytes, of which the file holds `packed` ones;
+    `names` of columns.
+
+    **Raises:** `DataError` past `MOST_COLUMNS`, past `LARGEST_FILE` or what any packing could give,
+    and for two columns of one name.
     """
-    if size > LARGEST_FILE:
-        raise DataError(f"unpacks to {size} bytes; at most {LARGEST_FILE} are read.")
-    if packed is not None and size > HIGHEST_PACKING * (packed + 2**16):
-        raise DataError(f"declares {size} bytes in a file of {packed} bytes; it is damaged.")
-
-
-def check_column_count(count: int) -> None:
-    """Refuse a file with more than `MOST_COLUMNS` columns with a `DataError`."""
-    if count > MOST_COLUMNS:
-        raise DataError(f"has {count} columns; at most {MOST_COLUMNS} are read.")
+    count = Counter(names)
+    columns = max(columns, count.total())
+    if columns > MOST_COLUMNS:
+        raise DataError(f"has {columns} columns; at most {MOST_COLUMNS} are read.")
+    if unpacked > LARGEST_FILE:
+        raise DataError(f"unpacks to {unpacked} bytes; at most {LARGEST_FILE} are read.")
+    if packed is not None and unpacked > HIGHEST_PACKING * (packed + 2**16):
+        raise DataError(f"declares {unpacked} bytes in a file of {packed} bytes; it is damaged.")
+    for name, times in count.items():
+        if times > 1:
+            raise DataError(f"two columns are called '{name}'.")
 
 
 def size_of(file: Path) -> int:
@@ -139,13 +146,6 @@ class Channels:
         """Note why each part that is left out is, which the format calls `kind`."""
         notes = (f"{kind} '{name}' left out: {why}" for name, why in self.left_out.items())
         self.notes.extend(map(str.lstrip, notes))
-
-
-def check_names(names: Iterable[str]) -> None:
-    """Refuse a file in which two columns have one name, with a `DataError`."""
-    for name, times in Counter(names).items():
-        if times > 1:
-            raise DataError(f"two columns are called '{name}'.")
 
 
 def vectors(arrays: Mapping[str, object]) -> Channels:
@@ -276,21 +276,20 @@ def read_npz(file: Path) -> Channels:
     """
     with foreign_reader("NPZ"), zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-        check_column_count(len(members))
-        check_unpacked(sum(member.file_size for member in members), file.stat().st_size)
-        check_names(member.filename.removesuffix(".npy") for member in members)
+        names = [member.filename.removesuffix(".npy") for member in members]
+        size = sum(member.file_size for member in members)
+        check_declared(0, size, file.stat().st_size, names)
         made = 0
         for member in members:
             with archive.open(member) as stream:
                 shape, _, dtype = _header(stream)
             is_table = sum(side > 1 for side in shape) <= 2
             made += 8 * math.prod(shape) * max(len(dtype.names or ()), 1) * is_table
-        check_unpacked(made)
+        check_declared(unpacked=made)
         require_memory("reading its arrays", 2 * made, "Read a part of the file.")
         arrays: dict[str, np.ndarray] = {}
         left_out = {}
-        for member in members:
-            name = member.filename.removesuffix(".npy")
+        for name, member in zip(names, members):
             with archive.open(member) as stream:
                 array = read_array(stream, member.file_size)
             if array is None:
@@ -298,7 +297,7 @@ def read_npz(file: Path) -> Channels:
             else:
                 fields = array.dtype.names or ()
                 inner = {field: array[field] for field in fields} if fields else {name: array}
-                check_names([*arrays, *inner])
+                check_declared(names=[*arrays, *inner])
                 arrays |= inner
     found = vectors(arrays)
     found.left_out.update(left_out)

@@ -19,8 +19,7 @@ from riecjax.records.reading.channels import (
     MOST_COLUMNS,
     NUMBERED,
     Channels,
-    check_column_count,
-    check_names,
+    check_declared,
     first_sentence,
 )
 from riecjax.records.reading.numerals import (
@@ -38,9 +37,8 @@ from riecjax.records.reading.units import (
     BRACKETS,
     SECONDS,
     bare_unit,
+    contradict,
     is_known,
-    readings,
-    same,
     split_unit,
 )
 
@@ -112,8 +110,7 @@ def as_utf8(content: bytes) -> tuple[bytes, list[str]]:
             ) from None
         content = content.decode("latin-1").encode()
         notes.append("read as Latin-1, not being UTF-8")
-    if b"\r" in content:
-        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     content = content.replace(codecs.BOM_UTF8, b"").replace("\u200b".encode(), b"")
     if b"\xe2\x88\x92" in content:
         content = re.sub(rb"\xe2\x88\x92(?=[\d.,])", b"-", content)
@@ -206,8 +203,6 @@ REMARKS = frozenset(("comment", "comments", "remark", "remarks", "kommentar", "b
 PLACES = ("TS", "RN")
 """What Campbell's TOA5 writes for the unit of a time stamp, and of a record's number."""
 _FRAMED = re.compile(r"\s*(?:\w+\s*=\s*)?[\[({]+(?=[\s\d.,;+\-\"]|$)")
-_COMMENT = re.compile(r"\s*(?:#|%|//)+\s*")
-_SEMICOLON_COMMENT = re.compile(r"\s*(?:#|%|;|//)+\s*")
 
 
 class Dialect(NamedTuple):
@@ -216,9 +211,14 @@ class Dialect(NamedTuple):
     delimiter: str
     decimal: str
 
+    @property
+    def comment_signs(self) -> str:
+        """Pattern of what makes a line a comment."""
+        return "#|%|//" if self.delimiter == ";" else "#|%|;|//"
+
     def comment(self, line: str) -> re.Match[str] | None:
         """The sign that makes this line a comment."""
-        return (_COMMENT if self.delimiter == ";" else _SEMICOLON_COMMENT).match(line)
+        return re.match(rf"\s*(?:{self.comment_signs})+\s*", line)
 
     def fields(self, line: str) -> list[str]:
         """The fields of one line, stripped."""
@@ -271,7 +271,7 @@ def layout(
     """
     for line in lines:
         if len(line) > MOST_COLUMNS:
-            check_column_count(max(len(line.split()), *(line.count(d) + 1 for d in SIGNS)))
+            check_declared(max(len(line.split()), *(line.count(d) + 1 for d in SIGNS)))
     text = "\n".join(lines)
     marks = [delimiter] if delimiter else [d for d in NAMES if d == " " or d in text]
     layouts = []
@@ -543,7 +543,7 @@ def read_table(
         )
     lines = (lines if end >= len(content) else lines[:-1])[:MOST_LINES]
     found = layout(lines, delimiter, decimal, columns)
-    check_column_count(found.width)
+    check_declared(found.width)
     notes = []
     last = content[content.rfind(b"\n") + 1 :].decode()
     if last.strip() and not found.dialect.comment(last):
@@ -551,7 +551,19 @@ def read_table(
         if len(fields) < found.width and kinds_of(fields[:1], found.dialect.decimal) != "T":
             content = content[: -len(last.encode())]
             notes.append("the last line is cut off and left out")
-    body, comments = _body(content, found)
+    # Comments are blanked so that lines keep their numbers. To search for a byte is so much faster
+    # than for a pattern that clean files pay nothing.
+    body, comments = content.split(b"\n", found.start)[-1], 0
+    signs = found.dialect.comment_signs.encode()
+    if any(sign in body for sign in signs.split(b"|")):
+        body, comments = re.subn(rb"(?m)^[ \t]*(?:" + signs + rb")[^\n]*", b"", body)
+    if found.dialect.delimiter == " ":
+        body = re.sub(rb"[ \t]+", b" ", body)
+        body = re.sub(rb"(?m)^ | $", b"", body)
+    elif found.dialect.delimiter != "\t" and (b"\n " in body or b"\n\t" in body):
+        body = re.sub(rb"(?m)^[ \t]+$", b"", body)
+    if found.width == 1:
+        body = body.rstrip(b"\n")
     table = Table(body, found, decimal is not None)
     parsed = _parse(table)
     # A spreadsheet takes what follows this mark for a text and no formula.
@@ -559,15 +571,14 @@ def read_table(
     filled = len(_without_empty_end(names))
     names[:filled] = [name or NUMBERED.format(k + 1) for k, name in enumerate(names[:filled])]
     names, kept, numbered = distinct(names, parsed)
-    read, left_out, stamped = _columns(table, parsed.select(kept), names)
+    read = _columns(table, parsed.select(kept), names)
     stated = {name: unit for name in names if (unit := split_unit(name)[1])}
     by_place = found.units or units
     for name, place in zip(names, kept):
         unit = by_place[place] if place < len(by_place) else ""
         other = stated.get(name, "")
-        differ = readings(other) and readings(unit) and not same(other, unit)
-        stated |= {name: f"{other} or {unit}" if differ else unit} if unit else {}
-    stated |= dict.fromkeys(stamped, "s")
+        both = f"{other} or {unit}" if contradict(other, unit) else unit
+        stated |= {name: both} if unit else {}
     sign, header = found.dialect.delimiter, found.header
     above = sum(bool(line.strip()) for line in lines[: max(header, 0)])
     decided = {
@@ -580,28 +591,11 @@ def read_table(
         "units taken from the row below the column names": found.units,
         f"{comments} comment line{'s' * (comments > 1)} skipped": comments,
     }
-    since = [f"column '{k}': time stamps, as seconds from {first}" for k, first in stamped.items()]
-    notes = [*(note for note, holds in decided.items() if holds), *since, *notes, *numbered]
-    notes += [f"column '{name}' left out: {why}" for name, why in left_out.items()]
-    return Channels(read, {k: u for k, u in stated.items() if k in read}, {}, left_out, notes)
-
-
-def _body(content: bytes, found: Layout) -> tuple[bytes, int]:
-    """The rows below the header, comments blanked so that lines keep their numbers."""
-    body = content.split(b"\n", found.start)[-1]
-    comments = 0
-    signs = (b"#", b"%", b"//") if found.dialect.delimiter == ";" else (b"#", b"%", b"//", b";")
-    # Searching for a byte is so much faster than for a pattern that clean files pay nothing.
-    if any(sign in body for sign in signs):
-        body, comments = re.subn(rb"(?m)^[ \t]*(?:" + b"|".join(signs) + rb")[^\n]*", b"", body)
-    if found.dialect.delimiter == " ":
-        body = re.sub(rb"[ \t]+", b" ", body)
-        body = re.sub(rb"(?m)^ | $", b"", body)
-    elif found.dialect.delimiter != "\t" and (b"\n " in body or b"\n\t" in body):
-        body = re.sub(rb"(?m)^[ \t]+$", b"", body)
-    if found.width == 1:
-        body = body.rstrip(b"\n")
-    return body, comments
+    notes = [*(note for note, holds in decided.items() if holds), *read.notes, *notes, *numbered]
+    units = {name: unit for name, unit in (stated | read.units).items() if name in read.columns}
+    whole = replace(read, units=units, notes=notes)
+    whole.note_left_out("column")
+    return whole
 
 
 def _parse(table: Table) -> Any:
@@ -634,10 +628,8 @@ def _parse(table: Table) -> Any:
         raise DataError(first_sentence(error)) from None
 
 
-def _columns(
-    table: Table, parsed: Any, names: list[str]
-) -> tuple[dict[str, np.ndarray], dict[str, str], dict[str, str]]:
-    """Columns of numbers, the other columns with the reason, and of time stamps the first."""
+def _columns(table: Table, parsed: Any, names: list[str]) -> Channels:
+    """Columns of numbers and of time stamps, and the others with the reason."""
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
     texts = {name: stripped(parsed.column(place)) for place, name in enumerate(names) if name}
@@ -646,25 +638,22 @@ def _columns(
             raise DataError(f"{len(texts)} column names but {len(names)} columns of numbers.")
     if table.layout.dialect.decimal == "," and not table.decimal_given:
         _refuse_thousands(table, texts)
-    columns: dict[str, np.ndarray] = {}
-    left_out: dict[str, str] = {}
-    stamped: dict[str, str] = {}
+    found = Channels({})
     for name, text in texts.items():
         values = numbers(text, table.layout.dialect.decimal, table.decimal_given)
         if values is not None:
-            columns[name] = values
+            found.take(name, values)
         elif not _first_other(table, are_stamps(text), text):
-            columns[name] = seconds(text)
-            stamped[name] = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
+            first = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
+            found.take(name, seconds(text), "s")
+            found.notes.append(f"column '{name}': time stamps, as seconds from {first}")
         else:
             valid = is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
-            left_out[name] = f"it holds text, {_first_other(table, valid, text)}"
+            found.left_out[name] = f"it holds text, {_first_other(table, valid, text)}"
     # Spreadsheets leave empty rows at the end.
-    is_filled = np.any([~np.isnan(values) for values in columns.values()] or [[True]], axis=0)
-    if is_filled.any():
-        stop = np.flatnonzero(is_filled)[-1] + 1
-        columns = {name: values[:stop] for name, values in columns.items()}
-    return columns, left_out, stamped
+    is_filled = np.any([~np.isnan(v) for v in found.columns.values()] or [[True]], axis=0)
+    stop = np.flatnonzero(is_filled)[-1] + 1 if is_filled.any() else None
+    return replace(found, columns={name: v[:stop] for name, v in found.columns.items()})
 
 
 def _first_other(table: Table, valid: Any, text: Any) -> str:
@@ -728,7 +717,7 @@ def distinct(names: list[str], table: Any) -> tuple[list[str], list[int], list[s
         seen[name] += 1
         number = f"{bare} #{seen[name]}" + (f" [{unit}]" if unit else "")
         found.append(number if name in twice else name)
-    check_names(filter(None, found))
+    check_declared(names=filter(None, found))
     notes = [f"columns called '{name}' are numbered" for name in twice]
     if len(kept) < len(names):
         notes.append(f"{len(names) - len(kept)} copies of columns left out")

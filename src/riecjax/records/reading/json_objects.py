@@ -11,8 +11,7 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import (
     Channels,
-    check_column_count,
-    check_unpacked,
+    check_declared,
     foreign_reader,
     with_structure_times,
     with_units_beside,
@@ -160,8 +159,8 @@ def gathered(table: str, rows: Iterable[Any]) -> Channels:
             column[count] = value
             filled += 1
         count += 1
-        check_column_count(len(columns))
-    check_unpacked(8 * count * len(columns))
+        check_declared(len(columns))
+    check_declared(unpacked=8 * count * len(columns))
     if filled < count * len(columns) / SPARSEST and count * len(columns) > FEWEST_CHECKED:
         raise DataError(
             f"its {count} rows have {len(columns)} names and only {filled} values; give a field the"

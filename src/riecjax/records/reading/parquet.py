@@ -7,12 +7,7 @@ from typing import Any
 import numpy as np
 
 from riecjax.memory import require_memory
-from riecjax.records.reading.channels import (
-    Channels,
-    check_column_count,
-    check_names,
-    check_unpacked,
-)
+from riecjax.records.reading.channels import Channels, check_declared
 from riecjax.records.reading.child_process import read_apart
 from riecjax.records.reading.numerals import compute, floats
 from riecjax.records.reading.times import TIME_COLUMNS, of_texts, unwrapped
@@ -44,11 +39,11 @@ def _read(file: Path) -> Channels:
         parquet.ParquetFile(stream, page_checksum_verification=True) as source,
     ):
         schema, metadata = source.schema_arrow, source.metadata
-        check_column_count(metadata.num_columns)
         groups = map(metadata.row_group, range(metadata.num_row_groups))
-        check_unpacked(sum(group.total_byte_size for group in groups))
+        size = sum(group.total_byte_size for group in groups)
         # Run-length coding packs without bound: what counts is the table that is made of it.
-        check_unpacked(8 * metadata.num_rows * max(len(schema), 1))
+        made = 8 * metadata.num_rows * max(len(schema), 1)
+        check_declared(metadata.num_columns, max(size, made))
         kinds = {
             field.name: field.type.value_type if types.is_dictionary(field.type) else field.type
             for field in schema
@@ -56,7 +51,7 @@ def _read(file: Path) -> Channels:
         checks = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal,
                   types.is_timestamp, types.is_duration, types.is_time)  # fmt: skip
         names = [f.name for f in schema if any(check(kinds[f.name]) for check in checks)]
-        check_names(names)
+        check_declared(names=names)
 
         def column(name: str) -> Any:
             return compute().cast(source.read(columns=[name]).column(0), kinds[name])

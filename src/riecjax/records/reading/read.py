@@ -14,7 +14,7 @@ from riecjax.records.reading.channels import (
     LARGEST_FILE,
     Channels,
     called,
-    check_names,
+    check_declared,
     first_sentence,
     size_of,
 )
@@ -90,7 +90,7 @@ def read_channels(
                     f"of 64-bit floats."
                 )
         # Nothing in names and words may steer a terminal.
-        check_names(map(printable, channels.columns))
+        check_declared(names=map(printable, channels.columns))
         return replace(
             called(channels, printable),
             units={printable(name): printable(unit) for name, unit in channels.units.items()},

@@ -4,6 +4,8 @@ Loggers call time by many names, and call by them what is none (`T`, a temperatu
 constant). So names propose, and the samples decide: time rises from row to row.
 """
 
+import contextlib
+import functools
 import itertools
 import re
 from collections.abc import Iterable, Mapping
@@ -72,15 +74,22 @@ def seconds(text: Any) -> np.ndarray:
 
     **Raises:** `DataError` for dates that do not exist, or that run back.
     """
-    found = [None if stamp is None else _match(stamp) for stamp in text.to_pylist()]
-    days = _days(found)
-    since = _since(found, days, 0)
-    if _runs_back(since):
+    matches = [None if stamp is None else _match(stamp) for stamp in text.to_pylist()]
+    stamps = [match and match.groupdict(default="") for match in matches]
+    days = _days(stamps)
+    dial = DAY if any(stamp and "hours" in stamp for stamp in stamps) else HOUR
+
+    def since(places: int) -> np.ndarray:
+        clock = np.array([_clock(stamp, places) if stamp else np.nan for stamp in stamps])
+        return unwrapped(clock, dial) if days is None else days * DAY + clock
+
+    found = since(0)
+    if _runs_back(found):
         # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
-        places = max(len(match["fraction"] or ".") for match in found if match) - 1
-        counted = _since(found, days, places)
-        since = since if _runs_back(counted) else counted
-    return since - _first(since)
+        places = max(len(stamp["fraction"] or ".") for stamp in stamps if stamp) - 1
+        counted = since(places)
+        found = found if _runs_back(counted) else counted
+    return found - _first(found)
 
 
 def of_texts(values: Any) -> tuple[np.ndarray | None, str]:
@@ -101,14 +110,6 @@ def of_texts(values: Any) -> tuple[np.ndarray | None, str]:
     if found is None and all_true(are_stamps(texts)):
         return seconds(texts), "s"
     return found, ""
-
-
-def _since(found: list[re.Match[str] | None], days: np.ndarray | None, places: int) -> np.ndarray:
-    clock = np.array([_clock(match, places) if match else np.nan for match in found], dtype=float)
-    if days is not None:
-        return (days - _first(days)) * DAY + clock
-    dial = DAY if any(match and "hours" in match.groupdict() for match in found) else HOUR
-    return unwrapped(clock, dial)
 
 
 def _runs_back(since: np.ndarray) -> bool:
@@ -133,71 +134,57 @@ def _first(values: np.ndarray) -> float:
     return known[0] if known.size else 0.0
 
 
-def _days(found: list[re.Match[str] | None]) -> np.ndarray | None:
-    """Days since 1970 of each stamp, NaN for none; `None` for times of day alone."""
-    dates = [_date(match.groupdict()) if match else None for match in found]
-    if not any(dates):
+def _days(stamps: list[dict[str, str] | None]) -> np.ndarray | None:
+    """Days since the first of each stamp, NaN for none; `None` for times of day alone."""
+    said = {part for stamp in stamps if stamp for part in stamp}
+    if not said & {"year", "days"}:
         return None
-    if all(date[:2] == (0, 0) for date in filter(None, dates)):
-        # Elapsed times show no days where there are none.
-        dates = [date or ((0, 0, 0, False) if match else None) for date, match in zip(dates, found)]
-    readings = []
-    for day_first in (False, True) if any(date and date[3] for date in dates) else (False,):
-        try:
-            # Days repeat for thousands of stamps.
-            known: dict[Any, float] = {date: _day(date, day_first) for date in {*dates} if date}
-        except ValueError:
-            continue
-        days = np.array([known.get(date, np.nan) for date in dates])
-        if not _runs_back(days):
-            readings.append(days - _first(days))
-    if not readings:
+    # Elapsed times show no days where there are none.
+    dateless = np.nan if "year" in said else 0.0
+    orders = []
+    for day_first in (False, True) if "first" in said else (False,):
+        with contextlib.suppress(ValueError):
+            each = [_day(stamp, day_first, dateless) if stamp else np.nan for stamp in stamps]
+            days = np.array(each) - _first(np.array(each))
+            orders += [] if _runs_back(days) else [days]
+    if not orders:
         raise DataError("it holds dates that do not exist, or that run back.")
     # Where both orders make sense, one passes midnight and the other leaps by a month.
-    return min(readings, key=lambda days: days[~np.isnan(days)][-1])
+    return min(orders, key=lambda days: days[~np.isnan(days)][-1])
 
 
-def _date(stamp: dict[str, str]) -> tuple[int, int, int, bool] | None:
-    """Year, two numbers of month and day, and whether their order is unknown."""
-    if "days" in stamp:
-        return 0, 0, int(stamp["days"]), False
-    if "year" not in stamp:
-        return None
-    year = int(stamp["year"]) + (2000 if len(stamp["year"]) == 2 else 0)
-    if "first" in stamp:
-        return year, int(stamp["first"]), int(stamp["second"]), True
-    name = stamp.get("name", "").lower()
-    month = int(stamp.get("month", 0)) or (*_MONTHS, name).index(name) + 1
-    return year, month, int(stamp["day"]), False
-
-
-def _day(date: tuple[int, int, int, bool], day_first: bool) -> float:
+def _day(stamp: dict[str, str], day_first: bool, dateless: float) -> float:
     """Days since 1970; of an elapsed time, its days.
 
     **Raises:** `ValueError` for a date that does not exist.
     """
-    year, month, day, unordered = date
-    if unordered and day_first:
+    if "year" not in stamp:
+        return float(stamp.get("days", dateless))
+    year = int(stamp["year"]) + (2000 if len(stamp["year"]) == 2 else 0)
+    name = stamp.get("name", "").lower()
+    month, day = stamp.get("first", stamp.get("month")), stamp.get("second", stamp.get("day"))
+    if "first" in stamp and day_first:
         month, day = day, month
-    if not (year or month):
-        return float(day)
+    return _days_since_1970(year, int(month or (*_MONTHS, name).index(name) + 1), int(day or 0))
+
+
+@functools.lru_cache
+def _days_since_1970(year: int, month: int, day: int) -> float:
     return float(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(int))
 
 
-def _clock(match: re.Match[str], places: int = 0) -> float:
+def _clock(stamp: dict[str, str], places: int = 0) -> float:
     """Seconds of the day, as of UTC where the stamp states a zone's shift.
 
     **Arguments:** `places`: of the fraction, where that is a count of its last one.
     """
-    stamp = match.groupdict(default="")
     hours, minutes, full = (int(stamp.get(part) or 0) for part in ("hours", "minutes", "seconds"))
     if half := stamp.get("half", "")[:1].lower():
         hours = hours % 12 + (12 if half == "p" else 0)
     since = HOUR * hours + MINUTE * minutes + full
     # How far a zone is ahead of UTC; one that is a name says nothing.
     if ahead := re.search(r"([+-])(\d\d?):?(\d\d)?$", stamp.get("zone", "")):
-        shift = HOUR * int(ahead[2]) + MINUTE * int(ahead[3] or 0)
-        since -= shift if ahead[1] == "+" else -shift
+        since -= float(f"{ahead[1]}1") * (HOUR * int(ahead[2]) + MINUTE * int(ahead[3] or 0))
     digits = stamp["fraction"][1:].zfill(places)
     return since + (float(f"0.{digits}") if digits else 0.0)
 
@@ -219,13 +206,14 @@ TIME_WORDS = frozenset(
 DATES = frozenset(word for word in TIME_WORDS if word.startswith(("date", "datum")))
 """Those that say that a date is in it."""
 
-TICK = 1e-7
-"""Seconds in a count of Windows and of .NET."""
-UNIX = 1970
-"""The year in which the epoch of most counts begins."""
 SUBUNITS = {word: SECONDS[word] for word in ("milliseconds", "microseconds", "nanoseconds")}
-EPOCHS = (*((factor, UNIX) for factor in SUBUNITS.values()), (TICK, 1601), (TICK, 1))
-"""Seconds in a count, and the year since which it counts; the last two are of Windows and .NET."""
+TICK = 1e-7
+EPOCHS = {
+    **{f"{word} since 1970": (factor, 0.0) for word, factor in SUBUNITS.items()},
+    "ticks of 100 nanoseconds since 1601": (TICK, 11644473600.0),
+    "ticks of 100 nanoseconds since 1": (TICK, 62135596800.0),
+}
+"""Seconds in a count, and from its epoch to 1970; the last two are of Windows and .NET."""
 RECENT = (1e9, 4e9)
 """Seconds since 1970 of the stamps that are taken for those of an epoch: of 2001 to 2096."""
 COUNTER, ENDS = 2**32, 0.99
@@ -309,16 +297,20 @@ def find_time(
         name = name or next(iter(called), None)
     if name is None:
         return None
-    factor, why = _seconds_each(name, values[name], units)
-    counts = values[name]
+    counts, stated = values[name], unit_of_time(name, units)
     known = counts[~np.isnan(counts)]
+    factor, why = (seconds_in(stated), "") if stated else _seconds_each(name, known)
+    if factor is None:
+        raise DataError(
+            f"time '{name}' is in '{stated}', which is not known; scale it to seconds (on the"
+            f" command line: --scale {name}=FACTOR)."
+        )
     # Past the end of a counter of 32 bits.
     if known.size > 1 and known.max() < COUNTER and (np.diff(known) < -ENDS * COUNTER).any():
         counts = unwrapped(counts, COUNTER)
     # The 15 digits that spreadsheets write of a date are 9 microseconds of a day.
     since = np.round((counts - counts[0]) * DAY, 5) if factor == DAY else counts * factor
     notes = (*notes, f"time '{name}': {why}") if why else notes
-    stated = unit_of_time(name, units)
     doubt = "" if why or stated else _other_unit(name, since, shortest)
     # `rec.X.Data`, as ControlDesk writes it, is an X as well.
     bare = _bare(name.removesuffix(".Data").rpartition(".")[2])
@@ -351,27 +343,14 @@ def seconds_in(unit: str) -> float | None:
     return SECONDS.get(word) or SECONDS.get(word.lower())
 
 
-def _seconds_each(name: str, values: np.ndarray, units: Mapping[str, str]) -> tuple[float, str]:
-    """Seconds that one count of a time column is, and why where the file does not state it."""
-    stated = unit_of_time(name, units)
-    if stated:
-        factor = seconds_in(stated)
-        if factor is None:
-            raise DataError(
-                f"time '{name}' is in '{stated}', which is not known; scale it to seconds (on the"
-                f" command line: --scale {name}=FACTOR)."
-            )
-        return factor, ""
-    known = values[~np.isnan(values)]
+def _seconds_each(name: str, known: np.ndarray) -> tuple[float, str]:
+    """Seconds that one count of a time of no stated unit is, by its samples, and why."""
     if known.size < 2:
         return 1.0, ""
     low, high = float(known.min()), float(known.max())
-    for factor, year in EPOCHS:
-        earlier = np.datetime64(f"{UNIX}", "s") - np.datetime64(f"{year:04d}", "s")
-        first, last = (bound + earlier.astype(float) for bound in RECENT)
-        if first <= low * factor and high * factor < last:
-            words = {each: word for word, each in SUBUNITS.items()}
-            return factor, f"{words.get(factor, 'ticks of 100 nanoseconds')} since {year}"
+    for words, (factor, earlier) in EPOCHS.items():
+        if RECENT[0] <= low * factor - earlier and high * factor - earlier < RECENT[1]:
+            return factor, words
     step = float(np.median(np.diff(known)))
     if any(a < low and high < b for a, b in SERIAL_DAYS) and (
         0 < step < FASTEST_DAYS or _bare(name) in DATES
