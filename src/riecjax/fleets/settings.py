@@ -5,29 +5,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from riecjax import settings
 from riecjax.errors import ModelError
-from riecjax.settings import (
-    POSITIVE,
-    TEXT,
-    Fit,
-    Known,
-    Prepare,
-    Read,
-    Reading,
-    Seed,
-    Settings,
-    Uncertainty,
-    flag,
-    setting,
-    whole,
-)
+from riecjax.settings import POSITIVE, TEXT, Reading, flag, setting, whole
 
 Progress = Callable[[str, int, int, int], None]
 """Told what is being done, how much of it is, of how much, and how many samples that were."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Groups(Settings):
+class Groups(settings.Settings):
     """What is estimated together, and by whom."""
 
     by: str | Sequence[str] = setting("--by file|folder|COLUMN[,COLUMN]", TEXT, "file", free=True)
@@ -57,7 +44,15 @@ class Groups(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fleets(Groups, Seed, Uncertainty, Known, Fit, Prepare, Read):
+class Fleets(
+    Groups,
+    settings.Seed,
+    settings.Uncertainty,
+    settings.Known,
+    settings.Fit,
+    settings.Prepare,
+    settings.Read,
+):
     """Which recordings count, and what is kept.
 
     Keywords of [`fleet`][riecjax.fleet].

@@ -66,17 +66,10 @@ def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> reading.Ch
             tables[name] = table
         except DataError as error:
             refused[name] = str(error)
-    hidden = [sheet.name for sheet in sheets if sheet.name not in names]
-    chosen = _chosen(tables, refused)
-    chosen.notes.extend(f"hidden sheet '{name}' left out" for name in hidden)
-    return chosen
-
-
-def _chosen(tables: dict[str, reading.Channels], refused: dict[str, str]) -> reading.Channels:
-    """The sheets that may be recordings, as one."""
     if not tables:
         said = "; ".join(f"sheet '{name}': {why}" for name, why in refused.items())
         raise DataError(f"no sheet holds a table of numbers: {said or 'there is no sheet.'}")
+    # Of several, those that may be recordings.
     large = {
         name: table
         for name, table in tables.items()
@@ -84,11 +77,13 @@ def _chosen(tables: dict[str, reading.Channels], refused: dict[str, str]) -> rea
     } or tables
     if len(large) > 1:
         # A stroke in a sheet's name would look like a group.
-        return reading.joined({name.replace("/", " "): table for name, table in large.items()})
-    ((name, table),) = large.items()
-    if len(tables) + len(refused) > 1:
-        table.notes.insert(0, f"sheet '{name}'")
-    return table
+        whole = reading.joined({name.replace("/", " "): table for name, table in large.items()})
+    else:
+        ((name, whole),) = large.items()
+        whole.notes[:0] = [f"sheet '{name}'"] * (len(tables) + len(refused) > 1)
+    hidden = [sheet.name for sheet in sheets if sheet.name not in names]
+    whole.notes.extend(f"hidden sheet '{name}' left out" for name in hidden)
+    return whole
 
 
 def as_text(rows: Iterable[Sequence[object]], decimal: str | None = None) -> str:

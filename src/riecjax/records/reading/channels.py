@@ -15,7 +15,7 @@ import numpy as np
 
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.memory import require_memory
-from riecjax.records.reading.times import TIME_COLUMNS, of_texts
+from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import split_unit
 
 LARGEST_FILE = 4 * 2**30
@@ -182,6 +182,9 @@ def _real(array: np.ndarray) -> tuple[np.ndarray | None, str]:
     if array.dtype.kind == "S":
         array = np.char.decode(array, "utf-8", "replace")
     if array.dtype.kind == "U":
+        # It loads PyArrow, which numbers do without.
+        from riecjax.records.reading.literals import of_texts
+
         return of_texts(array.tolist()) if array.ndim == 1 and array.size > 1 else (None, "")
     if array.dtype.kind == "c" and not np.imag(array).any():
         array = np.real(array)

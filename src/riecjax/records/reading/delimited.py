@@ -13,8 +13,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import csv as pa_csv
 
 from riecjax.errors import DataError
+from riecjax.records.reading import literals
 from riecjax.records.reading.channels import (
     MOST_COLUMNS,
     NUMBERED,
@@ -22,17 +25,8 @@ from riecjax.records.reading.channels import (
     check_declared,
     first_sentence,
 )
-from riecjax.records.reading.numerals import (
-    GROUPED,
-    all_true,
-    compute,
-    is_gap,
-    is_number,
-    is_numeric,
-    numbers,
-    stripped,
-)
-from riecjax.records.reading.times import are_stamps, is_called_time, is_stamp, seconds
+from riecjax.records.reading.literals import compute
+from riecjax.records.reading.times import is_called_time
 from riecjax.records.reading.units import (
     BRACKETS,
     SECONDS,
@@ -379,10 +373,10 @@ def kinds_of(fields: list[str], decimal: str) -> str:
     number of the other decimal sign, which names no column; `T`, any other text."""
     other = "." if decimal == "," else ","
     return "".join(
-        "M" if is_gap(field)
-        else "N" if is_number(field, decimal)
-        else "S" if is_stamp(field)
-        else "D" if is_number(field, other)
+        "M" if literals.is_gap(field)
+        else "N" if literals.is_number(field, decimal)
+        else "S" if literals.is_stamp(field)
+        else "D" if literals.is_number(field, other)
         else "T"
         for field in fields
     )  # fmt: skip
@@ -599,9 +593,6 @@ def read_table(
 
 
 def _parse(table: Table) -> Any:
-    import pyarrow as pa
-    from pyarrow import csv as pa_csv
-
     width = table.layout.width
     keys = [str(place) for place in range(width)]
     try:
@@ -632,23 +623,25 @@ def _columns(table: Table, parsed: Any, names: list[str]) -> Channels:
     """Columns of numbers and of time stamps, and the others with the reason."""
     if not parsed.num_rows:
         raise DataError("there are no samples below the column names.")
-    texts = {name: stripped(parsed.column(place)) for place, name in enumerate(names) if name}
+    texts = {
+        name: literals.stripped(parsed.column(place)) for place, name in enumerate(names) if name
+    }
     for place, name in enumerate(names):
-        if not name and stripped(parsed.column(place)).null_count < parsed.num_rows:
+        if not name and literals.stripped(parsed.column(place)).null_count < parsed.num_rows:
             raise DataError(f"{len(texts)} column names but {len(names)} columns of numbers.")
     if table.layout.dialect.decimal == "," and not table.decimal_given:
         _refuse_thousands(table, texts)
     found = Channels({})
     for name, text in texts.items():
-        values = numbers(text, table.layout.dialect.decimal, table.decimal_given)
+        values = literals.numbers(text, table.layout.dialect.decimal, table.decimal_given)
         if values is not None:
             found.take(name, values)
-        elif not _first_other(table, are_stamps(text), text):
+        elif not _first_other(table, literals.are_stamps(text), text):
             first = next((stamp.as_py() for stamp in text if stamp.is_valid), "the first")
-            found.take(name, seconds(text), "s")
+            found.take(name, literals.seconds(text), "s")
             found.notes.append(f"column '{name}': time stamps, as seconds from {first}")
         else:
-            valid = is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
+            valid = literals.is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
             found.left_out[name] = f"it holds text, {_first_other(table, valid, text)}"
     # Spreadsheets leave empty rows at the end.
     is_filled = np.any([~np.isnan(v) for v in found.columns.values()] or [[True]], axis=0)
@@ -658,11 +651,11 @@ def _columns(table: Table, parsed: Any, names: list[str]) -> Channels:
 
 def _first_other(table: Table, valid: Any, text: Any) -> str:
     """The first text that is not valid, and its line; up to a tenth of such raise an error."""
-    if all_true(valid):
+    if literals.all_true(valid):
         return ""
     row = valid.to_pylist().index(False)
     said, line = repr(text[row].as_py()[:40]), table.line_of(row)
-    if compute().mean(valid).as_py() >= MOSTLY:  # of those that are not null
+    if compute.mean(valid).as_py() >= MOSTLY:  # of those that are not null
         raise DataError(
             f"line {line}: {said} is not a number; take off that line, correct it, or leave the"
             " field empty."
@@ -672,14 +665,15 @@ def _first_other(table: Table, valid: Any, text: Any) -> str:
 
 def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
     """Refuse a file whose commas may all separate thousands as well as decimals."""
-    pc = compute()
     doubtful = None
     for text in texts.values():
-        with_comma = pc.and_(is_numeric(text, ",", False), pc.match_substring(text, ","))
-        grouped = pc.match_substring_regex(text, GROUPED["."])
-        if pc.any(pc.and_not(with_comma, grouped)).as_py():
+        with_comma = compute.and_(
+            literals.is_numeric(text, ",", False), compute.match_substring(text, ",")
+        )
+        grouped = compute.match_substring_regex(text, literals.GROUPED["."])
+        if compute.any(compute.and_not(with_comma, grouped)).as_py():
             return
-        if doubtful is None and pc.any(with_comma).as_py():
+        if doubtful is None and compute.any(with_comma).as_py():
             doubtful = with_comma.to_pylist().index(True), text
     if doubtful:
         row, text = doubtful

@@ -17,7 +17,7 @@ from riecjax.records.reading.channels import (
     with_units_beside,
     without_common_group,
 )
-from riecjax.records.reading.times import of_texts
+from riecjax.records.reading.literals import of_texts
 
 SPARSEST, FEWEST_CHECKED = 100, 10**6
 """Places of a table for each value at most, where it has more places than the second number."""

@@ -5,12 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.types as types
+from pyarrow import parquet
 
 from riecjax.memory import require_memory
 from riecjax.records.reading.channels import Channels, check_declared
 from riecjax.records.reading.child_process import read_apart
-from riecjax.records.reading.numerals import compute, floats
-from riecjax.records.reading.times import TIME_COLUMNS, of_texts, unwrapped
+from riecjax.records.reading.literals import compute, floats, of_texts
+from riecjax.records.reading.times import TIME_COLUMNS, unwrapped
 
 BESIDE = 6
 """Columns of numbers that PyArrow holds beside those that are read, at most: with time stamps."""
@@ -29,10 +32,6 @@ def read_parquet(file: Path) -> Channels:
 
 
 def _read(file: Path) -> Channels:
-    import pyarrow as pa
-    import pyarrow.types as types
-    from pyarrow import parquet
-
     # Not by its name, by which PyArrow would look for partitions in folders beside it.
     with (
         file.open("rb") as stream,
@@ -54,7 +53,7 @@ def _read(file: Path) -> Channels:
         check_declared(names=names)
 
         def column(name: str) -> Any:
-            return compute().cast(source.read(columns=[name]).column(0), kinds[name])
+            return compute.cast(source.read(columns=[name]).column(0), kinds[name])
 
         # Numbers are held here and, once handed over, there.
         held = 8.0 * metadata.num_rows * (2 * len(names) + BESIDE)
@@ -67,7 +66,7 @@ def _read(file: Path) -> Channels:
         for name in [name for name in kinds if name not in found.columns]:
             read = None, ""
             if types.is_string(kinds[name]) or types.is_large_string(kinds[name]):
-                read = of_texts(compute().cast(column(name), pa.string()))
+                read = of_texts(compute.cast(column(name), pa.string()))
             found.take(name, *read, why=f"it holds {schema.field(name).type}, not numbers")
         described = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
     found.note_left_out("column")
@@ -84,17 +83,15 @@ def _read(file: Path) -> Channels:
 
 
 def _numbers(column: Any) -> np.ndarray:
-    import pyarrow as pa
-    import pyarrow.types as types
-
-    pc = compute()
     kind = column.type
     if not types.is_temporal(kind):
-        return floats(pc.cast(column, pa.float64(), safe=False))
+        return floats(compute.cast(column, pa.float64(), safe=False))
     ticks = np.timedelta64(1, "s") / np.timedelta64(1, kind.unit)
     if types.is_time32(kind):
-        column = pc.cast(column, pa.int32())
-    counts = pc.cast(column, pa.int64())
-    first = pc.min(counts).as_py() if types.is_timestamp(kind) else 0
-    since = floats(pc.cast(pc.subtract(counts, first or 0), pa.float64(), safe=False)) / ticks
+        column = compute.cast(column, pa.int32())
+    counts = compute.cast(column, pa.int64())
+    first = compute.min(counts).as_py() if types.is_timestamp(kind) else 0
+    since = (
+        floats(compute.cast(compute.subtract(counts, first or 0), pa.float64(), safe=False)) / ticks
+    )
     return unwrapped(since) if types.is_time(kind) else since

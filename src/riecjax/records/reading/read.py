@@ -3,9 +3,10 @@
 import importlib
 import inspect
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from riecjax.errors import DataError, RiecjaxError, printable, require
 from riecjax.extensions import extension, extension_names
@@ -56,7 +57,25 @@ def read_channels(
     """
     file = Path(path)
     try:
-        reader = _reader(file)
+        # A folder is read by a file in it.
+        readers = extension_names("readers") if file.is_dir() else ()
+        inside = [member for member in readers if (file / member).is_file()]
+        name = inside[0] if inside else file.suffix.lower()
+        if name in READERS:
+            module, function = READERS[name].split(".")
+            source = importlib.import_module(f"riecjax.records.reading.{module}")
+            reader: Any = getattr(source, function)
+        else:
+            reader = extension("readers", name.removeprefix("."))
+        if reader is None:
+            listed = ", ".join(endings())
+            raise DataError(
+                f"cannot read '{file.name or file}': its ending must be one of {listed}."
+            )
+        if not inside and not file.is_file():
+            raise DataError(no_file(file))
+        if size_of(file) > LARGEST_FILE:
+            raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")
         takes = inspect.signature(reader).parameters
         # A tab as it can be typed.
         delimiter = "\t" if delimiter == "\\t" else delimiter
@@ -113,26 +132,6 @@ def endings() -> tuple[str, ...]:
     """Endings of names of files that can be read, the core's own first."""
     further = (f".{name}" for name in extension_names("readers") if "." not in name)
     return tuple(dict.fromkeys((*READERS, *further)))
-
-
-def _reader(file: Path) -> Callable[..., Channels]:
-    """What reads a file by its ending, or a folder by a file in it."""
-    readers = extension_names("readers") if file.is_dir() else ()
-    inside = [member for member in readers if (file / member).is_file()]
-    name = inside[0] if inside else file.suffix.lower()
-    if name in READERS:
-        module, function = READERS[name].split(".")
-        reader = getattr(importlib.import_module(f"riecjax.records.reading.{module}"), function)
-    else:
-        reader = extension("readers", name.removeprefix("."))
-    if reader is None:
-        listed = ", ".join(endings())
-        raise DataError(f"cannot read '{file.name or file}': its ending must be one of {listed}.")
-    if not inside and not file.is_file():
-        raise DataError(no_file(file))
-    if size_of(file) > LARGEST_FILE:
-        raise DataError(f"{file.name}: larger than {LARGEST_FILE} bytes.")
-    return reader
 
 
 def _about(file: Path, error: RiecjaxError) -> RiecjaxError:

@@ -170,7 +170,16 @@ def record_from_channels(
             from riecjax.records.preparation.resampling import on_grid_noise
 
             record = record.with_noise(on_grid_noise(measured, axis, rate, given))
-        record = _with_noise(record, formulas, clock | values)
+        # What its samples tell of its noise, and of the signals of formulas by their columns, where
+        # nothing else says it.
+        formulas = {k: f for k, f in formulas.items() if k not in record.noise.kernels}
+        names = [name for name in record.arrays if name not in formulas]
+        noise = judged(record.select(*names)).noise if names else record.noise
+        columns = clock | values
+        for name, formula in formulas.items():
+            levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
+            noise = noise.combined(name, sensitivities(formula, columns, levels))
+        record = record.with_noise(noise)
     except StampError as error:
         if not time:
             raise
@@ -342,27 +351,12 @@ def _on_one_axis(signals: _Signals, matter: Collection[str]) -> _Signals:
         for name, other in times.items()
         if other is time or np.array_equal(other, time)
     }
-    for name in times:
-        if name not in same and name in matter:
-            raise DataError(
-                f"'{first}' and '{name}' have different times; bring them to a common rate (on the"
-                " command line: --resample HZ), or name the time of the signals you need by"
-                " renaming it to t."
-            )
+    if name := next((name for name in times if name not in same and name in matter), ""):
+        raise DataError(
+            f"'{first}' and '{name}' have different times; bring them to a common rate (on the"
+            " command line: --resample HZ), or name the time of the signals you need by"
+            " renaming it to t."
+        )
     filled = ~np.all([np.isnan(v) for v in (time, *(s.values for s in same.values()))], axis=0)
     time = time[filled]
     return {n: replace(s, values=s.values[filled], time=time) for n, s in same.items()}
-
-
-def _with_noise(
-    record: Record, formulas: Mapping[str, str], columns: Mapping[str, np.ndarray]
-) -> Record:
-    """The record with what its samples tell of its noise, and of the signals of formulas by these
-    columns, where nothing else says it."""
-    formulas = {k: f for k, f in formulas.items() if k not in record.noise.kernels}
-    measured = [name for name in record.arrays if name not in formulas]
-    noise = judged(record.select(*measured)).noise if measured else record.noise
-    for name, formula in formulas.items():
-        levels = {n: float(noise.std(n)) for n in columns if n in noise.kernels}
-        noise = noise.combined(name, sensitivities(formula, columns, levels))
-    return record.with_noise(noise)

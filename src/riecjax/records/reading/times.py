@@ -1,193 +1,17 @@
-"""Time: dates and clocks as text, which column of a file is time, and what its numbers count.
+"""Time: which column of a file it is, and what its numbers count.
 
 Loggers call time by many names, and call by them what is none (`T`, a temperature; `timestamp`, a
 constant). So names propose, and the samples decide: time rises from row to row.
 """
 
-import contextlib
-import functools
-import itertools
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.records.reading.numerals import all_true, compute, numbers, stripped
 from riecjax.records.reading.units import DAY, HOUR, MINUTE, SECONDS, split_unit
-
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_ZONE = r"(?:Z|z|(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|UTC|GMT|[A-Z]{3,4})"
-_DATES = (
-    r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})",
-    r"(?P<first>\d{1,2})[-/.](?P<second>\d{1,2})[-/.](?P<year>\d{4}|\d{2})",
-    r"(?P<day>\d{1,2})[- ](?P<name>[A-Za-z]{3})[a-z]*\.?[- ,]+(?P<year>\d{4}|\d{2})",
-    r"(?P<name>[A-Z][a-z]{2})[a-z]*\.? (?P<day>\d{1,2}), ?(?P<year>\d{4})",
-    r"(?P<year>\d{4})(?P<month>\d{2})(?P<day>\d{2})",
-    r"(?P<days>\d+) days?",
-    "",
-)
-_TIMES_OF_DAY = (
-    r"(?P<hours>\d{1,4}):(?P<minutes>[0-5]?\d)"
-    r"(?::(?P<seconds>[0-5]?\d|60)(?P<fraction>[.,:]\d+|\.|,)?)?",
-    r"(?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d)(?P<fraction>[.,]\d+)?",
-)
-PATTERNS = (
-    # ISO 8601 (also compact), or as spreadsheets and MATLAB write it; or a time of day, or an
-    # elapsed one, alone.
-    *(
-        rf"^(?:[A-Z][a-z]{{2}},? )?{date}[T ,]*{clock}\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
-        rf"\s*(?P<zone>{_ZONE})?(?:\[[^\]]*\])?$"
-        for date, clock in itertools.product(_DATES, _TIMES_OF_DAY)
-    ),
-    # Minutes, seconds and their fraction, all that a spreadsheet's `mm:ss.0` shows of a time.
-    r"^(?P<minutes>[0-5]?\d):(?P<seconds>[0-5]\d)(?P<fraction>[.,]\d+)$",
-    # Day of the year and time of day, as IRIG and recorders in flight tests have it.
-    r"^(?P<days>[0-3]\d\d):(?P<hours>\d\d):(?P<minutes>[0-5]\d):(?P<seconds>[0-5]\d)"
-    r"(?P<fraction>[.,]\d+)$",
-)
-"""Time stamps."""
-_COMPILED = tuple(map(re.compile, PATTERNS))
-_ANY = re.sub(r"\?P<\w+>", "", "|".join(PATTERNS))
-"""The same as one, whose groups have no names, of which each may be there once."""
-
-
-def is_stamp(text: str) -> bool:
-    """Whether a text is a time stamp."""
-    # A number of 6 or 14 digits is a number.
-    return not text.isdigit() and _match(text) is not None
-
-
-def are_stamps(text: Any) -> Any:
-    """Which of a column of strings are time stamps; null where null."""
-    return compute().match_substring_regex(text, _ANY)
-
-
-def seconds(text: Any) -> np.ndarray:
-    """A column of time stamps as seconds from the first, NaN for null.
-
-    Stamps without a date may pass midnight; zones are taken into account, by their shift from UTC,
-    where a stamp states it in digits. Whether the day or the month comes first in `1/2/2024`, is
-    told by the column: one of them stays below 13, time does not run back, and no logger leaps by a
-    month where it could pass midnight.
-
-    **Raises:** `DataError` for dates that do not exist, or that run back.
-    """
-    matches = [None if stamp is None else _match(stamp) for stamp in text.to_pylist()]
-    stamps = [match and match.groupdict(default="") for match in matches]
-    days = _days(stamps)
-    dial = DAY if any(stamp and "hours" in stamp for stamp in stamps) else HOUR
-
-    def since(places: int) -> np.ndarray:
-        clock = np.array([_clock(stamp, places) if stamp else np.nan for stamp in stamps])
-        return unwrapped(clock, dial) if days is None else days * DAY + clock
-
-    found = since(0)
-    if _runs_back(found):
-        # Where the fraction has no leading zeros, `:5` and `:10` count thousandths.
-        places = max(len(stamp["fraction"] or ".") for stamp in stamps if stamp) - 1
-        counted = since(places)
-        found = found if _runs_back(counted) else counted
-    return found - _first(found)
-
-
-def of_texts(values: Any) -> tuple[np.ndarray | None, str]:
-    """Numbers or time stamps that stand there as text, and their unit where they are stamps.
-
-    `None` for other text, and where there is none.
-
-    **Arguments:** `values`: a list, or a column of strings (PyArrow).
-    """
-    import pyarrow as pa
-
-    if isinstance(values, list):
-        values = pa.array([None if v is None else str(v) for v in values], pa.string())
-    texts = stripped(values)
-    if texts.null_count == len(texts):
-        return None, ""
-    found = numbers(texts, ".", False)
-    if found is None and all_true(are_stamps(texts)):
-        return seconds(texts), "s"
-    return found, ""
-
-
-def _runs_back(since: np.ndarray) -> bool:
-    return bool((np.diff(since[~np.isnan(since)]) < 0).any())
-
-
-def unwrapped(clock: np.ndarray, dial: float = DAY) -> np.ndarray:
-    """Seconds of the day, carried on past midnight, or of another dial; NaN stays."""
-    known = ~np.isnan(clock)
-    steps = np.diff(clock[known], prepend=clock[known][:1])
-    carried = clock.copy()
-    carried[known] += dial * np.cumsum(steps < -0.5 * dial)
-    return carried
-
-
-def _match(text: str) -> re.Match[str] | None:
-    return next(filter(None, (pattern.fullmatch(text) for pattern in _COMPILED)), None)
-
-
-def _first(values: np.ndarray) -> float:
-    known = values[~np.isnan(values)]
-    return known[0] if known.size else 0.0
-
-
-def _days(stamps: list[dict[str, str] | None]) -> np.ndarray | None:
-    """Days since the first of each stamp, NaN for none; `None` for times of day alone."""
-    said = {part for stamp in stamps if stamp for part in stamp}
-    if not said & {"year", "days"}:
-        return None
-    # Elapsed times show no days where there are none.
-    dateless = np.nan if "year" in said else 0.0
-    orders = []
-    for day_first in (False, True) if "first" in said else (False,):
-        with contextlib.suppress(ValueError):
-            each = [_day(stamp, day_first, dateless) if stamp else np.nan for stamp in stamps]
-            days = np.array(each) - _first(np.array(each))
-            orders += [] if _runs_back(days) else [days]
-    if not orders:
-        raise DataError("it holds dates that do not exist, or that run back.")
-    # Where both orders make sense, one passes midnight and the other leaps by a month.
-    return min(orders, key=lambda days: days[~np.isnan(days)][-1])
-
-
-def _day(stamp: dict[str, str], day_first: bool, dateless: float) -> float:
-    """Days since 1970; of an elapsed time, its days.
-
-    **Raises:** `ValueError` for a date that does not exist.
-    """
-    if "year" not in stamp:
-        return float(stamp.get("days", dateless))
-    year = int(stamp["year"]) + (2000 if len(stamp["year"]) == 2 else 0)
-    name = stamp.get("name", "").lower()
-    month, day = stamp.get("first", stamp.get("month")), stamp.get("second", stamp.get("day"))
-    if "first" in stamp and day_first:
-        month, day = day, month
-    return _days_since_1970(year, int(month or (*_MONTHS, name).index(name) + 1), int(day or 0))
-
-
-@functools.lru_cache
-def _days_since_1970(year: int, month: int, day: int) -> float:
-    return float(np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "D").astype(int))
-
-
-def _clock(stamp: dict[str, str], places: int = 0) -> float:
-    """Seconds of the day, as of UTC where the stamp states a zone's shift.
-
-    **Arguments:** `places`: of the fraction, where that is a count of its last one.
-    """
-    hours, minutes, full = (int(stamp.get(part) or 0) for part in ("hours", "minutes", "seconds"))
-    if half := stamp.get("half", "")[:1].lower():
-        hours = hours % 12 + (12 if half == "p" else 0)
-    since = HOUR * hours + MINUTE * minutes + full
-    # How far a zone is ahead of UTC; one that is a name says nothing.
-    if ahead := re.search(r"([+-])(\d\d?):?(\d\d)?$", stamp.get("zone", "")):
-        since -= float(f"{ahead[1]}1") * (HOUR * int(ahead[2]) + MINUTE * int(ahead[3] or 0))
-    digits = stamp["fraction"][1:].zfill(places)
-    return since + (float(f"0.{digits}") if digits else 0.0)
-
 
 TIME_COLUMNS = ("t", "time", "Time", "time_s", "t_s", "TIME", "timestamp", "Timestamp", "T")
 """Column names taken as time, in this order of preference; `--map t=COLUMN` names another."""
@@ -258,6 +82,15 @@ class TimeColumn(NamedTuple):
     seconds: np.ndarray
     notes: tuple[str, ...] = ()
     doubt: str = ""
+
+
+def unwrapped(clock: np.ndarray, dial: float = DAY) -> np.ndarray:
+    """Seconds of the day, carried on past midnight, or of another dial; NaN stays."""
+    known = ~np.isnan(clock)
+    steps = np.diff(clock[known], prepend=clock[known][:1])
+    carried = clock.copy()
+    carried[known] += dial * np.cumsum(steps < -0.5 * dial)
+    return carried
 
 
 def find_time(
