@@ -23,8 +23,8 @@ def command(given: Given) -> None:
     from riecjax.criteria.windows import DEFAULT_BAND
     from riecjax.models.catalogue import find_model
     from riecjax.models.column_proposal import map_lines
-    from riecjax.records.reading.parts import recordings_in
     from riecjax.records.reading.read import read_channels
+    from riecjax.records.reading.selection import recordings_in
 
     model, read = find_model(given.model_name), given.take(Read)
     dialect = {"delimiter": read.delimiter, "decimal": read.decimal, "columns": read.columns}

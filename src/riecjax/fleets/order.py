@@ -279,30 +279,28 @@ def sum_up(order: bytes, pieces: Sequence[Piece]) -> list[Row]:
 def rows_of(order: Order, piece: Piece) -> list[Row]:
     """The rows of a piece; of what cannot be read or summed one that says why."""
     # What is wrong with one recording is not the end of a run over a hundred thousand others.
+    rows, runs = [], []
     try:
-        rows = [row for run in order.runs_of(piece) for row in _rows_of_run(order, run)]
+        runs = order.runs_of(piece)
     except Exception as error:
-        rows = [lost(piece, reason_of(error))]
+        rows.append(lost(piece, reason_of(error)))
+    for run in runs:
+        try:
+            with at_hand(run, run.reach(order.window), order.storage) as file:
+                recordings = order.recordings_in(file)
+        except Exception as error:
+            rows.append(lost(run, reason_of(error), run.part))
+            continue
+        for recording in recordings:
+            part = run.part if run.stop else recording.part
+            try:
+                rows.append(_row(order, run, recording, part))
+            except Exception as error:
+                rows.append(lost(run, reason_of(error), part))
     if piece.stop:
         release_memory()
     rows = rows or [lost(piece, "it holds no rows.")]
     return [row._replace(piece=piece.identity) for row in rows]
-
-
-def _rows_of_run(order: Order, run: Piece) -> Iterator[Row]:
-    """A row for each recording of a file, or the row of some rows of one."""
-    try:
-        with at_hand(run, run.reach(order.window), order.storage) as file:
-            recordings = order.recordings_in(file)
-    except Exception as error:
-        yield lost(run, reason_of(error), run.part)
-        return
-    for recording in recordings:
-        part = run.part if run.stop else recording.part
-        try:
-            yield _row(order, run, recording, part)
-        except Exception as error:
-            yield lost(run, reason_of(error), part)
 
 
 def lost(piece: Piece, why: str, part: str = "") -> Row:

@@ -226,24 +226,23 @@ def recordings_of(
 
     **Raises:** `DataError` where a column is in none of its files; `OSError`.
     """
-    pieces: list[Piece] = []
-    files = []
-    stop = 0
+    runs: list[tuple[Keys, int]] = []
+    files, stop = [], 0
     for url in source.urls:
-        begin = stop
         with _parquet(url, storage) as file:
             if lacking := {*columns} - {*file.schema_arrow.names}:
                 raise DataError(f"there is no column '{min(lacking)}' to group by.")
-            for keys, count in _runs(file, columns) if file.metadata.num_rows else ():
-                first, stop = stop, stop + count
-                if pieces and pieces[-1].keys == keys:
-                    pieces[-1] = pieces[-1]._replace(stop=stop, high=stop)
-                else:
-                    pieces.append(Piece(source, first, stop, first, stop, keys))
-        files.append((url, begin, stop))
-    if not pieces:
+            runs += _runs(file, columns)
+            files.append((url, stop, stop + file.metadata.num_rows))
+            stop = files[-1][2]
+    pieces: list[Piece] = []
+    last = 0
+    for keys, same in itertools.groupby(runs, key=lambda run: run[0]):
+        first, last = last, last + sum(count for _, count in same)
+        pieces.append(Piece(source, first, last, first, last, keys, tuple(files)))
+    if not last:
         raise DataError("it holds no rows.")
-    return [piece._replace(files=tuple(files)) for piece in pieces]
+    return pieces
 
 
 def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:
@@ -273,17 +272,16 @@ def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> 
         return
     low, high = rows
     tables: list[Any] = []
+    offsets: list[int] = []
     for url, begin, stop in piece.files:
-        if begin >= high or stop <= low:
-            continue
-        with _parquet(url, storage) as file:
-            # Only groups of rows are read that hold some.
-            counts = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
-            edges = begin + np.cumsum([0, *counts])
-            wanted = np.flatnonzero((edges[:-1] < high) & (edges[1:] > low))
-            first = max(low - int(edges[wanted[0]]), 0)
-            length = high - int(edges[wanted[0]]) - first
-            tables.append(file.read_row_groups(wanted.tolist()).slice(first, length))
+        if begin < high and stop > low:
+            with _parquet(url, storage) as file:
+                # Only groups of rows are read that hold some.
+                counts = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+                edges = begin + np.cumsum([0, *counts])
+                wanted = np.flatnonzero((edges[:-1] < high) & (edges[1:] > low))
+                tables.append(file.read_row_groups(wanted.tolist()))
+                offsets.append(low - int(edges[wanted[0]]))
     with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
         here = Path(folder) / posixpath.basename(whole or piece.source.name)
         if whole:
@@ -291,7 +289,8 @@ def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> 
                 fs, path = fsspec.core.url_to_fs(whole, **storage)
                 fs.get_file(path, str(here))
         else:
-            table, here = concat_tables(tables), here.with_suffix(".parquet")
+            table = concat_tables(tables).slice(offsets[0], high - low)
+            here = here.with_suffix(".parquet")
             parquet.write_table(table, here, compression="none", use_dictionary=False)
         yield here
 

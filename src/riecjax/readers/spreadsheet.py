@@ -112,17 +112,18 @@ def as_text(rows: Iterable[Sequence[object]], decimal: str | None = None) -> str
 
 def _text(cell: object) -> str | float:
     """A cell's number, or its text without what would delimit cells or rows."""
-    if isinstance(cell, bool):
-        return int(cell)
-    if isinstance(cell, int | float):
-        return cell
-    if isinstance(cell, datetime.timedelta):
-        minutes, seconds = divmod(cell, datetime.timedelta(minutes=1))
-        return f"{minutes // 60}:{minutes % 60:02d}:{seconds.total_seconds():09.6f}"
-    if isinstance(cell, datetime.datetime):
-        return cell.isoformat(" ")
-    if isinstance(cell, datetime.date):
-        return f"{cell.isoformat()} 00:00:00"
-    if isinstance(cell, datetime.time):
-        return cell.isoformat()
+    match cell:
+        case bool():
+            return int(cell)
+        case int() | float():
+            return cell
+        case datetime.timedelta():
+            minutes, seconds = divmod(cell, datetime.timedelta(minutes=1))
+            return f"{minutes // 60}:{minutes % 60:02d}:{seconds.total_seconds():09.6f}"
+        case datetime.datetime():
+            return cell.isoformat(" ")
+        case datetime.date():
+            return f"{cell.isoformat()} 00:00:00"
+        case datetime.time():
+            return cell.isoformat()
     return re.sub(r'[\s"]+', " ", str(cell)).strip()

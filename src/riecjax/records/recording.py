@@ -18,9 +18,8 @@ from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs
 from riecjax.records.preparation.steps import halves, idle_cuts, prepare
 from riecjax.records.reading.channels import Channels
-from riecjax.records.reading.parts import Parts, recordings_in, several
 from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
-from riecjax.records.reading.selection import record_from_channels
+from riecjax.records.reading.selection import Parts, record_from_channels, recordings_in, several
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import same, split_unit
 from riecjax.records.record import Record, Records, as_records

@@ -8,7 +8,7 @@ import scipy.io
 import riecjax as rx
 from riecjax.errors import DataError
 from riecjax.records.reading.channels import Channels
-from riecjax.records.reading.parts import recordings_in
+from riecjax.records.reading.selection import recordings_in
 
 TIME = np.arange(80) * 0.05
 RUNS = [

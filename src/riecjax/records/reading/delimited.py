@@ -136,7 +136,17 @@ def plain_rows(content: bytes) -> tuple[bytes, list[str], list[str]]:
     **Returns:** the units by position.
     """
     notes = []
-    content = _without_breaks(content)
+    if b'"' in content[:QUOTED]:
+        # Rows of names on one line, where quoted names hold line breaks; later lines keep their
+        # numbers.
+        lines = content.split(b"\n", MOST_HEADINGS)
+        for place in range(len(lines) - 1):
+            for count in range(1, min(MOST_BREAKS, len(lines) - place)):
+                row = b" ".join(lines[place : place + count])
+                if not _OPEN.search(re.sub(rb'"[^"]*"', b"", row)):
+                    lines[place : place + count] = [row, *[b""] * (count - 1)]
+                    break
+        content = b"\n".join(lines)
     if any(sign in content[:QUOTED] for sign in (b'="', b"'")):
         content = _AS_TEXT.sub(rb"\1\2\3", content)
     lines = [line for line in content[:QUOTED].split(b"\n")[:-1] if line.strip()]
@@ -152,21 +162,6 @@ def plain_rows(content: bytes) -> tuple[bytes, list[str], list[str]]:
         content, count = _GROUPED.subn(lambda match: match[0].replace(match[2], b""), content)
         notes += ["signs between thousands removed"] if count else []
     return content, notes, units
-
-
-def _without_breaks(content: bytes) -> bytes:
-    """Rows of names on one line, where quoted names hold line breaks; later lines keep their
-    numbers."""
-    if b'"' not in content[:QUOTED]:
-        return content
-    lines = content.split(b"\n", MOST_HEADINGS)
-    for place in range(len(lines) - 1):
-        for count in range(1, min(MOST_BREAKS, len(lines) - place)):
-            row = b" ".join(lines[place : place + count])
-            if not _OPEN.search(re.sub(rb'"[^"]*"', b"", row)):
-                lines[place : place + count] = [row, *[b""] * (count - 1)]
-                break
-    return b"\n".join(lines)
 
 
 def _without_units(content: bytes) -> tuple[bytes, list[str]]:
@@ -346,7 +341,19 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
     header, units, start = _header(rows, kinds, first, pattern)
     names = [] if header is None else rows[header]
     if header is None:
-        header, names, units = _commented_header(lines, dialect, first, width)
+        # The last comment above the numbers that names each column, or the one above its units.
+        header, filled = -1, (place for place in reversed(range(first)) if lines[place].strip())
+        signs = ((place, dialect.comment(lines[place])) for place in filled)
+        comments = [
+            (place, _joined(dialect.fields(lines[place][sign.end() :]), dialect, width))
+            for place, sign in itertools.islice(itertools.takewhile(lambda s: s[1], signs), 2)
+            if sign
+        ]
+        named = [len(n) == width and "T" in kinds_of(n, dialect.decimal) for _, n in comments]
+        if named == [True, True] and _is_unit_row(comments[0][1]):
+            (header, names), units = comments[1], list(map(bare_unit, comments[0][1]))
+        elif named and named[0]:
+            header, names = comments[0]
     names = _without_empty_end(names)
     if len(names) == width + 1 > 2:
         # What the row is, before its names, or a column of remarks that stayed empty.
@@ -432,23 +439,6 @@ def _is_unit_row(fields: list[str]) -> bool:
     known = [f in ("", *PLACES) or is_known(f) or BRACKETS.fullmatch(f) for f in fields]
     timed = bare_unit(fields[0]).lower() in SECONDS and sum(map(bool, known)) > len(fields) / 2
     return any(fields) and (all(known) or timed)
-
-
-def _commented_header(
-    lines: list[str], dialect: Dialect, first: int, width: int
-) -> tuple[int, list[str], list[str]]:
-    """Line, names and units of the last comment above the numbers that names each column."""
-    filled = (place for place in reversed(range(first)) if lines[place].strip())
-    signs = ((place, dialect.comment(lines[place])) for place in filled)
-    comments = [
-        (place, _joined(dialect.fields(lines[place][sign.end() :]), dialect, width))
-        for place, sign in itertools.islice(itertools.takewhile(lambda each: each[1], signs), 2)
-        if sign
-    ]
-    named = [len(n) == width and "T" in kinds_of(n, dialect.decimal) for _, n in comments]
-    if named == [True, True] and _is_unit_row(comments[0][1]):
-        return (*comments[1], [bare_unit(field) for field in comments[0][1]])
-    return (*comments[0], []) if named and named[0] else (-1, [], [])
 
 
 def _without_empty_end(fields: list[str]) -> list[str]:
@@ -559,7 +549,29 @@ def read_table(
     if found.width == 1:
         body = body.rstrip(b"\n")
     table = Table(body, found, decimal is not None)
-    parsed = _parse(table)
+    keys = [str(place) for place in range(found.width)]
+    try:
+        parsed = pa_csv.read_csv(
+            pa.BufferReader(body),
+            read_options=pa_csv.ReadOptions(column_names=keys, block_size=2 * LONGEST_LINE),
+            parse_options=pa_csv.ParseOptions(
+                delimiter=found.dialect.delimiter,
+                newlines_in_values=b'"' in body,
+                # In a single column a blank line is a gap.
+                ignore_empty_lines=found.width > 1,
+            ),
+            convert_options=pa_csv.ConvertOptions(
+                column_types=dict.fromkeys(keys, pa.string()), strings_can_be_null=False
+            ),
+        )
+    except pa.ArrowInvalid as error:
+        with contextlib.suppress(csv.Error):
+            if ragged := next((row for row in table.rows() if len(row[1]) != found.width), None):
+                raise DataError(
+                    f"line {ragged[0]} has {len(ragged[1])} values for {found.width} columns; take"
+                    " off that line, or correct it."
+                ) from None
+        raise DataError(first_sentence(error)) from None
     # A spreadsheet takes what follows this mark for a text and no formula.
     names = [re.sub(r"(^|[;|,\t]\s*)'(?=[=+@-])", r"\1", name) for name in found.names]
     filled = len(_without_empty_end(names))
@@ -592,33 +604,6 @@ def read_table(
     return whole
 
 
-def _parse(table: Table) -> Any:
-    width = table.layout.width
-    keys = [str(place) for place in range(width)]
-    try:
-        return pa_csv.read_csv(
-            pa.BufferReader(table.body),
-            read_options=pa_csv.ReadOptions(column_names=keys, block_size=2 * LONGEST_LINE),
-            parse_options=pa_csv.ParseOptions(
-                delimiter=table.layout.dialect.delimiter,
-                newlines_in_values=b'"' in table.body,
-                # In a single column a blank line is a gap.
-                ignore_empty_lines=width > 1,
-            ),
-            convert_options=pa_csv.ConvertOptions(
-                column_types=dict.fromkeys(keys, pa.string()), strings_can_be_null=False
-            ),
-        )
-    except pa.ArrowInvalid as error:
-        with contextlib.suppress(csv.Error):
-            if ragged := next((row for row in table.rows() if len(row[1]) != width), None):
-                raise DataError(
-                    f"line {ragged[0]} has {len(ragged[1])} values for {width} columns; take off"
-                    " that line, or correct it."
-                ) from None
-        raise DataError(first_sentence(error)) from None
-
-
 def _columns(table: Table, parsed: Any, names: list[str]) -> Channels:
     """Columns of numbers and of time stamps, and the others with the reason."""
     if not parsed.num_rows:
@@ -629,11 +614,27 @@ def _columns(table: Table, parsed: Any, names: list[str]) -> Channels:
     for place, name in enumerate(names):
         if not name and literals.stripped(parsed.column(place)).null_count < parsed.num_rows:
             raise DataError(f"{len(texts)} column names but {len(names)} columns of numbers.")
-    if table.layout.dialect.decimal == "," and not table.decimal_given:
-        _refuse_thousands(table, texts)
-    found = Channels({})
+    found, how = Channels({}), (table.layout.dialect.decimal, table.decimal_given)
+    # Commas that may all separate thousands as well as decimals are refused.
+    doubtful = None
+    for text in texts.values() if how == (",", False) else ():
+        with_comma = compute.and_(
+            literals.is_numeric(text, *how), compute.match_substring(text, ",")
+        )
+        grouped = compute.match_substring_regex(text, literals.GROUPED["."])
+        if compute.any(compute.and_not(with_comma, grouped)).as_py():
+            break
+        if doubtful is None and compute.any(with_comma).as_py():
+            doubtful = with_comma.to_pylist().index(True), text
+    else:
+        if doubtful:
+            row, text = doubtful
+            raise DataError(
+                f"line {table.line_of(row)}: {text[row].as_py()!r} has a decimal comma or"
+                " commas between thousands; pass decimal=',' or decimal='.'."
+            )
     for name, text in texts.items():
-        values = literals.numbers(text, table.layout.dialect.decimal, table.decimal_given)
+        values = literals.numbers(text, *how)
         if values is not None:
             found.take(name, values)
         elif not _first_other(table, literals.are_stamps(text), text):
@@ -641,8 +642,8 @@ def _columns(table: Table, parsed: Any, names: list[str]) -> Channels:
             found.take(name, literals.seconds(text), "s")
             found.notes.append(f"column '{name}': time stamps, as seconds from {first}")
         else:
-            valid = literals.is_numeric(text, table.layout.dialect.decimal, table.decimal_given)
-            found.left_out[name] = f"it holds text, {_first_other(table, valid, text)}"
+            other = _first_other(table, literals.is_numeric(text, *how), text)
+            found.left_out[name] = f"it holds text, {other}"
     # Spreadsheets leave empty rows at the end.
     is_filled = np.any([~np.isnan(v) for v in found.columns.values()] or [[True]], axis=0)
     stop = np.flatnonzero(is_filled)[-1] + 1 if is_filled.any() else None
@@ -661,26 +662,6 @@ def _first_other(table: Table, valid: Any, text: Any) -> str:
             " field empty."
         )
     return f"{said} on line {line}"
-
-
-def _refuse_thousands(table: Table, texts: dict[str, Any]) -> None:
-    """Refuse a file whose commas may all separate thousands as well as decimals."""
-    doubtful = None
-    for text in texts.values():
-        with_comma = compute.and_(
-            literals.is_numeric(text, ",", False), compute.match_substring(text, ",")
-        )
-        grouped = compute.match_substring_regex(text, literals.GROUPED["."])
-        if compute.any(compute.and_not(with_comma, grouped)).as_py():
-            return
-        if doubtful is None and compute.any(with_comma).as_py():
-            doubtful = with_comma.to_pylist().index(True), text
-    if doubtful:
-        row, text = doubtful
-        raise DataError(
-            f"line {table.line_of(row)}: {text[row].as_py()!r} has a decimal comma or"
-            " commas between thousands; pass decimal=',' or decimal='.'."
-        )
 
 
 def distinct(names: list[str], table: Any) -> tuple[list[str], list[int], list[str]]:

@@ -1,10 +1,12 @@
-"""From the channels of a file to a record: which are signals, which is time, in which units."""
+"""From the channels of a file to records: which recordings it holds, which channels are signals of
+each, which is time, in which units.
+"""
 
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from riecjax.records.reading.units import (
     conversion,
     require_known_unit,
     require_sure_unit,
+    split_unit,
     unit_behind,
 )
 from riecjax.records.record import Record
@@ -83,7 +86,29 @@ def record_from_channels(
     if not channels.columns:
         raise DataError(f"no columns of numbers were found{_first_reason(channels)}.")
     rename = {signal: column_named(channels, name) for signal, name in selection.rename.items()}
-    signals, registers = _renamed(channels, rename)
+    taken = set(rename.values())
+    short = {name: channels.named(name)[0] for name in channels.columns}
+    count = Counter(short.values())
+    # A column is called without its unit in brackets, unless another column is called that.
+    names = {
+        short[name] if count[short[name]] == 1 else name: name
+        for name in channels.columns
+        if name not in taken
+    }
+    signals: _Signals = {}
+    registers = []
+    # A new name takes the place of a column that is called so.
+    for name, column in (names | rename).items():
+        values, bits = channels.columns[column], 0
+        if not clocks.is_word_of_time(column):
+            values, bits = signed(values)
+        if bits:
+            registers.append(f"{name}: signed numbers of {bits} bits, read as unsigned, put right")
+        unit = channels.named(column)[1]
+        if name in rename and not unit:
+            unit = clocks.unit_of_time(column) if name == "t" else unit_behind(column)
+        if name in rename or not np.isnan(values).all():
+            signals[name] = _Signal(values, column, unit or "")
     units_read = read or {}
     formulas, formula_units = dict(selection.derive), {}
     for name in formulas.keys() & selection.units.keys():
@@ -221,34 +246,6 @@ def _first_reason(channels: Channels) -> str:
     return f"; column '{named[0]}' was left out: {channels.left_out[named[0]]}" if named else ""
 
 
-def _renamed(channels: Channels, rename: Mapping[str, str]) -> tuple[_Signals, list[str]]:
-    """Signals as the file holds them, and which were signed numbers read as unsigned, in words."""
-    taken = set(rename.values())
-    short = {name: channels.named(name)[0] for name in channels.columns}
-    count = Counter(short.values())
-    # A column is called without its unit in brackets, unless another column is called that.
-    column = {
-        short[name] if count[short[name]] == 1 else name: name
-        for name in channels.columns
-        if name not in taken
-    }
-    # A new name takes the place of a column that is called so.
-    column |= rename
-    signals, registers = {}, []
-    for name, source in column.items():
-        values, bits = channels.columns[source], 0
-        if not clocks.is_word_of_time(source):
-            values, bits = signed(values)
-        if bits:
-            registers.append(f"{name}: signed numbers of {bits} bits, read as unsigned, put right")
-        unit = channels.named(source)[1]
-        if name in rename and not unit:
-            unit = clocks.unit_of_time(source) if name == "t" else unit_behind(source)
-        if name in rename or not np.isnan(values).all():
-            signals[name] = _Signal(values, source, unit or "")
-    return signals, registers
-
-
 def _converted_as_said(signals: _Signals, channels: Channels, selection: Select) -> set[str]:
     """Give signals the units that the user says, which go before what the file states, and scale
     others, which no longer have the unit that it states.
@@ -264,7 +261,16 @@ def _converted_as_said(signals: _Signals, channels: Channels, selection: Select)
             require_known_unit(name, by)
         elif not (np.isfinite(by) and by != 0):
             raise DataError(f"the scale of '{name}' must be a number other than 0; got {by:g}.")
-        for target in _signals_called(name, signals, channels):
+        is_column = name in channels.columns
+        if name in signals and not is_column:
+            targets = [name]
+        # What messages and --map call time, whatever its column is called.
+        elif name == "t" and not is_column and (time := _time_of(signals, channels)):
+            targets = [time.name]
+        else:
+            column = column_named(channels, name)
+            targets = [target for target, signal in signals.items() if signal.column == column]
+        for target in targets:
             if target in said:
                 first, before = said[target]
                 pair, twice = (name, first), "is given both a scale and a unit"
@@ -281,18 +287,6 @@ def _converted_as_said(signals: _Signals, channels: Channels, selection: Select)
             is_time = clocks.is_called_time(target, {}) and clocks.unit_of_time(target)
             signal.values, signal.unit = signal.values * by, "s" if is_time else ""
     return {*said}
-
-
-def _signals_called(name: str, signals: _Signals, channels: Channels) -> list[str]:
-    """The signal of this name, or those that the column of this name became."""
-    if name not in channels.columns:
-        if name in signals:
-            return [name]
-        # What messages and --map call time, whatever its column is called.
-        if name == "t" and (time := _time_of(signals, channels)):
-            return [time.name]
-    source = column_named(channels, name)
-    return [target for target, signal in signals.items() if signal.column == source]
 
 
 def _time_of(
@@ -360,3 +354,236 @@ def _on_one_axis(signals: _Signals, matter: Collection[str]) -> _Signals:
     filled = ~np.all([np.isnan(v) for v in (time, *(s.values for s in same.values()))], axis=0)
     time = time[filled]
     return {n: replace(s, values=s.values[filled], time=time) for n, s in same.items()}
+
+
+# Names alone do not tell a recording from a sensor: `Y(1).Data`, `Y(2).Data` are two channels of
+# one recording, and `X.time`, `X.signals.values` is one of Simulink's. So a part counts as a
+# recording where it holds signals with names of their own, and is timed by itself.
+
+_INDEXED = re.compile(
+    r"(?P<head>[^(){}\[\]]*[^(){}\[\]\s])(?P<index>[({]\d+[)}])(?P<rest>.*)", re.S
+)
+_NUMBERED = re.compile(r"(?P<stem>.*?)[ _-]?(?P<number>\d+)", re.S)
+_SEPARATOR = re.compile(r"[./]")
+GENERIC = frozenset(("data", "value", "values", "signal", "signals", "samples"))
+"""What a channel's samples are called in a structure of one channel."""
+CHOOSE = "choose one by part='NAME' (on the command line: --part NAME)"
+DEEPEST_GROUP = 3
+"""Groups within groups in which recordings are looked for."""
+UNLIKE = 0.05
+"""Share by which lengths of groups without numbers differ, if they are recordings, not sensors."""
+
+
+class Parts(NamedTuple):
+    """Recordings in a file, by name; `""` where the whole file is one. Of `broken` ones, why."""
+
+    held: dict[str, Channels]
+    broken: Mapping[str, str] = {}
+
+
+Member = dict[str, str]
+"""Columns of a part: their names inside it, to those in the file."""
+
+
+class _Family(NamedTuple):
+    """Parts that may be recordings, by name. `kind`: what tells them apart."""
+
+    members: dict[str, Member]
+    kind: Literal["sheet", "element", "number", "name"]
+
+    def usual(self) -> frozenset[str]:
+        """The columns that most members have; of equally many, the most columns."""
+        kinds = [frozenset(member) for member in self.members.values()]
+        return max(kinds, key=lambda kind: (kinds.count(kind), len(kind)), default=frozenset())
+
+    @property
+    def differs(self) -> bool:
+        """Whether these are sheets of different kinds."""
+        return self.kind == "sheet" and len({frozenset(m) for m in self.members.values()}) > 1
+
+    def has(self, names: Iterable[str]) -> bool:
+        """Whether columns may be meant by all of these names; see [`column_named`][]."""
+        return all(
+            any(n in (c, split_unit(c)[0]) or c.endswith((f".{n}", f"/{n}")) for c in self.usual())
+            for n in names
+        )
+
+
+def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "") -> Parts:
+    """The recordings that a file holds, each with columns called as if it were alone in its file.
+
+    Columns beside the parts that are as long as a part belong to it too.
+
+    **Arguments:** `named`: columns that are asked for. Where one of them is named in full, as
+    `runs(1).x`, the file is read as one recording; else those parts count that have them. `part`:
+    the name of the only one that is wanted, which may be any part at all.
+
+    **Raises:** `DataError` if there is no such part, or where it is unclear which parts are meant.
+    """
+    if channels.parts:
+        members = {
+            sheet: {
+                name.removeprefix(f"{sheet}/"): name
+                for name in channels.columns
+                if name.startswith(f"{sheet}/")
+            }
+            for sheet in channels.parts
+        }
+        families = [_Family(members, "sheet")]
+    elif channels.nested:
+        families = [*_structures(channels), *_cells(channels), *_groups(channels)]
+    else:
+        families = []
+    if part:
+        for family in families:
+            if part in family.members:
+                return Parts({part: _alone(channels, family.members[part])})
+        names = dict.fromkeys(name for family in families for name in family.members)
+        raise DataError(f"there is no part '{part}'; there are: {listed(names) or 'none'}.")
+    found = [family for family in families if _are_recordings(family, channels)]
+    inside = {column for f in found for member in f.members.values() for column in member.values()}
+    if not found or inside & {*named}:
+        return Parts({"": channels})
+    found = [f for f in found if f.has(named)] or found
+    if len({family.usual() for family in found}) > 1 or any(family.differs for family in found):
+        kinds = (
+            item for f in found for item in list(f.members.items())[: None if f.differs else 1]
+        )
+        listing = "; ".join(f"{name} with {listed(member)}" for name, member in kinds)
+        raise DataError(f"it holds recordings of several kinds: {listing}; {CHOOSE}.")
+    held, broken = {}, {}
+    for family in found:
+        for name, member in family.members.items():
+            if lacking := sorted(family.usual() - member.keys()):
+                broken[name] = f"it lacks {listed(lacking)}"
+            else:
+                held[name] = _alone(channels, member)
+    return Parts(held, broken)
+
+
+def several(names: Collection[str]) -> DataError:
+    """The error of a file with several recordings where one is wanted."""
+    return DataError(
+        f"it holds {len(names)} recordings: {listed(names)}; read all of them with"
+        f" rx.read_recordings, or {CHOOSE}."
+    )
+
+
+def _alone(channels: Channels, member: Member) -> Channels:
+    """A part as a file of its own, with what lies beside the parts and is as long."""
+    columns = {inner: channels.columns[name] for inner, name in member.items()}
+    sizes = {values.size for values in columns.values()}
+    timed = any(map(_is_time, columns))
+    source = dict(member)
+    for name, values in channels.columns.items():
+        beside = not (_INDEXED.fullmatch(name) or _SEPARATOR.search(name))
+        if beside and values.size in sizes and not (timed and _is_time(name)):
+            source.setdefault(name, name)
+    alone = Channels({}, left_out=channels.left_out, notes=channels.notes)
+    inner = {name: own for own, name in source.items()}
+    for name, own in inner.items():
+        alone.take(own, channels.columns[name], channels.units.get(name, ""))
+        if (time := channels.time_of.get(name)) in inner:
+            alone.time_of[own] = inner[time]
+    return alone
+
+
+def _structures(channels: Channels) -> Iterator[_Family]:
+    """Arrays of structures, and cells with structures in them: `runs(1).x`, `runs{1}.x`."""
+    heads: dict[str, dict[str, Member]] = {}
+    for name in _every_name(channels):
+        found = _INDEXED.fullmatch(name)
+        if found and found["rest"].startswith("."):
+            members = heads.setdefault(found["head"], {})
+            member = members.setdefault(found["head"] + found["index"], {})
+            if name in channels.columns:
+                member[found["rest"][1:]] = name
+    return (_Family(members, "element") for members in heads.values())
+
+
+def _cells(channels: Channels) -> Iterator[_Family]:
+    """Cells of vectors and matrices, those of equal lengths together: `T{1}`, `X{1}[0]`, ..."""
+    heads: dict[str, dict[str, Member]] = {}
+    for name in channels.columns:
+        found = _INDEXED.fullmatch(name)
+        if found and found["index"][0] == "{" and not found["rest"].startswith("."):
+            inner = _SEPARATOR.split(found["head"])[-1] + found["rest"]
+            heads.setdefault(found["head"], {}).setdefault(found["index"], {})[inner] = name
+    gathered: list[tuple[str, dict[str, Member]]] = []
+    for head, members in heads.items():
+        for _, family in gathered:
+            common = family.keys() & members.keys()
+            if len(common) == min(len(family), len(members)) and all(
+                _size(channels, family[index]) == _size(channels, members[index])
+                for index in common
+            ):
+                for index, member in members.items():
+                    family.setdefault(index, {}).update(member)
+                break
+        else:
+            gathered.append((head, members))
+    for head, members in gathered:
+        yield _Family({head + index: member for index, member in members.items()}, "element")
+
+
+def _groups(channels: Channels) -> Iterator[_Family]:
+    """Groups within one group, those with numbers behind one stem together: `run1/x`, `run2/x`."""
+    names = [name for name in _every_name(channels) if not _INDEXED.fullmatch(name)]
+    for depth in range(DEEPEST_GROUP):
+        families: dict[tuple[str, bool], dict[str, Member]] = {}
+        for name in names:
+            marks = [mark.start() for mark in _SEPARATOR.finditer(name)]
+            if len(marks) <= depth:
+                continue
+            group, inner = name[: marks[depth]], name[marks[depth] + 1 :]
+            found = _NUMBERED.fullmatch(group)
+            stem = found["stem"] if found else name[: marks[depth - 1]] if depth else ""
+            member = families.setdefault((stem, bool(found)), {}).setdefault(group, {})
+            if name in channels.columns:
+                member[inner] = name
+        for (_, numbered), members in families.items():
+            # Groups of HDF5 stand in the order of the alphabet, run10 before run2.
+            number = {g: match for g in members if (match := _NUMBERED.fullmatch(g))}
+            order = sorted(members, key=lambda g: int(number[g]["number"])) if numbered else members
+            yield _Family({g: members[g] for g in order}, "number" if numbered else "name")
+
+
+def _every_name(channels: Channels) -> list[str]:
+    """Names of columns, and of what was left out: an empty part is a part."""
+    return [*channels.columns, *channels.left_out]
+
+
+def _are_recordings(family: _Family, channels: Channels) -> bool:
+    if len(family.members) < 2 or family.kind == "sheet":
+        return len(family.members) >= 2
+    usual = family.usual()
+    signals = [name for name in usual if not _is_time(name)]
+    # The last of their names, without a place in a matrix.
+    bare = [_SEPARATOR.split(name)[-1].partition("[")[0].lower() for name in signals]
+    if len(usual) < 2 or {*bare} <= {*GENERIC}:
+        return False
+    members = [member for member in family.members.values() if member]
+    sizes = {_size(channels, member) for member in members}
+    if len(signals) < len(usual):
+        # Sensors record for as long as each other, tests rarely.
+        spans = [_span(channels, member) for member in members]
+        apart = len(signals) > 1 and max(spans) > (1 + UNLIKE) * min(spans)
+        return family.kind != "name" or apart
+    if family.kind != "element":
+        return family.kind == "number" and len(sizes) > 1
+    beside = {channels.columns[name].size for name in channels.columns if _is_time(name)}
+    return not (len(sizes) == 1 and sizes <= beside)
+
+
+def _is_time(name: str) -> bool:
+    return clocks.is_called_time(_SEPARATOR.split(name)[-1], {})
+
+
+def _size(channels: Channels, member: Member) -> int:
+    return max((channels.columns[name].size for name in member.values()), default=0)
+
+
+def _span(channels: Channels, member: Member) -> float:
+    """How long a part lasts, in the units of its time; 0 without one."""
+    times = [channels.columns[name] for inner, name in member.items() if _is_time(inner)]
+    return max((float(np.nanmax(time) - np.nanmin(time)) for time in times), default=0.0)
