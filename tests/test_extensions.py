@@ -28,12 +28,10 @@ import dataclasses
 
 import click
 import numpy as np
-from riecjax.records.reading import Channels, read_apart
+from riecjax.records.reading import Channels, apart
 
+@apart("XYZ")
 def read(file, decimal=None):
-    return read_apart(read_here, file, "XYZ", decimal)
-
-def read_here(file, decimal):
     text = file.read_text().replace(decimal or ".", ".")
     rows = np.array([line.split() for line in text.splitlines()], float)
     return Channels({"t": rows[:, 0], "x": rows[:, 1]}, {"x": "mm"})

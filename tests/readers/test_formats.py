@@ -1,6 +1,7 @@
 """What each format has of its own: structures, groups, sheets, stamps, units, its own times."""
 
 import datetime
+import inspect
 import json
 from pathlib import Path
 
@@ -21,9 +22,9 @@ import riecjax as rx
 from damage import outcome
 from riecjax.errors import DataError
 from riecjax.readers import hdf5
-from riecjax.readers.matlab import _channels_v5
-from riecjax.records.reading.parquet import _read as read_parquet
-from riecjax.records.reading.read import read_channels
+from riecjax.readers.matlab import read_v5
+from riecjax.records.reading.channels import read_channels
+from riecjax.records.reading.parquet import read_parquet
 
 N = 60
 TIME = 0.05 * np.arange(N)
@@ -160,7 +161,7 @@ def test_objects_of_matlab_are_named(tmp_path, monkeypatch):
     found = {"None": scipy.io.matlab.MatlabOpaque(opaque)}
     scipy.io.savemat(tmp_path / "b.mat", {"x": X})
     monkeypatch.setattr(scipy.io, "loadmat", lambda source: found)
-    assert "timetable" in _channels_v5(tmp_path / "b.mat").left_out["TT"]
+    assert "timetable" in inspect.unwrap(read_v5)(tmp_path / "b.mat").left_out["TT"]
 
 
 BESIDE = {
@@ -225,7 +226,7 @@ def test_too_many_groups_and_pictures_of_hdf5(tmp_path, monkeypatch):
     assert "not that of channels" in channels.left_out["video"]
     monkeypatch.setattr(hdf5, "MOST_ITEMS", 2)
     with pytest.raises(DataError, match="at most 2 are read"):
-        hdf5._read(tmp_path / "a.h5")
+        inspect.unwrap(hdf5.read_hdf5)(tmp_path / "a.h5")
 
 
 def counts_in_hdf5(path, dtype, **attributes):
@@ -367,7 +368,7 @@ def test_what_parquet_takes_is_counted_before_it_is_read(tmp_path, monkeypatch):
     parquet.write_table(pa.table({"x": np.zeros(10**6)}), tmp_path / "a.parquet")
     monkeypatch.setattr("riecjax.memory.free_memory", lambda: 4e7)
     with pytest.raises(MemoryError, match=r"takes about 0\.064 GB of memory, and 0\.04 GB"):
-        read_parquet(tmp_path / "a.parquet")
+        inspect.unwrap(read_parquet)(tmp_path / "a.parquet")
 
 
 def workbook(path, **sheets):

@@ -23,7 +23,7 @@ def command(given: Given) -> None:
     from riecjax.criteria.windows import DEFAULT_BAND
     from riecjax.models.catalogue import find_model
     from riecjax.models.column_proposal import map_lines
-    from riecjax.records.reading.read import read_channels
+    from riecjax.records.reading.channels import read_channels
     from riecjax.records.reading.selection import recordings_in
 
     model, read = find_model(given.model_name), given.take(Read)

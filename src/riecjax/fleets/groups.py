@@ -125,13 +125,13 @@ def grouped(
             parts = waiting.pop(name)
             parts.sort(key=lambda part: (part[0].digest, part[0].name, part[0].start))
             rows, kinds = zip(*parts)
-            whole = []
+            merged = []
             for every in zip(*kinds):
                 recordings = [recording for summary in every for recording in summary.recordings]
                 joined = every[0].of_recordings(recordings)
                 pooled = joined.pool_recordings(BLOCKS) if len(recordings) > FEW else joined
-                whole.append(pooled.to_bytes())
-            yield Group(name, rows, tuple(whole))
+                merged.append(pooled.to_bytes())
+            yield Group(name, rows, tuple(merged))
 
 
 def estimated(order: bytes, groups: Sequence[Group]) -> list[list[Entry]]:

@@ -132,7 +132,24 @@ class Order:
         **Raises:** what the first recording fails by, where none of the first can be read;
         `ModelError` for a criterion that draws windows, and for known values that are none.
         """
-        first = self._first(sources)
+        # The first recording that can be read, or as much of it as is enough.
+        errors: list[Exception] = []
+        for source in sources[:TRIED]:
+            # What is wrong with one recording is told by its row.
+            try:
+                run = self.runs_of(Piece(source))[0]
+                rows = run.low, min(run.high, run.low + LOOKED_AT)
+                with at_hand(run, rows, self.storage) as file:
+                    first = self.recordings_in(file)[0]
+                break
+            except Exception as error:
+                errors.append(error)
+        else:
+            name = sources[0].name
+            raise DataError(
+                f"none of the first {len(errors)} recordings can be read; the first: "
+                f"{name}: {reason_of(errors[0]).removeprefix(f'{name}: ')}"
+            )
         plan_parameters(self.model, 1, self.settings.known, ())
         if self.settings.says_of_criterion:
             criterion = criterion_for(self.settings, self.model, ())
@@ -178,24 +195,6 @@ class Order:
                 f"the recordings anew."
             )
         return dataclasses.replace(self, criterion=summary.criterion)
-
-    def _first(self, sources: Sequence[Source]) -> Recording:
-        """The first recording that can be read, or as much of it as is enough."""
-        errors: list[Exception] = []
-        for source in sources[:TRIED]:
-            # What is wrong with one recording is told by its row.
-            try:
-                run = self.runs_of(Piece(source))[0]
-                rows = run.low, min(run.high, run.low + LOOKED_AT)
-                with at_hand(run, rows, self.storage) as file:
-                    return self.recordings_in(file)[0]
-            except Exception as error:
-                errors.append(error)
-        name = sources[0].name
-        raise DataError(
-            f"none of the first {len(errors)} recordings can be read; the first: "
-            f"{name}: {reason_of(errors[0]).removeprefix(f'{name}: ')}"
-        )
 
     def pieces_of(self, sources: Sequence[Source]) -> Iterator[Piece]:
         """The pieces of all sources, in their order: of long ones stretches."""

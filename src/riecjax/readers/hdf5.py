@@ -1,13 +1,12 @@
 """Reading HDF5 files, with the extra `hdf5`; MATLAB's v7.3 walks through them as well."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.extensions import require_packages
 from riecjax.records import reading
 
 DEEPEST = 16
@@ -21,6 +20,7 @@ SCALES = ("scale", "Scale", "gain", "Gain", "factor", "slope", "sensitivity")
 """Attributes of counts by which they may be multiplied, or divided, or were."""
 
 
+@reading.apart("HDF5", needs="HDF5")
 def read_hdf5(file: Path) -> reading.Channels:
     """Read an HDF5 file: datasets called by their path, as `run/position`.
 
@@ -32,11 +32,6 @@ def read_hdf5(file: Path) -> reading.Channels:
     **Raises:** `DataError` for a damaged file, one that unpacks to too much, or where h5py is not
     installed; `MemoryError`.
     """
-    require_packages("HDF5")
-    return reading.read_apart(_read, file, "HDF5")
-
-
-def _read(file: Path) -> reading.Channels:
     import h5py
 
     arrays: dict[str, Any] = {}
@@ -55,7 +50,18 @@ def _read(file: Path) -> reading.Channels:
             whole.notes.extend(notes)
             reading.check_declared(names=[*arrays, *columns])
             arrays |= columns
-            stated |= _units(columns, dataset)
+            # One unit for all columns of a dataset, or one for each.
+            attribute = next((dataset.attrs[key] for key in UNITS if key in dataset.attrs), ())
+            units = [
+                u.decode(errors="replace") if isinstance(u, bytes) else str(u)
+                for u in np.ravel(attribute)
+            ]
+            scale = next((key for key in SCALES if _number(dataset, key) is not None), "")
+            if scale and dataset.dtype.kind in "iu":
+                units = [f"{u or 'counts'}{reading.BY_ATTRIBUTE}{scale}" for u in units or [""]]
+            units *= len(columns) if len(units) == 1 else 1
+            if len(units) == len(columns):
+                stated |= dict(zip(columns, units))
     whole.note_left_out("dataset")
     whole.take_all(reading.vectors(arrays))
     for column in whole.columns:
@@ -148,20 +154,3 @@ def _columns(name: str, dataset: Any) -> tuple[dict[str, np.ndarray], list[str]]
 def _number(dataset: Any, attribute: str) -> float | None:
     value = np.ravel(dataset.attrs.get(attribute, ()))
     return float(value[0]) if value.size == 1 and value.dtype.kind in "iuf" else None
-
-
-def _units(columns: Iterable[str], dataset: Any) -> dict[str, str]:
-    """Column to unit: one attribute for all columns of a dataset, or one for each."""
-    stated = next((dataset.attrs[name] for name in UNITS if name in dataset.attrs), ())
-    units = [
-        u.decode(errors="replace") if isinstance(u, bytes) else str(u) for u in np.ravel(stated)
-    ]
-    scale = next((key for key in SCALES if _number(dataset, key) is not None), "")
-    if scale and dataset.dtype.kind in "iu":
-        units = [f"{unit or 'counts'}{reading.BY_ATTRIBUTE}{scale}" for unit in units or [""]]
-    names = list(columns)
-    if len(units) == 1:
-        units *= len(names)
-    return (
-        {name: unit for name, unit in zip(names, units) if unit} if len(units) == len(names) else {}
-    )

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.extensions import require_packages
 from riecjax.readers.hdf5 import DEEPEST, check_size, walk
 from riecjax.records import reading
 
@@ -40,9 +39,8 @@ def read_mat(file: Path) -> reading.Channels:
     with file.open("rb") as stream:
         start = stream.read(HEADER + len(HDF5))
     if start.startswith(V73) or HDF5 in (start[: len(HDF5)], start[HEADER:]):
-        require_packages("HDF5")
-        return reading.read_apart(_read_v73, file, "MAT (v7.3)")
-    return reading.read_apart(_channels_v5, file, "MAT", is_trusted=False)
+        return read_v73(file)
+    return read_v5(file)
 
 
 def _channels(arrays: Arrays, objects: Objects) -> reading.Channels:
@@ -60,7 +58,9 @@ def _is_word(array: np.ndarray) -> bool:
     return array.dtype.kind == "U" and array.size == 1
 
 
-def _channels_v5(file: Path) -> reading.Channels:
+@reading.apart("MAT", is_trusted=False)
+def read_v5(file: Path) -> reading.Channels:
+    """Read a file of version 4 or 5."""
     import scipy.io
 
     with file.open("rb") as stream:
@@ -110,7 +110,9 @@ def _parts(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndar
         yield name, array
 
 
-def _read_v73(file: Path) -> reading.Channels:
+@reading.apart("MAT (v7.3)", needs="HDF5")
+def read_v73(file: Path) -> reading.Channels:
+    """Read a file of version 7.3."""
     import h5py
 
     with h5py.File(file, "r") as source:

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.extensions import require_packages
 from riecjax.records import reading
 
 IDENTIFICATIONS = (b"MDF ", b"UnFinMF ")
 """What an MDF file begins with, finished or not."""
 
 
+@reading.apart("MDF", needs="MDF")
 def read_mdf(file: Path) -> reading.Channels:
     """Read an MDF file: every channel group has its own time axis.
 
@@ -22,14 +22,9 @@ def read_mdf(file: Path) -> reading.Channels:
 
     **Raises:** `DataError` for a damaged file, or where asammdf is not installed; `MemoryError`.
     """
-    require_packages("MDF")
     with file.open("rb") as stream:
         if not stream.read(8).startswith(IDENTIFICATIONS):
             raise DataError("not a readable MDF file: it has no header of an MDF file.")
-    return reading.read_apart(_read, file, "MDF")
-
-
-def _read(file: Path) -> reading.Channels:
     import asammdf
 
     with file.open("rb") as stream, asammdf.MDF(stream) as source:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.extensions import require_packages
 from riecjax.records import reading
 
 LONGEST_ARRAY = 100
@@ -15,6 +14,7 @@ CLOCKS_AGREE = 60e9
 """Nanoseconds by which stamps of a message and of its log may differ on one clock."""
 
 
+@reading.apart("ROS bag", needs="ROS", is_trusted=False)
 def read_ros_bag(file: Path) -> reading.Channels:
     """Read a bag: fields of the messages of a topic, called `/topic.field`.
 
@@ -26,11 +26,6 @@ def read_ros_bag(file: Path) -> reading.Channels:
 
     **Raises:** `DataError` for a damaged bag, or where rosbags is not installed; `MemoryError`.
     """
-    require_packages("ROS")
-    return reading.read_apart(_read, file, "ROS bag", is_trusted=False)
-
-
-def _read(file: Path) -> reading.Channels:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 

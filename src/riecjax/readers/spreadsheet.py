@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from riecjax.errors import DataError
-from riecjax.extensions import require_packages
 from riecjax.memory import require_memory
 from riecjax.records import reading
 
@@ -20,6 +19,7 @@ FEWEST_ROWS, FEWEST_COLUMNS = 10, 2
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 
+@reading.apart("Excel", needs="Excel")
 def read_spreadsheet(
     file: Path, decimal: str | None = None, columns: Sequence[str] = ()
 ) -> reading.Channels:
@@ -36,15 +36,10 @@ def read_spreadsheet(
     **Raises:** `DataError` for a damaged file, one that unpacks to too much, one without a table,
     or where python-calamine is not installed; `MemoryError`.
     """
-    require_packages("Excel")
-    size = MEMORY_PER_BYTE * file.stat().st_size
-    require_memory(f"reading {file.name}", size, "Read a part of the file.")
-    return reading.read_apart(_read, file, "Excel", decimal, list(columns))
-
-
-def _read(file: Path, decimal: str | None, columns: Sequence[str]) -> reading.Channels:
     import python_calamine
 
+    size = MEMORY_PER_BYTE * file.stat().st_size
+    require_memory(f"reading {file.name}", size, "Read a part of the file.")
     with zipfile.ZipFile(file) as archive:
         size = sum(member.file_size for member in archive.infolist())
     reading.check_declared(unpacked=size, packed=file.stat().st_size)

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.extensions import require_packages
 from riecjax.records import reading
 
 UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 """Properties that state a channel's unit."""
 
 
+@reading.apart("TDMS", needs="TDMS")
 def read_tdms(file: Path) -> reading.Channels:
     """Read a TDMS file: channels called `group/channel`, or `channel` where there is one group.
 
@@ -23,14 +23,9 @@ def read_tdms(file: Path) -> reading.Channels:
 
     **Raises:** `DataError` for a damaged file, or where npTDMS is not installed; `MemoryError`.
     """
-    require_packages("TDMS")
-    return reading.read_apart(_read, file, "TDMS")
+    from nptdms import TdmsFile
 
-
-def _read(file: Path) -> reading.Channels:
     with file.open("rb") as stream:
-        from nptdms import TdmsFile
-
         source = TdmsFile.read_metadata(stream)
         channels = [channel for group in source.groups() for channel in group.channels()]
         names = [f"{channel.group_name}/{channel.name}" for channel in channels]

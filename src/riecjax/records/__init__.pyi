@@ -11,5 +11,5 @@ from .preparation import shift as shift
 from .preparation import unfilter as unfilter
 from .preparation import upsample as upsample
 from .preparation import with_local_derivative as with_local_derivative
-from .reading.read import read_channels as read_channels
+from .reading.channels import read_channels as read_channels
 from .record import stack_records as stack_records

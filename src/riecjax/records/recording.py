@@ -17,8 +17,7 @@ from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation import align, split
 from riecjax.records.preparation.alignment import declared_pairs
 from riecjax.records.preparation.steps import halves, idle_cuts, prepare
-from riecjax.records.reading.channels import Channels
-from riecjax.records.reading.read import LONGEST_MESSAGE, read_channels
+from riecjax.records.reading.channels import LONGEST_MESSAGE, Channels, read_channels
 from riecjax.records.reading.selection import Parts, record_from_channels, recordings_in, several
 from riecjax.records.reading.times import TIME_COLUMNS
 from riecjax.records.reading.units import same, split_unit

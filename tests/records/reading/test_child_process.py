@@ -12,7 +12,7 @@ import pytest
 
 from riecjax.errors import DataError
 from riecjax.records.reading import child_process
-from riecjax.records.reading.read import read_channels
+from riecjax.records.reading.channels import read_channels
 
 TIME = np.arange(400) * 0.01
 CODE = {
@@ -77,8 +77,8 @@ def test_one_process_reads_file_after_file(whole, tmp_path):
 
 def test_the_process_ends_with_the_one_that_asks(whole):
     code = (
-        "import os, signal, sys; from riecjax.records.reading import child_process, read\n"
-        "read.read_channels(sys.argv[1]); reader = child_process._readers[0]\n"
+        "import os, signal, sys; from riecjax.records.reading import channels, child_process\n"
+        "channels.read_channels(sys.argv[1]); reader = child_process._readers[0]\n"
         "print(reader.folder, flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)"
     )

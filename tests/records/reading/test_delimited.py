@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
+from riecjax.records.reading.channels import read_channels
 from riecjax.records.reading.delimited import LONGEST_LINE
-from riecjax.records.reading.read import read_channels
 from riecjax.records.recording import read_record
 
 LONG = 900

@@ -8,6 +8,7 @@ takes longer than most reading, and is ended where a file took too long or too m
 
 import atexit
 import contextlib
+import functools
 import os
 import pickle
 import shutil
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from riecjax.errors import DataError
+from riecjax.extensions import require_packages
 from riecjax.memory import free_memory
 from riecjax.records.reading.channels import LARGEST_FILE, Channels, foreign_reader, size_of
 from riecjax.whole_files import temporary
@@ -35,20 +37,34 @@ LEAST_MEMORY = 2 * 2**30
 """Bytes that it may ask for in any case: libraries reserve much that they never use."""
 
 
-def read_apart(
-    read: Callable[..., Channels],
-    file: Path,
-    kind: str,
-    *arguments: object,
-    is_trusted: bool = True,
-) -> Channels:
-    """What `read(file, *arguments)` returns, a function of a module, run in a process of its own.
+def apart(
+    kind: str, needs: str = "", is_trusted: bool = True
+) -> Callable[[Callable[..., Channels]], Callable[..., Channels]]:
+    """Make a function of a module that reads a file one that runs in a process of its own.
 
-    **Arguments:** `kind` of the file, for messages; `is_trusted`, as for
+    **Arguments:** `kind` of the file, for messages; `needs`: a use of optional packages that
+    riecjax knows, which must be installed; `is_trusted`, as for
     [`foreign_reader`][riecjax.records.reading.foreign_reader], within which it runs.
 
-    **Raises:** `DataError` where the function fails, crashes, or takes too long; `MemoryError`.
+    **Raises:** `DataError` where the function fails, crashes, or takes too long, or packages are
+    not installed; `MemoryError`.
     """
+
+    def decorated(read: Callable[..., Channels]) -> Callable[..., Channels]:
+        @functools.wraps(read)
+        def asked(file: Path, *arguments: object, **named: object) -> Channels:
+            if needs:
+                require_packages(needs)
+            return _answer(asked, file, (arguments, named), kind, is_trusted)
+
+        return asked
+
+    return decorated
+
+
+def _answer(
+    read: Callable[..., Channels], file: Path, arguments: object, kind: str, is_trusted: bool
+) -> Channels:
     limit = PATIENCE + size_of(file) / SLOWEST_READING
     with _lock:
         if not (_readers and _readers[0].is_usable):
@@ -153,7 +169,8 @@ def _serve(folder: str) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     try:
         while True:
-            read, file, arguments, kind, is_trusted, limit = pickle.load(sys.stdin.buffer)
+            question = pickle.load(sys.stdin.buffer)
+            read, file, (arguments, named), kind, is_trusted, limit = question
             # Ends a loop that the parent cannot, having been killed itself; threads count together.
             with contextlib.suppress(ImportError, ValueError, OSError):
                 import resource
@@ -163,7 +180,7 @@ def _serve(folder: str) -> None:
                 resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
             try:
                 with foreign_reader(kind, is_trusted):
-                    answer = read(file, *arguments)
+                    answer = read.__wrapped__(file, *arguments, **named)
             except (DataError, MemoryError) as error:
                 answer = error
             pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)

@@ -23,6 +23,7 @@ SPARSEST, FEWEST_CHECKED = 100, 10**6
 """Places of a table for each value at most, where it has more places than the second number."""
 
 
+@foreign_reader("JSON")
 def read_json_lines(file: Path) -> Channels:
     """Read JSON lines: an object for each sample; blank lines count for nothing.
 
@@ -32,11 +33,12 @@ def read_json_lines(file: Path) -> Channels:
     **Raises:** `DataError` naming the line that is no object, and for damaged files.
     """
     notes: list[str] = []
-    with foreign_reader("JSON"), file.open("rb") as stream:
+    with file.open("rb") as stream:
         found = _channels({"": _objects(stream, notes)})
     return replace(found, notes=notes + found.notes)
 
 
+@foreign_reader("JSON")
 def read_json(file: Path) -> Channels:
     """Read one JSON document: an array of objects, or an object of arrays, perhaps in others.
 
@@ -46,17 +48,16 @@ def read_json(file: Path) -> Channels:
 
     **Raises:** `DataError` for damaged files.
     """
-    with foreign_reader("JSON"):
-        content = file.read_bytes()
-        try:
-            document = json.loads(content)
-        except json.JSONDecodeError as error:
-            # A second document: lines of objects under the wrong ending.
-            if error.msg != "Extra data" or error.lineno != 2:
-                raise
-            return read_json_lines(file)
-        tables = dict(_tables("", _as_rows(document)))
-        return _channels(tables, {n: v for n, v in _leaves("", document) if isinstance(v, str)})
+    content = file.read_bytes()
+    try:
+        document = json.loads(content)
+    except json.JSONDecodeError as error:
+        # A second document: lines of objects under the wrong ending.
+        if error.msg != "Extra data" or error.lineno != 2:
+            raise
+        return read_json_lines(file)
+    tables = dict(_tables("", _as_rows(document)))
+    return _channels(tables, {n: v for n, v in _leaves("", document) if isinstance(v, str)})
 
 
 def _as_rows(document: Any) -> Any:

@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 from riecjax.memory import require_memory
 from riecjax.records.reading.channels import Channels, check_declared
-from riecjax.records.reading.child_process import read_apart
+from riecjax.records.reading.child_process import apart
 from riecjax.records.reading.literals import compute, floats, of_texts
 from riecjax.records.reading.times import TIME_COLUMNS, unwrapped
 
@@ -21,6 +21,7 @@ UNNAMED_INDEX = "__index_level_0__"
 """What pandas calls the index of a frame when it has no name."""
 
 
+@apart("Parquet")
 def read_parquet(file: Path) -> Channels:
     """Read a Parquet file: numbers, and time stamps and durations as seconds, also as text.
 
@@ -28,10 +29,6 @@ def read_parquet(file: Path) -> Channels:
 
     **Raises:** `DataError` for a damaged file or one that unpacks to too much; `MemoryError`.
     """
-    return read_apart(_read, file, "Parquet")
-
-
-def _read(file: Path) -> Channels:
     # Not by its name, by which PyArrow would look for partitions in folders beside it.
     with (
         file.open("rb") as stream,
