@@ -98,7 +98,6 @@ def walk(
         name, item, depth = waiting.pop()
         if depth > DEEPEST or item in entered:
             continue
-        within = None
         if isinstance(item, h5py.Group):
             _check_items(followed + len(item))
             before = name + separator if name else ""
@@ -109,9 +108,7 @@ def walk(
                 if not (name == "" and key.startswith("#"))
                 and isinstance(item.get(key, getlink=True), h5py.HardLink)
             ]
-        elif isinstance(item, h5py.Dataset):
-            if not item.shape or item.is_virtual or item.external:
-                continue
+        elif getattr(item, "shape", None) and not (item.is_virtual or item.external):
             within = inside(name, item)
         else:
             continue

@@ -282,10 +282,10 @@ def _converted_as_said(signals: _Signals, channels: Channels, selection: Select)
             said[target], signal = (name, by), signals[target]
             if isinstance(by, str):
                 signal.unit = by
-                continue
-            # Scaled to seconds, whatever its name says.
-            is_time = clocks.is_called_time(target, {}) and clocks.unit_of_time(target)
-            signal.values, signal.unit = signal.values * by, "s" if is_time else ""
+            else:
+                # Scaled to seconds, whatever its name says.
+                is_time = clocks.is_called_time(target, {}) and clocks.unit_of_time(target)
+                signal.values, signal.unit = signal.values * by, "s" if is_time else ""
     return {*said}
 
 
