@@ -102,18 +102,18 @@ class Cluster(contextlib.AbstractContextManager):
             opened.enter_context(dask.config.set(SETTINGS))
             try:
                 if scheduler is None:
-                    folder = tempfile.TemporaryDirectory(prefix="riecjax-")
-                    self._processes = opened.enter_context(
-                        distributed.LocalCluster(
-                            n_workers=workers,
-                            threads_per_worker=1,
-                            processes=True,
-                            dashboard_address=None,
-                            host="127.0.0.1",
-                            local_directory=opened.enter_context(folder),
-                            silence_logs=logging.CRITICAL,
-                        )
-                    )
+                    settings = {
+                        "n_workers": workers,
+                        "threads_per_worker": 1,
+                        "processes": True,
+                        "dashboard_address": None,
+                        "host": "127.0.0.1",
+                        "local_directory": opened.enter_context(
+                            tempfile.TemporaryDirectory(prefix="riecjax-")
+                        ),
+                        "silence_logs": logging.CRITICAL,
+                    }
+                    self._processes = opened.enter_context(distributed.LocalCluster(**settings))
                 self._client = opened.enter_context(
                     distributed.Client(
                         scheduler or self._processes,

@@ -19,7 +19,6 @@ from riecjax.fleets.report import Fleet
 from riecjax.fleets.settings import Fleets, Progress
 from riecjax.fleets.sources import Piece, Source, find_sources
 from riecjax.settings import taking
-from riecjax.whole_files import no_folder
 
 PATTERNS = "paths of recordings, as in 'drives/**/*.csv', of which each is read once"
 
@@ -79,10 +78,7 @@ def fleet(
         else:
             sources = look()
             order = asked.fitted(sources)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(no_folder(folder, error)) from None
+        kept.make_folder(folder)
         store = None if has_table else kept.SumStore(folder, order)
         runs = stack.enter_context(engine(settings.workers, settings.scheduler))
         changed: list[str] = []

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
 from riecjax.fleets.engine import batches
 from riecjax.fleets.order import DONE, Order, Row
-from riecjax.whole_files import write_file
+from riecjax.whole_files import no_folder, write_file
 
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
 ESTIMATES = "estimates.parquet"
@@ -34,6 +34,17 @@ def is_result(folder: Path, path: str) -> bool:
     """Whether a path is one of those that a run writes into a folder, and no recording."""
     below = os.path.relpath(path, folder).replace(os.sep, "/")
     return below in RESULTS or below.startswith(f"{PARTS}/")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder that is to be written to.
+
+    **Raises:** `DataError` where that cannot be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(no_folder(folder, error)) from None
 
 
 def write_batches(

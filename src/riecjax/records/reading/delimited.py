@@ -598,8 +598,8 @@ def read_table(
         f"{comments} comment line{'s' * (comments > 1)} skipped": comments,
     }
     notes = [*(note for note, holds in decided.items() if holds), *read.notes, *notes, *numbered]
-    units = {name: unit for name, unit in (stated | read.units).items() if name in read.columns}
-    whole = replace(read, units=units, notes=notes)
+    stated = {name: unit for name, unit in (stated | read.units).items() if name in read.columns}
+    whole = replace(read, units=stated, notes=notes)
     whole.note_left_out("column")
     return whole
 
