@@ -12,6 +12,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import pyarrow as pa
+from pyarrow import parquet
+
 from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
 from riecjax.fleets.engine import batches
 from riecjax.fleets.order import DONE, Order, Row
@@ -59,9 +62,6 @@ def write_batches(
 
     **Raises:** `DataError` where it cannot be written.
     """
-    import pyarrow as pa
-    from pyarrow import parquet
-
     types = {str: pa.string(), float: pa.float64(), int: pa.int64(), bytes: pa.binary()}
     types |= {known | None: arrow for known, arrow in types.items()}
     schema = pa.schema([(name, types[known]) for name, known in kind.__annotations__.items()])
@@ -99,8 +99,6 @@ def _opened(file: str | os.PathLike[str]) -> Iterator[tuple[Any, dict[bytes, byt
     **Raises:** `DataError` for a file that is not there, holds something else, or is found to be
     damaged while it is read; `ModelError` for one of another schema.
     """
-    from pyarrow import parquet
-
     name = Path(file).name
     try:
         with parquet.ParquetFile(file, page_checksum_verification=True) as source:

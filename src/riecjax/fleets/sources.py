@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
+from pyarrow import concat_tables, parquet
 
 from riecjax.errors import DataError, RiecjaxError, reason_of
 from riecjax.records.reading import endings, foreign_reader
@@ -264,7 +265,6 @@ def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> 
     **Raises:** `DataError` where it cannot be read; `OSError` where it cannot be written.
     """
     import fsspec
-    from pyarrow import concat_tables, parquet
 
     whole = "" if piece.stop else piece.source.urls[0]
     if whole and "://" not in whole:
@@ -302,7 +302,6 @@ def _parquet(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
     **Raises:** `DataError` where it cannot be.
     """
     import fsspec
-    from pyarrow import parquet
 
     with _in_words(f"'{url}' cannot be read"), fsspec.open(url, "rb", **storage) as stream:
         with foreign_reader("Parquet"):

@@ -222,7 +222,8 @@ def with_units_beside(channels: Channels, texts: Mapping[str, str]) -> Channels:
         within = [c for c in channels.columns if c.startswith(f"{found['of']}.")]
         inner = [c for c in within if c[len(found["of"]) + 1 :] not in TIME_COLUMNS]
         own = [found["of"]] if found["of"] in channels.columns else inner
-        units |= {own[0]: text.strip()} if len(own) == 1 and own[0] not in units else {}
+        if len(own) == 1:
+            units.setdefault(own[0], text.strip())
     return replace(channels, units=units)
 
 

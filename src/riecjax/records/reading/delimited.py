@@ -278,7 +278,7 @@ def layout(
             raise DataError("the file is empty; the first row must name the columns.")
         if len(filled) == 1:
             raise DataError("there are no samples below the column names.")
-        place = filled[min(len(filled) - 1, len(filled) // 2)]
+        place = filled[len(filled) // 2]
         raise DataError(
             f"no line holds numbers between delimiters; line {place + 1} is {lines[place][:60]!r}."
             " Take off brackets and labels, name delimiter and decimal sign (on the command line:"
