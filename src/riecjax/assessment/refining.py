@@ -294,7 +294,7 @@ def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] 
             )
         return None
     # Derivatives that equations are solved for.
-    motions = system.structure.motions if isinstance(system, EquationSystem) else ()
+    motions = system.motions if isinstance(system, EquationSystem) else ()
     leading = {motion[-1] for motion in motions}
     outputs = [name for name, _ in system.outputs if held(name) and name not in leading]
     if not outputs:

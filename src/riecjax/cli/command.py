@@ -198,8 +198,7 @@ class Given:
         typed = {k: v for k, v in self.typed.items() if k not in ("as_json", "out")}
         for name, further in self.command.typed(words).items():
             option = self.command.options[name]
-            said = option.beside(self.values[name], further)
-            typed[name] = _with_names(typed.get(name), said)
+            typed[name] = _with_names(typed.get(name), option.beside(self.values[name], further))
             typed = {k: v for k, v in typed.items() if k not in option.excludes}
         said = [(self.command.options[name], value) for name, value in typed.items()]
         files = [word for option, value in said if not option.flag for word in option.words(value)]
@@ -266,8 +265,7 @@ def digests(files: Iterable[str], folder: Path | None = None) -> list[dict[str, 
 
 def _with_names(before: Any, value: Any) -> Any:
     """What is said of some names beside what was said of others; of all else, what is said last."""
-    is_named = isinstance(before, dict) and isinstance(value, dict)
-    return {**before, **value} if is_named else value
+    return {**before, **value} if isinstance(before, dict) and isinstance(value, dict) else value
 
 
 class SettingsCommand(click.Command):

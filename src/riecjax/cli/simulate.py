@@ -56,35 +56,22 @@ def command(given: Given) -> None:
     check_writable(given.out)
     model = find_model(given.model_name)
     system = model.build_system(given.known)
+    sizes = {name: given.values[name] for name in ("duration", "rate", "bandwidth", "rms", "seed")}
     with Progress():
-        inputs = drive(
-            given.source,
-            system.input_names,
-            duration=given.duration,
-            rate=given.rate,
-            bandwidth=given.bandwidth,
-            rms=given.rms,
-            seed=given.seed,
-        )
+        inputs = drive(given.source, system.input_names, **sizes)
         columns = 1 + len(inputs.arrays) + len(system.states) + len(system.outputs)
         needed = inputs.sample_count * columns * BYTES_PER_VALUE
         require_memory(f"simulating {inputs.sample_count} samples", needed, "Shorten --duration.")
         simulation = simulate(system, inputs).checked()
         record = simulation.record.select(*model.written) if model.written else simulation.record
         write_record(given.out, record)
-    document = {
-        "schema": SCHEMA,
-        "model": model.name,
-        "file": str(given.out),
-        "columns": ["t", *record.arrays],
-        "samples": record.sample_count,
-        "time_step": float(record.time_step),
-        "seed": given.seed,
-    }
+    step, names = float(record.time_step), ["t", *record.arrays]
     if given.as_json:
-        answer(document)
+        document = {"schema": SCHEMA, "model": model.name, "file": str(given.out)}
+        sampling = {"columns": names, "samples": record.sample_count, "time_step": step}
+        answer(document | sampling | {"seed": given.seed})
     else:
         click.echo(
-            f"wrote {given.out}: {record.sample_count} samples at "
-            f"{1 / float(record.time_step):g} Hz, columns t, {', '.join(record.arrays)}"
+            f"wrote {given.out}: {record.sample_count} samples at {1 / step:g} Hz, columns "
+            f"{', '.join(names)}"
         )

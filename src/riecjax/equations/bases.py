@@ -12,7 +12,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete
@@ -57,11 +56,8 @@ class RoofFunctions(AbstractBasis):
     **Raises:** `ModelError` unless there are at least two break points in increasing order.
     """
 
-    break_points: Float[Leaf, " points"]
+    break_points: Float[Leaf, " points"] = eqx.field(converter=as_leaf)
     is_continuous: ClassVar[bool] = True
-
-    def __init__(self, break_points: Sequence[float] | ArrayLike | Array):
-        self.break_points = as_leaf(break_points)
 
     def __check_init__(self):
         points = self.break_points
@@ -84,14 +80,13 @@ class RoofFunctions(AbstractBasis):
         """R_i(x) for every i."""
         # Each roof looks at x by itself: to look up the segment of x takes four times as long.
         points, x = self.points, x[None, :]
-        widths = jnp.diff(points)
         one, inner = jnp.ones(1, points.dtype), points[1:-1]
         far = jnp.inf * one
         falls = ~(x < jnp.concatenate([-far, inner, far])[:, None])
         ended = x >= jnp.concatenate([inner, far, far])[:, None]
         begun = ~(x < jnp.concatenate([-far, -far, inner])[:, None])
         start = jnp.where(falls, points[:, None], jnp.pad(points, (1, 0))[:-1, None])
-        width = jnp.concatenate([one, widths, one])
+        width = jnp.concatenate([one, jnp.diff(points), one])
         share = (x - start) / jnp.where(falls, width[1:, None], width[:-1, None])
         return jnp.where(falls, jnp.where(ended, 0.0, 1 - share), jnp.where(begun, share, 0.0))
 
@@ -152,6 +147,10 @@ def roof(break_points: Sequence[float]) -> RoofFunctions:
     return RoofFunctions(break_points)
 
 
+def _leaf_or_none(value: float | Array | None) -> Leaf | None:
+    return None if value is None else as_leaf(value)
+
+
 class Friction(AbstractBasis):
     """Viscous and Coulomb friction, shared by both directions or separate, and Stribeck's.
 
@@ -172,20 +171,11 @@ class Friction(AbstractBasis):
     **Raises:** `ModelError` unless speeds are positive.
     """
 
-    asymmetric: bool = eqx.field(static=True)
-    stribeck: Leaf | None
-    smooth: Leaf | None
+    asymmetric: bool = eqx.field(static=True, kw_only=True, default=False)
+    stribeck: Leaf | None = eqx.field(converter=_leaf_or_none, kw_only=True, default=None)
+    smooth: Leaf | None = eqx.field(converter=_leaf_or_none, kw_only=True, default=None)
 
-    def __init__(
-        self,
-        *,
-        asymmetric: bool = False,
-        stribeck: float | Array | None = None,
-        smooth: float | Array | None = None,
-    ):
-        self.asymmetric = asymmetric
-        self.stribeck = None if stribeck is None else as_leaf(stribeck)
-        self.smooth = None if smooth is None else as_leaf(smooth)
+    def __check_init__(self):
         _require_positive("the Stribeck speed", self.stribeck)
         _require_positive("the smoothing width", self.smooth)
 

@@ -76,8 +76,7 @@ class InMotion(AbstractTerm):
         ratio = combined(lambda v: jnp.clip(v / self.width, -FAR, FAR), velocity)
         weight = combined(lambda r: r**2 / (1 + r**2), ratio)
         if order or not self.term.derivative:
-            below = self.term.derivative if order else 0
-            samples = self.term.samples(record, below)
+            samples = self.term.samples(record, self.term.derivative if order else 0)
             return combined(lambda values, weight: values * weight[None], samples, weight)
         if self.derivative:
             of = combined(lambda v, r: v - self.width * jnp.arctan(r), velocity, ratio)
@@ -94,21 +93,31 @@ def in_motion(model: "Model", record: Record) -> "Model":
 
     The same unless rests are to be masked, and under trace; and of hidden elements.
     """
-    unmasked = model.at_rest == "keep" or model.has_hidden
-    rests = {} if unmasked else rests_of(model, record)
-    if not rests:
-        return model
+    rests = {} if model.at_rest == "keep" or model.has_hidden else rests_of(model, record)
 
-    def of(equation: Equation) -> Equation:
-        own = reversing_states(equation.terms, sorted(rests), sorted(record.arrays))
-        terms = _weighted(equation, own[0], rests[own[0]]) if len(own) == 1 else None
-        if terms is None:
+    def weighted(equation: Equation) -> Equation:
+        velocities = reversing_states(equation.terms, sorted(rests), sorted(record.arrays))
+        if len(velocities) != 1:
             return equation
+        velocity, width = velocities[0], np.asarray(rests[velocities[0]].width)
+        below = {of: 1 for of, name in equation.derivatives if name == velocity} | {velocity: 0}
+        orders = [
+            term.derivative - below.get(term.signal or "", -2) if term.derivative else 0
+            for term in equation.terms
+        ]
+        # A term may be a derivative of something else.
+        if max(orders) > 1:
+            return equation
+        terms = (
+            InMotion(term=term, velocity=velocity, width=width, of=term.of, derivative=order)
+            for term, order in zip(equation.terms, orders)
+        )
         return equation.of_terms(*terms)
 
-    weighted = replace(model, stages=model.by_stage(of))
-    unchanged = all(a is b for a, b in zip(weighted.equations, model.equations))
-    return model if unchanged else weighted
+    stages = model.by_stage(weighted) if rests else model.stages
+    equations = (equation for stage in stages for equation in stage)
+    unchanged = all(a is b for a, b in zip(equations, model.equations))
+    return model if unchanged else replace(model, stages=stages)
 
 
 def rests_of(model: "Model", record: Record) -> dict[str, Rest]:
@@ -125,27 +134,6 @@ def rests_of(model: "Model", record: Record) -> dict[str, Rest]:
     return {name: rest for name, rest in found.items() if name in jumping}
 
 
-def _weighted(equation: Equation, velocity: str, rest: Rest) -> list[InMotion] | None:
-    """Its terms times the weight; `None` where one is a derivative of something else."""
-    taken = {of: 1 for of, name in equation.derivatives if name == velocity} | {velocity: 0}
-    orders = [
-        term.derivative - taken.get(term.signal or "", -2) if term.derivative else 0
-        for term in equation.terms
-    ]
-    if max(orders) > 1:
-        return None
-    return [
-        InMotion(
-            term=term,
-            velocity=velocity,
-            width=np.asarray(rest.width),
-            of=term.of,
-            derivative=order,
-        )
-        for term, order in zip(equation.terms, orders)
-    ]
-
-
 ASIDE, JUMP = 1e-9, 1e-4
 """A velocity to either side of zero, and the share of itself that a function jumps by there."""
 
@@ -157,14 +145,14 @@ def reversing_states(
 
     **Arguments:** terms of `signals`, the states among these.
     """
-    found: set[str] = set()
+    jumping: set[str] = set()
     for term in terms:
         continuous = term.is_linear or (term.basis is not None and term.basis.is_continuous)
         if not continuous:
-            found |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
-        elif not isinstance(term.of, str):
-            found |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
-    return tuple(state for state in states if state in found)
+            jumping |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
+        elif callable(term.of):
+            jumping |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
+    return tuple(state for state in states if state in jumping)
 
 
 def _jumping(

@@ -1,7 +1,6 @@
 """An equation of motion, linear in its parameters."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ from jaxtyping import Array, Bool
 from riecjax.compilation import kept_jit
 from riecjax.equations.expressions import (
     Expression,
-    combined,
     evaluate,
     label_of,
     read_expression,
@@ -23,7 +21,6 @@ from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Signals
-from riecjax.records.signal import Signal
 from riecjax.shows import Shown
 
 PROBE = 64
@@ -99,8 +96,7 @@ class Equation(Shown, eqx.Module):
     @property
     def units(self) -> dict[str, str]:
         """Unit of each named coefficient."""
-        units = [pair for term in self.terms for pair in term.units.items()]
-        return first_stated(units)
+        return first_stated([pair for term in self.terms for pair in term.units.items()])
 
     @property
     def known(self) -> Mapping[str, Leaf]:
@@ -127,30 +123,18 @@ class Equation(Shown, eqx.Module):
             for pair in zip((term.of, *term.measured), term.measured)
         )
 
-    def trusted(self, sampled: Signal, record: Record) -> Signal:
-        """Samples of the equation, present only where it is to be trusted."""
-        if self.where is None:
-            return sampled
-        mask = evaluate(self.where, record)
-        holds = Signal(mask.values, mask.values.astype(bool))
-        return combined(lambda values, *_: values, sampled, mask, holds)
-
-    def signals_read(self, record: Record, smoothness: int) -> set[str]:
+    def signals_read(self, record: Record, smoothness: int, masked: bool = True) -> set[str]:
         """Names of the signals that a criterion reads which takes `smoothness` derivatives off.
+
+        **Arguments:** `masked`: with those that only the mask reads.
 
         **Raises:** as [`evaluate`][] does, for an expression that cannot be evaluated.
         """
-        read, signals = self.terms_read(record, smoothness), record.signals
-        if self.where is not None:
-            read_expression(self.where, signals)
-        return read | signals.read
-
-    def terms_read(self, record: Record, smoothness: int) -> set[str]:
-        """The same without those that only the mask reads."""
         signals = record.signals
         for term in self.terms:
-            order = max(term.derivative - smoothness, 0)
-            read_expression(term.expression(record, order), signals)
+            read_expression(term.expression(record, max(term.derivative - smoothness, 0)), signals)
+        if masked and self.where is not None:
+            read_expression(self.where, signals)
         return signals.read
 
 
@@ -183,7 +167,7 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
     tried: list[tuple[str, Expression | AbstractTerm]] = []
     for equation in equations:
         for expression in (*(term.of for term in equation.terms), equation.where):
-            if expression is not None and not isinstance(expression, str):
+            if callable(expression):
                 tried.append((f"{equation.name}: {label_of(expression)}", expression))
         for term in equation.terms:
             if from_elsewhere(type(term)) or from_elsewhere(type(term.basis)):
@@ -191,12 +175,10 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
     if not tried:
         return []
     at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)
-    probe = Record(
-        {name: np.asarray(values)[at] for name, values in record.arrays.items()},
-        record.time_step,
-    )
-    alone = np.asarray(_each_by_itself(tuple(function for _, function in tried), probe))
-    return [label for (label, _), good in zip(tried, alone) if not good]
+    arrays = {name: np.asarray(values)[at] for name, values in record.arrays.items()}
+    labels, functions = zip(*tried)
+    alone = np.asarray(_each_by_itself(functions, Record(arrays, record.time_step)))
+    return [label for label, good in zip(labels, alone) if not good]
 
 
 @kept_jit
@@ -204,18 +186,19 @@ def _each_by_itself(
     functions: tuple[Expression | AbstractTerm, ...], record: Record
 ) -> Bool[Array, " expressions"]:
     half = PROBE // 2
-    parts = [record.part(0, half), record.part(half, PROBE)]
-
-    def samples(function: Expression | AbstractTerm, record: Record) -> Any:
-        if isinstance(function, AbstractTerm):
-            return samples_of(function, record, 0).values
-        return evaluate(function, record).values
+    parts = [record, record.part(0, half), record.part(half, PROBE)]
 
     def alone(function: Expression | AbstractTerm) -> Bool[Array, ""]:
-        whole = samples(function, record)
-        halves = jnp.concatenate([samples(function, part) for part in parts], axis=-1)
+        samples = (
+            samples_of(function, part, 0)
+            if isinstance(function, AbstractTerm)
+            else evaluate(function, part)
+            for part in parts
+        )
+        whole, *halves = (jnp.asarray(signal.values) for signal in samples)
         # Of differences of large numbers, compilers may round halves otherwise than the whole.
         size = jnp.max(jnp.abs(whole), where=jnp.isfinite(whole), initial=0.0)
-        return jnp.all(jnp.isclose(whole, halves, rtol=1e-9, atol=1e-9 * size, equal_nan=True))
+        both = jnp.concatenate(halves, axis=-1)
+        return jnp.all(jnp.isclose(whole, both, rtol=1e-9, atol=1e-9 * size, equal_nan=True))
 
     return jnp.stack([alone(function) for function in functions])

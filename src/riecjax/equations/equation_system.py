@@ -28,7 +28,7 @@ Hidden modes, and springs in series, are written out: their states are further o
 forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_elements`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -54,57 +54,290 @@ Motion = tuple[str, ...]
 """A signal, and the names of its derivatives up to the leading one."""
 
 
-class Structure(NamedTuple):
-    """What each signal of the equations is.
+class WrittenOut(NamedTuple):
+    """Equations with hidden elements written out in them.
 
-    **Fields:** `motions`; `rates`, expressions for the derivatives of further states;
-    `determined`, signals that static equations determine; `inputs`; `reversing`, states at whose
-    zero the equations jump; `hidden` states of elements that are written out; `implicit`, places of
-    terms that are functions of unknowns; `listed`, signals in the model's order.
+    **Fields:** `equations`; `rates`, expressions for the derivatives of further states; `hidden`
+    states of the elements; `springs` in series with force elements.
     """
 
-    motions: tuple[Motion, ...]
-    rates: tuple[tuple[str, Expression], ...]
-    determined: tuple[str, ...]
-    inputs: tuple[str, ...] = ()
-    reversing: tuple[str, ...] = ()
-    hidden: tuple[HiddenState, ...] = ()
-    implicit: frozenset[tuple[int, int]] = frozenset()
-    listed: tuple[str, ...] = ()
+    equations: tuple[Equation, ...]
+    rates: Mapping[str, Expression]
+    hidden: tuple[HiddenState, ...]
+    springs: tuple[SpringElement, ...]
+
+
+def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
+    """A term's expression; of a signal, the name of the derivative that is to be read."""
+    signal = term.signal
+    if signal is None or not term.derivative:
+        return term.of
+    for motion in motions:
+        if signal in motion:
+            return motion[motion.index(signal) + term.derivative]
+    if term.derivative > len(term.measured):
+        raise ModelError(
+            f"a derivative of {signal} is needed and cannot be formed: name the signal that holds "
+            f"it (measured=...)."
+        )
+    return term.measured[term.derivative - 1]
+
+
+class EquationSystem(AbstractSystem):
+    """Equations with values for their coefficients, as a system; see [`equation_system`][].
+
+    Values are array leaves and all else is static: new values compile nothing anew.
+
+    **Fields:** `equations`, those of hidden elements among them, with the `values` of their
+    coefficients; `springs` in series with force elements; what each signal is: `states`, below the
+    leading derivatives, `inputs` and `outputs`; `motions`; `rates`, expressions for the derivatives
+    of further states; `unknowns`, what the equations are solved for; `hidden` states of elements;
+    `reversing`, states at whose zero the equations jump; `implicit`, places of terms that are
+    functions of unknowns.
+    """
+
+    equations: tuple[Equation, ...]
+    values: dict[str, Array]
+    springs: tuple[SpringElement, ...]
+    states: Quantities = eqx.field(static=True)  # pyright: ignore
+    inputs: Quantities = eqx.field(static=True)  # pyright: ignore
+    outputs: Quantities = eqx.field(static=True)  # pyright: ignore
+    motions: tuple[Motion, ...] = eqx.field(static=True)
+    rates: tuple[tuple[str, Expression], ...] = eqx.field(static=True)
+    unknowns: tuple[str, ...] = eqx.field(static=True)
+    hidden: tuple[HiddenState, ...] = eqx.field(static=True)
+    reversing: tuple[str, ...] = eqx.field(static=True)  # pyright: ignore
+    implicit: frozenset[tuple[int, int]] = eqx.field(static=True)
 
     @property
-    def states(self) -> tuple[str, ...]:
-        """Signals and derivatives below the leading one, those with a rate, and hidden ones.
+    def carried(self) -> tuple[str, ...]:  # pyright: ignore
+        """States of hidden modes, and forces of springs."""
+        return tuple(state.name for state in self.hidden)
 
-        In the order in which the model lists them, if it does.
+    def carried_levels(
+        self, signals: Mapping[str, Float[Array, " n"]]
+    ) -> Mapping[str, Float[Array, " n"]]:
+        """The motion of hidden masses, and forces that elements have where their springs rest."""
+        levels = {s.name: signals[s.follows] for s in self.hidden if s.follows in signals}
+        for spring in self.springs:
+            levels |= spring.at_rest(signals, self.values)
+        return levels
+
+    @property
+    def velocity_of(self) -> Mapping[str, str]:
+        """State to the state that is its time derivative."""
+        return {m[0]: m[1] for m in self.motions if len(m) == 3}
+
+    def derivative(self, state: State, inputs: Inputs) -> State:
+        """Time derivative of the state, by solving the equations for their unknowns."""
+        flow = self._flow(self._solved(self._known_signals(state, inputs)))
+        return jnp.concatenate([flow[name] for name in self.state_names])
+
+    def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
+        """Leading derivatives under their recorded names, and what static equations determine.
+
+        At rest under dry friction, which does not name a force, a mass that sticks has none of the
+        first, and one that is let go has that of the side it leaves on.
         """
-        hidden = [state.name for state in self.hidden]
-        place = {name: i for i, name in enumerate((*self.listed, "", *hidden))}
-        lower = (name for motion in self.motions for name in motion[:-1])
-        states = dict.fromkeys((*lower, *(name for name, _ in self.rates), *hidden))
-        return tuple(sorted(states, key=lambda name: place.get(name, place[""])))
+        stuck: dict[str, Array] = {}
+        if self.reversing:
+            regime = regime_at(self, state, inputs)
+            state = regime.seen(state)
+            pairs = (pair for motion in self.motions for pair in pairwise(motion))
+            stuck = {rate: regime.stuck[self.state_names.index(name)] for name, rate in pairs}
+        signals = self._solved(self._known_signals(state, inputs))
+        values = {name: signals[name][0] for name, _ in self.outputs}
+        return {n: jnp.where(stuck[n], 0.0, v) if n in stuck else v for n, v in values.items()}
 
-    @property
-    def unknowns(self) -> tuple[str, ...]:
-        """What the equations are solved for: leading derivatives, and determined signals."""
-        return (*(motion[-1] for motion in self.motions), *self.determined)
+    @eqx.filter_jit
+    def probed(
+        self, state: Array, inputs: Array, unknowns: Array
+    ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Float[Array, " n"]]:
+        """r0 and J at a point, and the residuals of some values of the unknowns."""
+        signals = self._known_signals(state, inputs)
+        rows, names = self._rows(signals), self.unknowns
+        none = jnp.zeros_like(unknowns[0])
+        slopes = [jnp.stack([slopes.get(name, none) for name in names]) for _, slopes in rows]
+        whole = {**signals, **dict(zip(names, unknowns[:, None]))}
+        found = [sum((self._term(t, whole) for t in e.terms), start=none) for e in self.equations]
+        return jnp.stack([rest for rest, _ in rows]), jnp.stack(slopes), jnp.stack(found)
+
+    # Signals have shape (1,), so that an expression written for the samples of a record needs no
+    # second version for a point.
+    def _known_signals(self, state: Array, inputs: Array) -> dict[str, Array]:
+        levels = {name: state[i : i + 1] for i, name in enumerate(self.state_names)}
+        return levels | {n: inputs[i : i + 1] for i, n in enumerate(self.input_names)}
+
+    def _solved(self, signals: dict[str, Array]) -> dict[str, Array]:
+        """Known signals and unknowns."""
+        rows = dict(enumerate(self._rows(signals)))
+        solution: dict[str, Array] = {}
+
+        def without_solved(rest: Array, slopes: dict[str, Array]) -> Array:
+            return sum((slopes[n] * solution[n] for n in slopes if n in solution), start=rest)
+
+        # An equation with one unknown left is a division; those that are coupled remain.
+        while single := [i for i, (_, slopes) in rows.items() if len({*slopes} - {*solution}) == 1]:
+            rest, slopes = rows.pop(single[0])
+            (name,) = {*slopes} - {*solution}
+            solution[name] = -without_solved(rest, slopes) / slopes[name]
+        coupled = [name for name in self.unknowns if name not in solution]
+        if coupled:
+            rest = jnp.stack([without_solved(*row) for row in rows.values()])
+            none = jnp.zeros_like(rest[0])
+            matrix = [jnp.stack([row[1].get(n, none) for n in coupled]) for row in rows.values()]
+            solution |= dict(zip(coupled, solve_few(jnp.stack(matrix), -rest)))
+        return signals | {name: value[None] for name, value in solution.items()}
+
+    def _rows(self, signals: dict[str, Array]) -> list[tuple[Array, dict[str, Array]]]:
+        """Of each equation r0, and those columns of J in which it may be other than zero."""
+        zero = jnp.zeros((1,), next(iter(signals.values())).dtype)
+        zeros = dict.fromkeys(self.unknowns, zero)
+        rows = []
+        for i, equation in enumerate(self.equations):
+            values, slopes = [], {}
+            for j, term in enumerate(equation.terms):
+                columns = {}
+                if (i, j) in self.implicit:
+                    value, push = jax.linearize(
+                        lambda unknowns, term=term: self._term(term, {**signals, **unknowns}), zeros
+                    )
+                    values.append(value)
+                    columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
+                elif (name := str(expression_read(term, self.motions))) in zeros:
+                    columns = {name: self._term(term, {name: zero + 1})}
+                else:
+                    values.append(self._term(term, signals))
+                for name, column in columns.items():
+                    slopes[name] = slopes[name] + column if name in slopes else column
+            rows.append((sum(values, start=zero[0]), slopes))
+        return rows
+
+    def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
+        values = [self.values[name] for name in term.parameters]
+        factor, basis = jnp.asarray(term.factor), term.basis
+        if basis is not None:
+            law = partial(basis.interpolate, jnp.stack(values))
+            return factor * self._expression(term, signals, law)[0]
+        columns = self._expression(term, signals, term.functions)[:, 0]
+        if len(values) > 1:
+            return factor * jnp.stack(values) @ columns
+        return factor * (values[0] if values else 1.0) * columns[0]
+
+    def _expression(
+        self,
+        term: AbstractTerm,
+        signals: dict[str, Array],
+        function: Callable[[Array], Array] = lambda x: x,
+    ) -> Array:
+        """A function of the term's expression, differentiated in time as the term says.
+
+        Of an expression f of states x the chain rule gives d/dt f = f'(x) x', a forward derivative
+        along the flow, and of that once more the second: no formula is differentiated by hand.
+        """
+        of = expression_read(term, self.motions)
+        if isinstance(of, str) and term.signal is not None:
+            return function(signals[of])
+
+        def level(states: dict[str, Array]) -> Array:
+            # A constant may be one number for all samples.
+            known = Signals({**signals, **states})
+            samples = known[of] if isinstance(of, str) else of(known)
+            return function(jnp.atleast_1d(jnp.asarray(samples)))
+
+        def rate(function: Callable[[dict[str, Array]], Array]):
+            def along_motion(states: dict[str, Array]) -> Array:
+                return jax.jvp(function, (states,), (self._flow({**signals, **states}),))[1]
+
+            return along_motion
+
+        for _ in range(term.derivative):
+            level = rate(level)
+        with users_code(f"the expression {label_of(of)}"):
+            return level({name: signals[name] for name in self.state_names})
+
+    def _flow(self, signals: Mapping[str, Array]) -> dict[str, Array]:
+        """Time derivative of every state signal."""
+        flow = {
+            name: signals[following]
+            for motion in self.motions
+            for name, following in pairwise(motion)
+        }
+        known = Signals(signals)
+        flow |= {
+            name: signals[rate]
+            if isinstance(rate, str)
+            else jnp.atleast_1d(jnp.asarray(rate(known)))
+            for name, rate in self.rates
+        }
+        for spring in self.springs:
+            across = self._expression(spring.element, dict(signals))
+            flow[spring.state.name] = spring.rate(signals, self.values, across)
+        return flow
 
 
-def read_structure(
+def read_system(
     label: str,
-    equations: tuple[Equation, ...],
-    rates: Mapping[str, Expression],
+    written: WrittenOut,
+    values: dict[str, Array],
     inputs: frozenset[str],
-    hidden: tuple[HiddenState, ...],
-    springs: tuple[SpringElement, ...],
     listed: tuple[str, ...],
-) -> Structure:
-    """The structure of equations that are to be simulated, forces of hidden elements among them.
+    units: Mapping[str, str],
+) -> EquationSystem:
+    """The system of equations that are to be simulated, forces of hidden elements among them.
+
+    **Arguments:** `listed`, signals in the model's order, which is that of states.
 
     **Raises:** `ModelError` if they cannot be, whatever their coefficients; see
     [`equation_system`][].
     """
-    motions = _motions(label, equations, inputs, rates)
+    equations, rates, hidden, springs = written
+    # State signals in order of appearance, each with its longest chain of derivatives.
+    differentiated = [term for equation in equations for term in equation.terms if term.derivative]
+    moving = [
+        (term.signal, term.derivative, term.measured)
+        for term in differentiated
+        if term.signal is not None and term.signal not in inputs and term.signal not in rates
+    ]
+    names: dict[str, str] = {}
+    for name, _, measured in moving:
+        for lower, higher in zip((name, *measured), measured):
+            names.setdefault(lower, higher)
+    for name, derivative, _ in moving:
+        for _ in range(derivative):
+            name = names.setdefault(name, f"d{name}")
+    below = {higher: lower for lower, higher in names.items()}
+    positions = {name for name, _, _ in moving}
+    longest: dict[str, Motion] = {}
+    for name, derivative, _ in moving:
+        # A derivative of a velocity is one of the position, where the position is in the equations.
+        ancestors = [name]
+        while ancestors[-1] in below:
+            ancestors.append(below[ancestors[-1]])
+        steps = max(i for i, name in enumerate(ancestors) if name in positions)
+        signal, rise = ancestors[steps], derivative + steps
+        if rise > 2:
+            raise ModelError(
+                f"{label} cannot be simulated: it holds a derivative of order {rise} of {signal}."
+            )
+        chain = [signal]
+        for _ in range(rise):
+            chain.append(names[chain[-1]])
+        longest[signal] = max(longest.get(signal, ()), tuple(chain), key=len)
+    if not longest:
+        why = (
+            "it holds no derivative of a signal, so it is static and says nothing about motion. "
+            "Write what moves as a derivative, such as Term('m', 'x', derivative=2)."
+        )
+        if of := next((term.of for term in differentiated if term.signal is None), None):
+            why = (
+                f"it holds a derivative of the expression {label_of(of)} (of "
+                f"{', '.join(signals_read(of))}) and no derivative of a signal, so that no signal "
+                f"is a state. Make the expression a signal first (on the command line: --derive "
+                f"NAME=FORMULA), and write the term of that name."
+            )
+        raise ModelError(f"{label} cannot be simulated: {why}")
+    motions = tuple(longest.values())
     leading = {motion[-1] for motion in motions}
 
     def is_dynamic(term: AbstractTerm) -> bool:
@@ -112,21 +345,18 @@ def read_structure(
         return is_moving or bool(leading & {*signals_read(expression_read(term, motions))})
 
     # A static equation determines its first plain signal with a number for coefficient.
-    moving = {name for motion in motions for name in motion} | set(rates)
+    in_motion = {name for motion in motions for name in motion} | set(rates)
     determined = []
     for equation in (e for e in equations if not any(map(is_dynamic, e.terms))):
         known = (t.signal for t in equation.terms if not (t.parameters or t.derivative))
-        free = next((of for of in known if of is not None and of not in moving), None)
+        free = next((of for of in known if of is not None and of not in in_motion), None)
         if free is None:
             raise ModelError(
                 f"{label} cannot be simulated: {equation.name} holds no leading derivative, and no "
                 f"signal with a number for coefficient that it could determine."
             )
         determined.append(free)
-    structure = Structure(
-        motions, tuple(rates.items()), tuple(determined), hidden=hidden, listed=listed
-    )
-    states, unknowns = structure.states, structure.unknowns
+    unknowns = (*(motion[-1] for motion in motions), *determined)
     if repeated := {name for name in unknowns if unknowns.count(name) > 1}:
         raise ModelError(
             f"{label} cannot be simulated: two equations determine {', '.join(sorted(repeated))}."
@@ -141,6 +371,11 @@ def read_structure(
             f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
             f"unknown(s) ({', '.join(unknowns)}). {remedy}"
         )
+    carried = [state.name for state in hidden]
+    place = {name: i for i, name in enumerate((*listed, "", *carried))}
+    lower = (name for motion in motions for name in motion[:-1])
+    unsorted = dict.fromkeys((*lower, *rates, *carried))
+    states = sorted(unsorted, key=lambda name: place.get(name, place[""]))
     terms = [term for equation in equations for term in equation.terms]
     read: list[Expression] = []
     for term in (*terms, *(spring.element for spring in springs)):
@@ -176,288 +411,26 @@ def read_structure(
         for j, term in enumerate(equation.terms)
         if term.signal is None and (term.derivative or {*unknowns} & {*signals_read(term.of)})
     )
-    reversing = reversing_states(terms, states, (*states, *unknowns, *driving))
-    return structure._replace(inputs=driving, implicit=implicit, reversing=reversing)
+    # A derivative of a state has its name from the simulation, others the recorded one.
+    derivatives = {f"d{name}" for name in states}
 
-
-def _motions(
-    label: str,
-    equations: tuple[Equation, ...],
-    inputs: frozenset[str],
-    rates: Mapping[str, Expression],
-) -> tuple[Motion, ...]:
-    """State signals in order of appearance, with the order of their leading derivative."""
-    differentiated = [term for equation in equations for term in equation.terms if term.derivative]
-    moving = [
-        (term.signal, term.derivative, term.measured)
-        for term in differentiated
-        if term.signal is not None and term.signal not in inputs and term.signal not in rates
-    ]
-    names: dict[str, str] = {}
-    for name, _, measured in moving:
-        for lower, higher in zip((name, *measured), measured):
-            names.setdefault(lower, higher)
-    for name, derivative, _ in moving:
-        for _ in range(derivative):
-            name = names.setdefault(name, f"d{name}")
-    below = {higher: lower for lower, higher in names.items()}
-    positions = {name for name, _, _ in moving}
-    motions: dict[str, Motion] = {}
-    for name, derivative, _ in moving:
-        # A derivative of a velocity is one of the position, where the position is in the equations.
-        ancestors = [name]
-        while ancestors[-1] in below:
-            ancestors.append(below[ancestors[-1]])
-        steps = max(i for i, name in enumerate(ancestors) if name in positions)
-        signal, rise = ancestors[steps], derivative + steps
-        if rise > 2:
-            raise ModelError(
-                f"{label} cannot be simulated: it holds a derivative of order {rise} of {signal}."
-            )
-        chain = [signal]
-        for _ in range(rise):
-            chain.append(names[chain[-1]])
-        motions[signal] = max(motions.get(signal, ()), tuple(chain), key=len)
-    if not motions:
-        why = (
-            "it holds no derivative of a signal, so it is static and says nothing about motion. "
-            "Write what moves as a derivative, such as Term('m', 'x', derivative=2)."
-        )
-        if of := next((term.of for term in differentiated if term.signal is None), None):
-            why = (
-                f"it holds a derivative of the expression {label_of(of)} (of "
-                f"{', '.join(signals_read(of))}) and no derivative of a signal, so that no signal "
-                f"is a state. Make the expression a signal first (on the command line: --derive "
-                f"NAME=FORMULA), and write the term of that name."
-            )
-        raise ModelError(f"{label} cannot be simulated: {why}")
-    return tuple(motions.values())
-
-
-def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
-    """A term's expression; of a signal, the name of the derivative that is to be read."""
-    signal = term.signal
-    if signal is None or not term.derivative:
-        return term.of
-    for motion in motions:
-        if signal in motion:
-            return motion[motion.index(signal) + term.derivative]
-    if term.derivative > len(term.measured):
-        raise ModelError(
-            f"a derivative of {signal} is needed and cannot be formed: name the signal that holds "
-            f"it (measured=...)."
-        )
-    return term.measured[term.derivative - 1]
-
-
-class EquationSystem(AbstractSystem):
-    """Equations with values for their coefficients, as a system; see [`equation_system`][].
-
-    Values are array leaves and the structure is static: new values compile nothing anew.
-    """
-
-    equations: tuple[Equation, ...]
-    values: dict[str, Array]
-    structure: Structure = eqx.field(static=True)
-    units: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    springs: tuple[SpringElement, ...] = ()
-
-    @property
-    def states(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Signals and first derivatives below leading ones, and those of hidden elements."""
-        return self._with_units(self.structure.states)
-
-    @property
-    def inputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Every other signal that the equations read."""
-        return self._with_units(self.structure.inputs)
-
-    @property
-    def outputs(self) -> Quantities:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Leading derivatives under their recorded names, and what static equations determine."""
-        rates = {f"d{name}" for name in self.structure.states}
-        return self._with_units([n for n in self.structure.unknowns if n not in rates])
-
-    @property
-    def reversing(self) -> tuple[str, ...]:
-        """States at whose zero the equations jump: velocities with dry friction."""
-        return self.structure.reversing
-
-    @property
-    def carried(self) -> tuple[str, ...]:
-        """States of hidden modes, and forces of springs."""
-        return tuple(state.name for state in self.structure.hidden)
-
-    def carried_levels(
-        self, signals: Mapping[str, Float[Array, " n"]]
-    ) -> Mapping[str, Float[Array, " n"]]:
-        """The motion of hidden masses, and forces that elements have where their springs rest."""
-        hidden = self.structure.hidden
-        levels = {s.name: signals[s.follows] for s in hidden if s.follows in signals}
-        for spring in self.springs:
-            levels |= spring.at_rest(signals, self.values)
-        return levels
-
-    @property
-    def velocity_of(self) -> Mapping[str, str]:
-        """State to the state that is its time derivative."""
-        return {m[0]: m[1] for m in self.structure.motions if len(m) == 3}
-
-    def derivative(self, state: State, inputs: Inputs) -> State:
-        """Time derivative of the state, by solving the equations for their unknowns."""
-        flow = self._flow(self._solved(self._known_signals(state, inputs)))
-        return jnp.concatenate([flow[name] for name in self.state_names])
-
-    def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
-        """Leading derivatives under their recorded names, and what static equations determine.
-
-        At rest under dry friction, which does not name a force, a mass that sticks has none of the
-        first, and one that is let go has that of the side it leaves on.
-        """
-        if not self.reversing:
-            signals = self._solved(self._known_signals(state, inputs))
-            return {name: signals[name][0] for name, _ in self.outputs}
-        regime = regime_at(self, state, inputs)
-        signals = self._solved(self._known_signals(regime.seen(state), inputs))
-        held = {
-            following: regime.stuck[self.state_names.index(name)]
-            for motion in self.structure.motions
-            for name, following in pairwise(motion)
-        }
-        return {
-            name: jnp.where(held.get(name, False), 0.0, signals[name][0])
-            for name, _ in self.outputs
-        }
-
-    @eqx.filter_jit
-    def probed(
-        self, state: Array, inputs: Array, unknowns: Array
-    ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Float[Array, " n"]]:
-        """r0 and J at a point, and the residuals of some values of the unknowns."""
-        signals = self._known_signals(state, inputs)
-        rows, names = self._rows(signals), self.structure.unknowns
-        none = jnp.zeros_like(unknowns[0])
-        slopes = [jnp.stack([slopes.get(name, none) for name in names]) for _, slopes in rows]
-        whole = {**signals, **dict(zip(names, unknowns[:, None]))}
-        found = [sum((self._term(t, whole) for t in e.terms), start=none) for e in self.equations]
-        return jnp.stack([rest for rest, _ in rows]), jnp.stack(slopes), jnp.stack(found)
-
-    # Signals have shape (1,), so that an expression written for the samples of a record needs no
-    # second version for a point.
-    def _known_signals(self, state: Array, inputs: Array) -> dict[str, Array]:
-        levels = {name: state[i : i + 1] for i, name in enumerate(self.structure.states)}
-        return levels | {n: inputs[i : i + 1] for i, n in enumerate(self.structure.inputs)}
-
-    def _solved(self, signals: dict[str, Array]) -> dict[str, Array]:
-        """Known signals and unknowns."""
-        rows = dict(enumerate(self._rows(signals)))
-        solution: dict[str, Array] = {}
-
-        def without_solved(rest: Array, slopes: dict[str, Array]) -> Array:
-            return sum((slopes[n] * solution[n] for n in slopes if n in solution), start=rest)
-
-        # An equation with one unknown left is a division; those that are coupled remain.
-        while single := [i for i, (_, slopes) in rows.items() if len({*slopes} - {*solution}) == 1]:
-            rest, slopes = rows.pop(single[0])
-            (name,) = {*slopes} - {*solution}
-            solution[name] = -without_solved(rest, slopes) / slopes[name]
-        coupled = [name for name in self.structure.unknowns if name not in solution]
-        if coupled:
-            rest = jnp.stack([without_solved(*row) for row in rows.values()])
-            none = jnp.zeros_like(rest[0])
-            matrix = [jnp.stack([row[1].get(n, none) for n in coupled]) for row in rows.values()]
-            solution |= dict(zip(coupled, solve_few(jnp.stack(matrix), -rest)))
-        return signals | {name: value[None] for name, value in solution.items()}
-
-    def _rows(self, signals: dict[str, Array]) -> list[tuple[Array, dict[str, Array]]]:
-        """Of each equation r0, and those columns of J in which it may be other than zero."""
-        zero = jnp.zeros((1,), next(iter(signals.values())).dtype)
-        zeros = dict.fromkeys(self.structure.unknowns, zero)
-        rows = []
-        for i, equation in enumerate(self.equations):
-            values, slopes = [], {}
-            for j, term in enumerate(equation.terms):
-                columns = {}
-                if (i, j) in self.structure.implicit:
-                    value, push = jax.linearize(
-                        lambda unknowns, term=term: self._term(term, {**signals, **unknowns}), zeros
-                    )
-                    values.append(value)
-                    columns = {name: push({**zeros, name: zero + 1}) for name in zeros}
-                elif (name := str(expression_read(term, self.structure.motions))) in zeros:
-                    columns = {name: self._term(term, {name: zero + 1})}
-                else:
-                    values.append(self._term(term, signals))
-                for name, column in columns.items():
-                    slopes[name] = slopes[name] + column if name in slopes else column
-            rows.append((sum(values, start=zero[0]), slopes))
-        return rows
-
-    def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
-        values = [self.values[name] for name in term.parameters]
-        factor, basis = jnp.asarray(term.factor), term.basis
-        if basis is not None:
-            law = partial(basis.interpolate, jnp.stack(values))
-            return factor * self._expression(term, signals, law)[0]
-        columns = self._expression(term, signals, term.functions)[:, 0]
-        if len(values) > 1:
-            return factor * jnp.stack(values) @ columns
-        return factor * (values[0] if values else 1.0) * columns[0]
-
-    def _expression(
-        self,
-        term: AbstractTerm,
-        signals: dict[str, Array],
-        function: Callable[[Array], Array] = lambda x: x,
-    ) -> Array:
-        """A function of the term's expression, differentiated in time as the term says.
-
-        Of an expression f of states x the chain rule gives d/dt f = f'(x) x', a forward derivative
-        along the flow, and of that once more the second: no formula is differentiated by hand.
-        """
-        of = expression_read(term, self.structure.motions)
-        if isinstance(of, str) and term.signal is not None:
-            return function(signals[of])
-
-        def level(states: dict[str, Array]) -> Array:
-            # A constant may be one number for all samples.
-            known = Signals({**signals, **states})
-            samples = known[of] if isinstance(of, str) else of(known)
-            return function(jnp.atleast_1d(jnp.asarray(samples)))
-
-        def rate(function: Callable[[dict[str, Array]], Array]):
-            def along_motion(states: dict[str, Array]) -> Array:
-                return jax.jvp(function, (states,), (self._flow({**signals, **states}),))[1]
-
-            return along_motion
-
-        for _ in range(term.derivative):
-            level = rate(level)
-        with users_code(f"the expression {label_of(of)}"):
-            return level({name: signals[name] for name in self.structure.states})
-
-    def _flow(self, signals: Mapping[str, Array]) -> dict[str, Array]:
-        """Time derivative of every state signal."""
-        flow = {
-            name: signals[following]
-            for motion in self.structure.motions
-            for name, following in pairwise(motion)
-        }
-        known = Signals(signals)
-        flow |= {
-            name: signals[rate]
-            if isinstance(rate, str)
-            else jnp.atleast_1d(jnp.asarray(rate(known)))
-            for name, rate in self.structure.rates
-        }
-        for spring in self.springs:
-            across = self._expression(spring.element, dict(signals))
-            flow[spring.state.name] = spring.rate(signals, self.values, across)
-        return flow
-
-    def _with_units(self, names: Sequence[str]) -> Quantities:
-        units = dict(self.units)
+    def with_units(names: Iterable[str]) -> Quantities:
         return tuple((name, units.get(name, "")) for name in names)
+
+    return EquationSystem(
+        equations=equations,
+        values=values,
+        springs=springs,
+        states=with_units(states),
+        inputs=with_units(driving),
+        outputs=with_units(name for name in unknowns if name not in derivatives),
+        motions=motions,
+        rates=tuple(rates.items()),
+        unknowns=unknowns,
+        hidden=hidden,
+        reversing=reversing_states(terms, states, (*states, *unknowns, *driving)),
+        implicit=implicit,
+    )
 
 
 def require_solvable(label: str, system: EquationSystem) -> None:
@@ -472,8 +445,8 @@ def require_solvable(label: str, system: EquationSystem) -> None:
             raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
     # Of NumPy's, which the compiled function takes as they are.
     state: Any = np.random.default_rng(0).uniform(0.2, 0.9, len(system.states))
-    level: Any = np.linspace(0.3, 0.7, len(system.structure.inputs))
-    unknowns = system.structure.unknowns
+    level: Any = np.linspace(0.3, 0.7, len(system.inputs))
+    unknowns = system.unknowns
     probe: Any = np.random.default_rng(1).uniform(0.5, 1.5, len(unknowns))
     probed = system.probed(state, level, probe)
     rest, slopes, found = (np.asarray(part) for part in probed)

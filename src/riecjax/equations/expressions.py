@@ -116,13 +116,12 @@ def constant(signals: Signals) -> Array:
 class _Formula:
     """A function of signals that is equal to another one of this kind and these arguments.
 
-    **Fields:** `kind`, as users call it; `arguments`, expressions and numbers, of the `function`;
+    **Fields:** `kind`, as users call it, in `FORMULAS`; `arguments`, expressions and numbers;
     `words`.
     """
 
     kind: str
     arguments: tuple[Expression | float, ...]
-    function: Callable[..., Array]
     words: str
 
     @property
@@ -142,27 +141,16 @@ class _Formula:
             signals[of] if isinstance(of, str) else of(signals) if callable(of) else of
             for of in self.arguments
         )
-        return self.function(*values)
+        return FORMULAS[self.kind](*values)
 
 
-def _times(*factors: Array) -> Array:
-    return functools.reduce(operator.mul, factors)
-
-
-def _minus(first: Array, second: Array) -> Array:
-    return first - second
-
-
-def _beyond(x: Array, threshold: float) -> Array:
-    return jnp.abs(x) > threshold
-
-
-def _odd(x: Array, power: int) -> Array:
-    return x**power if power % 2 else jnp.sign(x) * jnp.abs(x) ** power
-
-
-def _even(x: Array, power: int) -> Array:
-    return jnp.abs(x) ** power if power % 2 else x**power
+FORMULAS: dict[str, Callable[..., Array]] = {
+    "odd": lambda x, power: x**power if power % 2 else jnp.sign(x) * jnp.abs(x) ** power,
+    "even": lambda x, power: jnp.abs(x) ** power if power % 2 else x**power,
+    "product": lambda *factors: functools.reduce(operator.mul, factors),
+    "difference": operator.sub,
+    "equations.faster_than": lambda x, threshold: jnp.abs(x) > threshold,
+}
 
 
 def _raised(base: str, power: int) -> str:
@@ -175,13 +163,13 @@ def odd(name: str, power: int) -> _Formula:
         words = _raised(name, power)
     else:
         words = f"{name} {_raised(f'|{name}|', power - 1)}" if power else f"sign({name})"
-    return _Formula("odd", (name, power), _odd, words)
+    return _Formula("odd", (name, power), words)
 
 
 def even(name: str, power: int) -> _Formula:
     """|x|^power of a signal x, the same in both directions."""
     words = _raised(f"|{name}|" if power % 2 else name, power) if power else "1"
-    return _Formula("even", (name, power), _even, words)
+    return _Formula("even", (name, power), words)
 
 
 def source_of(of: Expression) -> str | None:
@@ -197,12 +185,12 @@ def source_of(of: Expression) -> str | None:
 
 def product(*factors: Expression) -> _Formula:
     """The product of signals and expressions, such as `product("current", "flux")`."""
-    return _Formula("product", factors, _times, " ".join(map(label_of, factors)))
+    return _Formula("product", factors, " ".join(map(label_of, factors)))
 
 
 def difference(first: str, second: str) -> _Formula:
     """One signal minus another, such as the velocity across a damper."""
-    return _Formula("difference", (first, second), _minus, f"{first} - {second}")
+    return _Formula("difference", (first, second), f"{first} - {second}")
 
 
 def faster_than(name: str, threshold: float) -> _Formula:
@@ -211,8 +199,7 @@ def faster_than(name: str, threshold: float) -> _Formula:
     Near standstill the sign of a measured velocity is noise, and so is Coulomb friction
     computed from it.
     """
-    words = f"|{name}| > {threshold:g}"
-    return _Formula("equations.faster_than", (name, threshold), _beyond, words)
+    return _Formula("equations.faster_than", (name, threshold), f"|{name}| > {threshold:g}")
 
 
 PROBES, EXACT = 32, 1e-5

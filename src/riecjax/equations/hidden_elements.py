@@ -277,20 +277,13 @@ class SpringElement(eqx.Module):
             *(Term(t.factor, force) if placed & {*t.parameters} else t for t in equation.terms)
         )
 
-    @property
-    def points(self) -> Float[Array, " points"] | None:
-        """Break points of the element's law, `None` of a linear one."""
-        basis = self.element.basis
-        return basis.points if isinstance(basis, RoofFunctions) else None
-
     def rate(self, signals: Values, values: Values, across: Array) -> Array:
         """Time derivative of the force, with the velocity across both."""
-        own = jnp.stack([values[n] for n in self.element.parameters])
-        points, force = self.points, signals[self.state.name]
+        force, (points, forces) = signals[self.state.name], self._law(values)
         if points is None:
-            inner = force / own[0]
+            inner = force / forces[0]
         else:
-            inner = RoofFunctions(_rising(own, points)).interpolate(points, force)
+            inner = RoofFunctions(forces).interpolate(points, force)
         return values[self.stiffness] * (across - inner)
 
     def at_rest(self, signals: Values, values: Values) -> dict[str, Array]:
@@ -301,20 +294,24 @@ class SpringElement(eqx.Module):
             return {}
         with users_code(f"the expression {label_of(of)}"):
             across = signals[of] if isinstance(of, str) else of(Signals(dict(signals)))
-        velocity = jnp.asarray(across)
-        own = jnp.stack([values[n] for n in self.element.parameters])
-        points = self.points
+        velocity, (points, forces) = jnp.asarray(across), self._law(values)
         if points is None:
-            return {self.state.name: own[0] * velocity}
-        return {self.state.name: RoofFunctions(points).interpolate(_rising(own, points), velocity)}
+            return {self.state.name: forces[0] * velocity}
+        return {self.state.name: RoofFunctions(points).interpolate(forces, velocity)}
 
-
-def _rising(forces: Float[Array, " points"], at: Float[Array, " points"]) -> Array:
-    """The same map where it rises, and one of least slope where it does not."""
-    mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
-    least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
-    rises = jnp.maximum(jnp.diff(forces), least)
-    return forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
+    def _law(
+        self, values: Values
+    ) -> tuple[Float[Array, " points"] | None, Float[Array, " points"]]:
+        """Break points of the element's law and forces there; of a linear one, `None` and its
+        coefficient. Where the map does not rise it has a least slope."""
+        basis, forces = self.element.basis, jnp.stack([values[n] for n in self.element.parameters])
+        if not isinstance(basis, RoofFunctions):
+            return None, forces
+        at = basis.points
+        mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
+        least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
+        rises = jnp.maximum(jnp.diff(forces), least)
+        return at, forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
 
 
 TARGET = "target"

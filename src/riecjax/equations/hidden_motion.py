@@ -79,8 +79,8 @@ def with_hidden_motion(
                 terms[i] = term.with_fields(of=of, measured=tuple(measured))
         return equation.of_terms(*terms)
 
-    stages = model.by_stage(without_hidden)
-    return Model(stages=stages), record.with_signals(signals)
+    # In this order: the stages fill the signals.
+    return Model(stages=model.by_stage(without_hidden)), record.with_signals(signals)
 
 
 def filtered(signal: Signal, step: Float[Array, ""], shape: Shape) -> Signal:

@@ -65,12 +65,11 @@ class Memory:
         turns = np.flatnonzero(np.diff(np.sign(pieces[moving])))
         begins = np.concatenate([[0], moving[turns + 1]])
         way, lengths = np.cumsum(pieces), np.diff([*begins, pieces.size])
-        before = way[begins] - pieces[begins]
         starts, state = np.zeros(begins.size), np.zeros(())
         for i, stroke in enumerate(np.add.reduceat(pieces, begins)):
             starts[i] = state
             state = self.after(state, stroke)
-        along = way - np.repeat(before, lengths)
+        along = way - np.repeat(way[begins] - pieces[begins], lengths)
         held = np.repeat(starts, lengths)
         return np.concatenate([[0.0], np.where(along == 0, held, self.after(held, along))])
 

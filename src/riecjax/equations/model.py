@@ -15,6 +15,7 @@ measured: what is simulated of them is what the sensors would show.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import equinox as eqx
@@ -24,7 +25,8 @@ import numpy as np
 from riecjax.equations.equation import Equation, first_stated, require_agreement
 from riecjax.equations.equation_system import (
     EquationSystem,
-    read_structure,
+    WrittenOut,
+    read_system,
     require_solvable,
 )
 from riecjax.equations.expressions import Expression, constant, relation_of, signals_read
@@ -164,15 +166,7 @@ class Model(Shown, eqx.Module):
                     f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
-        self._require_elements()
-        require_agreement(self.equations, self.parameters)
-        units, listed = self.units, {quantity.name for quantity in self.parameters}
         names = dict.fromkeys(name for equation in self.equations for name in equation.parameters)
-        every = {name: Quantity(name, units[name], "") for name in names} | self._of_hidden
-        self.parameters += tuple(q for name, q in every.items() if name not in listed)
-
-    def _require_elements(self) -> None:
-        """Raise `ModelError` for a spring in series with what it cannot be in series with."""
         taken: list[str] = []
         for spring in self.springs:
             require("a spring", spring, SeriesSpring, "rx.SeriesSpring(of='c')")
@@ -180,7 +174,6 @@ class Model(Shown, eqx.Module):
                 raise ModelError(f"'{spring.of}' has a spring in series already.")
             every = [t for e in self.equations for t in e.terms if spring.of in t.parameters]
             if not every:
-                names = dict.fromkeys(name for e in self.equations for name in e.parameters)
                 raise ModelError(
                     f"no equation has a coefficient '{spring.of}' that a spring could be in series "
                     f"with; there are: {', '.join(names)}."
@@ -197,6 +190,10 @@ class Model(Shown, eqx.Module):
                     f"velocity or a map of one: {', '.join(fitting) or 'no equation has any'}."
                 )
             taken += every[0].parameters
+        require_agreement(self.equations, self.parameters)
+        units, listed = self.units, {quantity.name for quantity in self.parameters}
+        quantities = {name: Quantity(name, units[name], "") for name in names} | self._of_hidden
+        self.parameters += tuple(q for name, q in quantities.items() if name not in listed)
 
     @property
     def kinematics(self) -> "tuple[Relation, ...]":
@@ -307,7 +304,9 @@ class Model(Shown, eqx.Module):
             own = added.get(next(rest), ())
             return (*equation.terms, *(-term if turned else term for term in own))
 
-        model = self.with_memories(*memories)._with_equations(extended, meanings=meanings or {})
+        model = self.with_memories(*memories)._with_equations(
+            extended, lambda name: (meanings or {}).get(name, "")
+        )
         return replace(model, written=()).with_values(values or {})
 
     def with_sensor_errors(self, offsets: Sequence[str] = (), gains: Sequence[str] = ()) -> "Model":
@@ -325,25 +324,10 @@ class Model(Shown, eqx.Module):
         """
         for what, signals in {"offsets": offsets, "gains": gains}.items():
             require(what, signals, (tuple, list), f"{what}=['F']")
-        model = self
-        for signal in offsets:
-            tells = f"has a term of '{signal}' itself, so that none tells of its offset"
-            model = model._with_sensor(signal, _with_offset, tells)
-        for signal in gains:
-            tells = f"reads '{signal}', so that none tells of its gain"
-            model = model._with_sensor(signal, _with_gain, tells)
-        return model
+        units = {quantity.name: quantity.unit for quantity in self.signals}
 
-    def _with_sensor(
-        self,
-        signal: str,
-        of_sensor: Callable[[Equation, Quantity], list[AbstractTerm]],
-        tells: str,
-    ) -> "Model":
-        """Equations as `of_sensor` of a signal makes them, which one at least `tells` of."""
-        quantity = next((q for q in self.signals if q.name == signal), Quantity(signal, "", ""))
-
-        def terms(equation: Equation) -> list[AbstractTerm]:
+        def terms(equation: Equation, signal: str, is_gain: bool) -> list[AbstractTerm]:
+            label = f"{'gain' if is_gain else 'offset'}_{signal}"
             for term in equation.terms:
                 if signal in signals_read(term.of) and term.signal != signal:
                     named = " and ".join(term.parameters) or "no coefficient"
@@ -352,27 +336,56 @@ class Model(Shown, eqx.Module):
                         f"which an unknown offset or gain is no coefficient of its own; calibrate "
                         f"that sensor."
                     )
-            return of_sensor(equation, quantity)
+            own = [term for term in equation.terms if term.signal == signal]
+            named = [term.name for term in own if term.name is not None]
+            if is_gain:
+                if named:
+                    raise ModelError(
+                        f"the gain of '{signal}' cannot be told apart from '{named[0]}', which "
+                        f"multiplies it: {named[0]} comes out multiplied by the gain."
+                    )
+                return [
+                    Term(label, t.of, derivative=t.derivative, measured=t.measured, sign=t.factor)
+                    if t.signal == signal
+                    else t
+                    for t in equation.terms
+                ]
+            if not (own := [term for term in own if not term.derivative]):
+                return [*equation.terms]
+            if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
+                raise ModelError(
+                    f"{equation.name}: an offset of '{signal}' cannot be told apart from "
+                    f"'{taken[0]}', which is constant too; give {signal}'s offset, or leave that "
+                    f"term out."
+                )
+            if len(own) > 1:
+                raise ModelError(f"{equation.name} has several terms of '{signal}'; add them up.")
+            (term,), unit = own, units.get(signal) or str(own[0].unit)
+            if term.name is not None:
+                label, unit = f"{term.name}_{label}", equation.unit
+            return [*equation.terms, Term(label, constant, unit=unit, sign=-term.factor)]
 
-        model = self._with_equations(terms, "of a sensor")
-        if len(model.parameters) == len(self.parameters):
-            raise ModelError(f"no equation {tells}.")
+        model = self
+        for signal, is_gain in (*((s, False) for s in offsets), *((s, True) for s in gains)):
+            with_error = partial(terms, signal=signal, is_gain=is_gain)
+            before, model = model, model._with_equations(with_error, lambda _: "of a sensor")
+            if len(model.parameters) == len(before.parameters):
+                raise ModelError(
+                    f"no equation reads '{signal}', so that none tells of its gain."
+                    if is_gain
+                    else f"no equation has a term of '{signal}' itself, so that none tells of its "
+                    f"offset."
+                )
         return model
 
     def _with_equations(
-        self,
-        terms: Callable[[Equation], Sequence[AbstractTerm]],
-        meaning: str = "",
-        meanings: Mapping[str, str] = FrozenDict(),
+        self, terms: Callable[[Equation], Sequence[AbstractTerm]], meaning: Callable[[str], str]
     ) -> "Model":
         """Equations of other terms in their place, and what the parameters mean that these add."""
-
-        def other(equation: Equation) -> Equation:
-            return eqx.tree_at(lambda e: e.terms, equation, tuple(terms(equation)))
-
-        after = replace(self, system=BY_EQUATIONS, stages=self.by_stage(other))
+        stages = self.by_stage(lambda equation: equation.of_terms(*terms(equation)))
+        after = replace(self, system=BY_EQUATIONS, stages=stages)
         added = after.parameters[len(self.parameters) :]
-        meant = (q._replace(meaning=meanings.get(q.name, meaning)) for q in added)
+        meant = (q._replace(meaning=meaning(q.name)) for q in added)
         return replace(after, parameters=(*self.parameters, *meant))
 
     def with_elements(self, elements: "Elements") -> "Model":
@@ -423,8 +436,7 @@ class Model(Shown, eqx.Module):
             raise ModelError(f"model '{self.name}' has neither equations nor a system.")
         quantities = self.simulation_parameters
         names = [quantity.name for quantity in quantities]
-        unknown = [name for name in settings if name not in names]
-        refuse_unknown(unknown, names, f"{self.name} has")
+        refuse_unknown([n for n in settings if n not in names], names, f"{self.name} has")
         values: dict[str, Any] = {q.name: settings.get(q.name, q.default) for q in quantities}
         if unset := [name for name, value in values.items() if value is None]:
             raise ModelError(
@@ -443,17 +455,14 @@ class Model(Shown, eqx.Module):
         """
         if self.has_own_system(record):
             return self.build_system({name: float(value) for name, value in values.items()})
-        return equation_system(self, values, rates=self.driven_rates(record))
+        # A recording may have measured the signals that rates are of.
+        return equation_system(self, values, rates=None if self.is_driven_by(record) else {})
 
     def has_own_system(self, record: Record) -> bool:
         """Whether a record drives a system of the model's own that its parameters are those of."""
         names = {parameter.name for parameter in self.simulation_parameters}
         own = names == {parameter.name for parameter in self.parameters} or not self.stages
         return self.system.build is not None and own and self.is_driven_by(record)
-
-    def driven_rates(self, record: Record) -> Mapping[str, Expression]:
-        """Rates of further states in a simulation along a record, which may have them measured."""
-        return self.rates if self.is_driven_by(record) else {}
 
     def is_driven_by(self, record: Record) -> bool:
         """Whether a record holds the inputs, of which there are some."""
@@ -628,52 +637,13 @@ def equation_system(
         hidden += states
     hidden += (spring.state for spring in springs)
     order = tuple(quantity.name for quantity in listed)
-    structure = read_structure(
-        label, equations, further, frozenset(inputs), tuple(hidden), springs, order
-    )
     given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
-    given |= {state.name: state.unit for state in hidden}
-    named = tuple(sorted((given | dict(units or {})).items()))
-    system = EquationSystem(equations, numbers, structure, named, springs)
+    given |= {state.name: state.unit for state in hidden} | dict(units or {})
+    written = WrittenOut(equations, further, tuple(hidden), springs)
+    system = read_system(label, written, numbers, frozenset(inputs), order, given)
     if is_concrete(equations, numbers) and not is_under_trace():
         require_solvable(label, system)
     return system
-
-
-def _with_offset(equation: Equation, signal: Quantity) -> list[AbstractTerm]:
-    """Its terms, and that of an unknown offset of the signal if one is of it."""
-    own = [t for t in equation.terms if t.signal == signal.name and t.derivative == 0]
-    if not own:
-        return [*equation.terms]
-    if taken := [n for t in equation.terms if t.of is constant for n in t.parameters]:
-        raise ModelError(
-            f"{equation.name}: an offset of '{signal.name}' cannot be told apart from "
-            f"'{taken[0]}', which is constant too; give {signal.name}'s offset, or leave that "
-            f"term out."
-        )
-    if len(own) > 1:
-        raise ModelError(f"{equation.name} has several terms of '{signal.name}'; add them up.")
-    term, label = own[0], f"offset_{signal.name}"
-    unit = signal.unit or str(term.unit)
-    if term.name is not None:
-        label, unit = f"{term.name}_{label}", equation.unit
-    return [*equation.terms, Term(label, constant, unit=unit, sign=-term.factor)]
-
-
-def _with_gain(equation: Equation, signal: Quantity) -> list[AbstractTerm]:
-    """Its terms, those of the signal times an unknown gain."""
-    if named := [t.name for t in equation.terms if t.signal == signal.name and t.name is not None]:
-        raise ModelError(
-            f"the gain of '{signal.name}' cannot be told apart from '{named[0]}', which "
-            f"multiplies it: {named[0]} comes out multiplied by the gain."
-        )
-    name = f"gain_{signal.name}"
-    return [
-        Term(name, t.of, derivative=t.derivative, measured=t.measured, sign=t.factor)
-        if t.signal == signal.name
-        else t
-        for t in equation.terms
-    ]
 
 
 def as_model(model: Equation | Model) -> Model:
@@ -709,12 +679,7 @@ def require_no_slip(model: object) -> None:
 
 
 def with_rests(model: Model, at_rest: AtRest | None) -> Model:
-    """The model, with this done at rest, or what it says itself.
-
-    **Raises:** `ModelError` for a word that says nothing of it.
-    """
-    if at_rest not in ("mask", "keep", None):
-        raise ModelError(f"at_rest must be 'mask' or 'keep'; got {at_rest!r}.")
+    """The model, with this done at rest, or what it says itself."""
     return model if at_rest is None else replace(model, at_rest=at_rest)
 
 

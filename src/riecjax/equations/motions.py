@@ -146,8 +146,10 @@ def per(unit: str, of: str, power: int = 1) -> str:
     powers = _powers(unit)
     for name, exponent in _powers(of).items():
         powers[name] -= power * exponent
-    above = [_spelled(name, p) for name, p in powers.items() if p > 0]
-    below = [_spelled(name, -p) for name, p in powers.items() if p < 0]
+    above, below = (
+        [name if p == sign else f"{name}^{abs(p)}" for name, p in powers.items() if p * sign > 0]
+        for sign in (1, -1)
+    )
     front = " ".join(above) or "1"
     if not below:
         return front if above else ""
@@ -162,7 +164,3 @@ def _powers(unit: str) -> Counter[str]:
             if name != "1":
                 found[name] += sign * int(exponent or 1)
     return found
-
-
-def _spelled(name: str, power: int) -> str:
-    return name if power == 1 else f"{name}^{power}"

@@ -128,7 +128,12 @@ def columns_of_terms(
             ]
         )
 
-    sampled: Any = equation.trusted(combined(sums, *read), record)
+    sampled: Any = combined(sums, *read)
+    if equation.where is not None:
+        # Present only where the equation is to be trusted.
+        mask = evaluate(equation.where, record)
+        holds = Signal(mask.values, mask.values.astype(bool))
+        sampled = combined(lambda values, *_: values, sampled, mask, holds)
     return Columns(sampled.values, sampled.present, record.time_step, names)
 
 
@@ -202,7 +207,7 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
     """
     # Along which signals move together: ("white", source) or ("coloured", signal).
     noise = record.noise
-    read = equation.terms_read(record, smoothness)
+    read = equation.signals_read(record, smoothness, masked=False)
     directions: dict[Key, Direction] = {}
     variances: Direction = {}
     for name in sorted(read):

@@ -135,8 +135,7 @@ class AbstractTerm(eqx.Module):
 
     def words(self, of: str) -> list[str]:
         """Its summands but for the factor, in words, with these of the expression."""
-        kind = type(self).__name__
-        return [" ".join((*self.parameters[:1], f"{kind}({of})"))]
+        return [" ".join((*self.parameters[:1], f"{type(self).__name__}({of})"))]
 
     @property
     def source(self) -> str | None:

@@ -145,7 +145,7 @@ LISTED = {
             name="emps",
             summary="M q'' + Fv q' + Fc sign(q') + offset = force",
             **_AXIS,
-            stages="riecjax.models.emps:emps_equation",
+            stages="riecjax.models.oscillators:emps_equation",
             parameters=(
                 Quantity("M", "kg", "mass", 95.1),
                 Quantity("Fv", "N s/m", "viscous friction", 203.5),
@@ -157,7 +157,7 @@ LISTED = {
             name="emps-asymmetric",
             summary="M q'' + friction = force, with separate friction for each direction",
             **_AXIS,
-            stages="riecjax.models.emps:emps_asymmetric_equation",
+            stages="riecjax.models.oscillators:emps_asymmetric_equation",
             parameters=(
                 Quantity("M", "kg", "mass", 95.15),
                 Quantity("Fv_pos", "N s/m", "viscous friction, q' > 0", 166.7),
@@ -250,8 +250,26 @@ def find_model(reference: str) -> "Model":
     require("the model's name", reference, str, "such as rx.find_model('quarter-car')")
     path, _, attribute = reference.rpartition(":")
     if reference.endswith(".py"):
-        path = reference
-        attribute, found = _only_model(path)
+        path, objects = reference, vars(_load(Path(reference))).items()
+        # One object may have two names, of which the last counts.
+        public = {id(thing): (name, thing) for name, thing in objects if not name.startswith("_")}
+        models = {key: thing for key, (_, thing) in public.items() if isinstance(thing, Model)}
+        parts = {id(equation) for model in models.values() for equation in model.equations}
+        equations = [key for key, (_, thing) in public.items() if isinstance(thing, Equation)]
+        described = [key for key, model in models.items() if model.summary != OWN]
+        whole = described or [*models, *(key for key in equations if key not in parts)]
+        names = [public[key][0] for key in whole]
+        if not whole:
+            raise ModelError(
+                f"{path} holds no Model or Equation. Give one a name there, or name the "
+                f"function that returns one: {path}:NAME."
+            )
+        if len(whole) > 1:
+            raise ModelError(
+                f"{path} holds {len(whole)} models: {', '.join(names)}. Say which: "
+                f"{path}:{names[0]}."
+            )
+        attribute, found = public[whole[0]]
     elif path.endswith(".py"):
         found = object_of_file(reference)
     else:
@@ -267,32 +285,6 @@ def find_model(reference: str) -> "Model":
         )
     is_named = found.summary != OWN or found.name not in ("", names_of(found.equations))
     return found if is_named else replace(found, name=attribute)
-
-
-def _only_model(path: str) -> tuple[str, Any]:
-    """The one model in a file, by its name there."""
-    from riecjax.equations.equation import Equation
-    from riecjax.equations.model import OWN, Model
-
-    objects = vars(_load(Path(path))).items()
-    # One object may have two names, of which the last counts.
-    public = {id(thing): (name, thing) for name, thing in objects if not name.startswith("_")}
-    models = {key: thing for key, (_, thing) in public.items() if isinstance(thing, Model)}
-    parts = {id(equation) for model in models.values() for equation in model.equations}
-    equations = [key for key, (_, thing) in public.items() if isinstance(thing, Equation)]
-    described = [key for key, model in models.items() if model.summary != OWN]
-    whole = described or [*models, *(key for key in equations if key not in parts)]
-    if len(whole) == 1:
-        return public[whole[0]]
-    if not whole:
-        raise ModelError(
-            f"{path} holds no Model or Equation. Give one a name there, or name the "
-            f"function that returns one: {path}:NAME."
-        )
-    names = [public[key][0] for key in whole]
-    raise ModelError(
-        f"{path} holds {len(whole)} models: {', '.join(names)}. Say which: {path}:{names[0]}."
-    )
 
 
 def object_of_file(reference: str) -> object:

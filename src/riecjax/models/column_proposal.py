@@ -27,8 +27,7 @@ def _commented(text: str) -> str:
 def map_lines(model: "Model", channels: "Channels", selection: Select) -> Iterator[str]:
     """A line for each signal that a model reads: its column, and how it was found."""
     given, read = selection.rename, {}
-    times = [c for c in channels.columns if is_called_time(c, channels.units)]
-    taken = {*given.values(), *times}
+    taken = {c for c in channels.columns if is_called_time(c, channels.units)} | {*given.values()}
     # Of a user's own equation, what its expressions read.
     every = (of for e in model.equations for of in (*(term.of for term in e.terms), e.where) if of)
     names = dict.fromkeys(name for of in every for name in signals_read(of))

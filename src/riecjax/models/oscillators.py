@@ -1,4 +1,4 @@
-"""One-degree-of-freedom models: Duffing oscillator, oscillator with drag, pendulum."""
+"""One-degree-of-freedom models: oscillators, a pendulum, an axis with friction, two masses."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.equation_system import EquationSystem
-from riecjax.equations.expressions import even, odd
+from riecjax.equations.expressions import constant, even, odd
 from riecjax.equations.model import equation_system, simultaneous
 from riecjax.equations.term import Term
 from riecjax.records.record import Signals
@@ -61,6 +61,56 @@ def pendulum_system(parameters: Mapping[str, Array]) -> EquationSystem:
     driven = swinging.of_terms(*swinging.terms, -Term(1.0, "torque"))
     units = {"theta": "rad", "dtheta": "rad/s", "torque": "1/s^2"}
     return equation_system(driven, parameters, units=units)
+
+
+def _forward_speed(signals: Signals) -> Array:
+    return jnp.maximum(signals["dq"], 0.0)
+
+
+def _backward_speed(signals: Signals) -> Array:
+    return jnp.minimum(signals["dq"], 0.0)
+
+
+def _forward(signals: Signals) -> Array:
+    return jnp.where(signals["dq"] > 0, 1.0, 0.0)
+
+
+def _backward(signals: Signals) -> Array:
+    return jnp.where(signals["dq"] < 0, -1.0, 0.0)
+
+
+INERTIA = Term("M", "q", derivative=2, measured=("dq", "ddq"), unit="kg")
+
+
+def emps_equation() -> Equation:
+    """M q'' + Fv q' + Fc sign(q') + offset = force: EMPS, an electro-mechanical positioning axis.
+
+    A. Janot, M. Gautier and M. Brunot, "Data Set and Reference Models of EMPS", Workshop on
+    Nonlinear System Identification Benchmarks, Eindhoven, 2019.
+    """
+    return Equation(
+        INERTIA,
+        Term("Fv", "q", derivative=1, measured=("dq",), unit="N s/m"),
+        Term("Fc", odd("dq", 0), unit="N"),
+        Term("offset", constant, unit="N"),
+        -Term(1.0, "force"),
+        name="emps",
+        unit="N",
+    )
+
+
+def emps_asymmetric_equation() -> Equation:
+    """M q'' + friction = force, with different viscous and Coulomb friction in each direction."""
+    return Equation(
+        INERTIA,
+        Term("Fv_pos", _forward_speed, unit="N s/m"),
+        Term("Fc_pos", _forward, unit="N"),
+        Term("Fv_neg", _backward_speed, unit="N s/m"),
+        Term("Fc_neg", _backward, unit="N"),
+        -Term(1.0, "force"),
+        name="emps-asymmetric",
+        unit="N",
+    )
 
 
 def two_mass_equation() -> Equation:

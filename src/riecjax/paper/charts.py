@@ -18,7 +18,7 @@ from riecjax.models.quarter_car import (
 )
 from riecjax.paper import reproduction
 from riecjax.paper.claims import BETWEEN, FIXED, SHOWN, TWO
-from riecjax.paper.published import CRITERIA, TABLE_2, VARIANTS
+from riecjax.paper.published import CRITERIA, TABLE_2, TABLE_6, VARIANTS
 from riecjax.paper.tables import number_tables
 from riecjax.reporting import charts
 from riecjax.reporting.charts import Axis, Chart, Dashes, Dots, HeatMap, Level, Line, Panel, single
@@ -308,9 +308,7 @@ def validation_figure(
 
 BANDWIDTH = Axis("input bandwidth / Hz", low=0, high=30.5)
 CASES = {
-    "pathological": "pathological, 13 Hz",
-    "included-mode": "included mode, 6 Hz",
-    "higher-mode": "higher mode, 25 Hz",
+    case: f"{case.replace('-', ' ')}, {mount.frequency:g} Hz" for case, mount in TABLE_6.items()
 }
 BY_CASE = [(case, method) for case in CASES for method in CRITERIA]
 
@@ -341,13 +339,10 @@ def by_case(
 def figure_11(study: reproduction.VariedStudy) -> Chart:
     """Masses and stiffness in the three cases of Table 6, by both methods."""
     rows = []
-    for name, label, scale, true in (
-        ("M_us", "M_us / kg", 1.0, 30.0),
-        ("M_s", "M_s / kg", 1.0, 300.0),
-        ("K_s", "K_s / (kN/m)", 1e3, 20.0),
-    ):
+    for name, unit, scale in (("M_us", "kg", 1.0), ("M_s", "kg", 1.0), ("K_s", "(kN/m)", 1e3)):
         values = {key: study.identified(*key, name)[..., 0] / scale for key in BY_CASE}
-        rows.append(by_case(study, values, Axis(label), behind=[Level(true, label="source")]))
+        true = Level(reproduction.TRUE[name] / scale, label="source")
+        rows.append(by_case(study, values, Axis(f"{name} / {unit}"), behind=[true]))
     return Chart(
         rows,
         f"Figure 11. Identified masses and suspension stiffness over the bandwidth of the input "

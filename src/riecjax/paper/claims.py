@@ -193,9 +193,8 @@ def bias(
     roads: reproduction.RoadResult, name: str, criterion: str, low: float | None, high: float | None
 ) -> Numbers:
     """Of a parameter of the variant B_id, relative."""
-    true = {"K_t": 180e3, **reproduction.TRUE_MASSES}[name]
-    values = roads.identified("B_id", name)[:, CRITERIA.index(criterion)]
-    evidence = over_roads(lambda v: np.mean(v) / true - 1, values, at_least=low, at_most=high)
+    values = roads.identified("B_id", name)[:, CRITERIA.index(criterion)] / reproduction.TRUE[name]
+    evidence = over_roads(lambda v: np.mean(v) - 1, values, at_least=low, at_most=high)
     return {f"bias of {name} by {criterion}": evidence}
 
 
@@ -343,10 +342,12 @@ def bandwidth(variations: reproduction.VariedStudy) -> Numbers:
         for case in variations.cases
     }
     return spreads | {
-        f"worst bias of {name} by DOLS, included mode over the other cases": over_roads(
-            lead, *(variations.identified(c, "DOLS", name) / true - 1 for c in cases), at_least=1.0
+        f"worst bias of {n} by DOLS, included mode over the other cases": over_roads(
+            lead,
+            *(variations.identified(c, "DOLS", n) / reproduction.TRUE[n] - 1 for c in cases),
+            at_least=1.0,
         )
-        for name, true in (("M_s", 300.0), ("K_s", 20e3))
+        for n in ("M_s", "K_s")
     }
 
 

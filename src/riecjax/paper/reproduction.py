@@ -50,6 +50,9 @@ from riecjax.validation import percentage_error
 from riecjax.whole_files import Store, stamp
 
 TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
+TRUE = {**TRUE_MASSES, "K_t": 180e3, "K_s": 20e3}
+"""Of the source, where the identified model has the same: masses, and stiffnesses that it has for
+small motion."""
 VALIDATED_STATES = ("x1", "x2", "x3", "x4")
 POTHOLE_DURATION = 3.0
 """Seconds of the pot-hole's validation, enough for the body to come to rest."""
@@ -155,8 +158,7 @@ def _solved_in_turn(
     stages: list[NormalEquations], known: dict[str, float]
 ) -> Float[Array, " parameters"]:
     """The paper's stages: each stage takes as known what those before it found."""
-    held = {name: jnp.asarray(value) for name, value in known.items()}
-    _, values = solve_stages(stages, held)
+    _, values = solve_stages(stages, {name: jnp.asarray(value) for name, value in known.items()})
     return jnp.stack([values[name] for name in PARAMETERS])
 
 
@@ -366,10 +368,9 @@ def window_error_moments(
         stretch = jnp.floor(rows.position * STRETCHES / record.sample_count).astype(int)
         inside = stretch[None, :] == jnp.arange(STRETCHES)[:, None]
         square = jnp.sum(jnp.where(inside, error[None, :] ** 2, 0.0), axis=1)
-        mean_square = jnp.mean(error**2)
         products = (jnp.sum(error) ** 2 - jnp.sum(error**2)) / (count * (count - 1))
         by_start = square / jnp.maximum(jnp.sum(inside, axis=1), 1)
-        return WindowErrorMoments(by_start, products / mean_square)
+        return WindowErrorMoments(by_start, products / jnp.mean(error**2))
 
     # The keys of [`over_keys`][], of which these roads were made.
     number = jnp.arange(roads.contact.shape[0], dtype=jnp.uint32)

@@ -202,12 +202,13 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
             return ByFunction(
                 model.system.build, tuple(q.name for q in quantities), units, defaults
             )
-        given = {**(defaults if model.is_driven_by(record) else {}), **model.known}
+        is_driven = model.is_driven_by(record)
+        given = {**(defaults if is_driven else {}), **model.known}
         known = {name: jnp.asarray(value, float) for name, value in given.items()}
         # In general position: of two equal inertias, coupled by a third, ones would be singular.
         generic = np.random.default_rng(0).uniform(0.5, 1.5, len(model.parameter_names))
         values = {**dict(zip(model.parameter_names, generic)), **known}
-        system = equation_system(model, values, rates=model.driven_rates(record))
+        system = equation_system(model, values, rates=None if is_driven else {})
         return ByCoefficients(system, tuple(model.units.items()), tuple(known))
     if callable(model):
         return ByFunction(model)

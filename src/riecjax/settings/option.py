@@ -141,7 +141,7 @@ class Option:
             return {name: _number(self.kind.write(each)) for name, each in value.items()}
         texts = [text for said in self.texts(value) for text in said]
         if isinstance(value, str) and value in self.alone:
-            return [value]
+            return texts
         if "=" in self.form:
             pairs = [text.partition("=") for text in texts]
             if len({name for name, equals, _ in pairs if equals}) == len(pairs):

@@ -98,7 +98,16 @@ def bends_of(
     there = jnp.ones(n, bool) if present is None else present
     own = jnp.pad(there[2:] & there[1:-1] & there[:-2], (1, 1))
     second = jnp.pad(levels[2:] - 2 * levels[1:-1] + levels[:-2], ((1, 1), (0, 0)))
-    resolved = _resolved(second, own)
+    # What curves around each sample is a motion where it is sampled finely enough. A missing
+    # neighbour counts as zero: a jump beside an end is one as well.
+    still = jax.lax.stop_gradient(jnp.where(own[:, None], second, 0.0))
+    third = jnp.diff(still, append=jnp.zeros_like(still[:1]), axis=0)
+    every, between = np.ones(2 * SIGHT + 1, int), np.append(np.ones(2 * SIGHT, int), 0)
+    size, rough = _weighted(still**2, every), _weighted(third**2, between)
+    of_second = _weighted(own.astype(int), every)[:, None]
+    of_third = _weighted((own | jnp.pad(own[1:], (0, 1))).astype(int), between)[:, None]
+    resolved = own[:, None] & (of_second > SIGHT)
+    resolved = resolved & (rough * of_second <= BROADEST * size * of_third)
     # Curvatures that give every interval its mean, of as many differences as are there.
     smooth_ones = second
     kernel = np.zeros(1)
@@ -111,52 +120,28 @@ def bends_of(
     # Elsewhere medians of the differences around each sample, of those that are there.
     places = range(2 * REACH + 1)
     differences = jnp.pad(second, ((REACH, REACH), (0, 0)))
-    held = jnp.pad(own, REACH)
+    known = jnp.pad(own, REACH)
     around = jnp.stack([differences[i : i + n] for i in places])
-    there_too = jnp.stack([held[i : i + n] for i in places])[:, :, None]
-    count = jnp.sum(there_too, axis=0, keepdims=True)
-    ordered = jnp.sort(jnp.where(there_too, around, jnp.inf), axis=0)
-    middle = [
-        jnp.take_along_axis(ordered, jnp.broadcast_to(index, (1, *second.shape)), axis=0)[0]
-        for index in (jnp.maximum(count - 1, 0) // 2, count // 2)
-    ]
-    told = own[:, None] & (count[0] >= FEWEST)
-    medians = jnp.where(told, 0.5 * (middle[0] + middle[1]), 0.0)
+    there_too = jnp.stack([known[i : i + n] for i in places])[:, :, None]
+    told = own[:, None] & (jnp.sum(there_too, axis=0) >= FEWEST)
+    # Where nothing is told, of zeros: no derivative passes through a median of nothing.
+    medians = jnp.nanmedian(jnp.where(told, jnp.where(there_too, around, jnp.nan), 0.0), axis=0)
     bends = jnp.where(resolved, smooth_ones, medians)
-    return jnp.where((there & ~own)[:, None], _held_on(bends, own, resolved), bends)
-
-
-def _resolved(second: Float[Array, "n inputs"], own: Bool[Array, " n"]) -> Bool[Array, "n inputs"]:
-    """Whether what curves around each sample is sampled finely enough to be a motion."""
-    # A missing neighbour counts as zero: a jump beside an end is one as well.
-    second = jax.lax.stop_gradient(jnp.where(own[:, None], second, 0.0))
-    third = jnp.diff(second, append=jnp.zeros_like(second[:1]), axis=0)
-    pairs = own | jnp.pad(own[1:], (0, 1))
-    every, between = np.ones(2 * SIGHT + 1, int), np.append(np.ones(2 * SIGHT, int), 0)
-    size, rough = _weighted(second**2, every), _weighted(third**2, between)
-    of_second = _weighted(own.astype(int), every)[:, None]
-    of_third = _weighted(pairs.astype(int), between)[:, None]
-    smooth = rough * of_second <= BROADEST * size * of_third
-    return smooth & own[:, None] & (of_second > SIGHT)
-
-
-def _held_on(
-    bends: Float[Array, "n inputs"], own: Bool[Array, " n"], smooth: Bool[Array, "n inputs"]
-) -> Float[Array, "n inputs"]:
-    """Curvature at samples without one: on a line through the two beside it, or that beside it."""
 
     def beside(values: Array, by: int) -> tuple[Array, Array]:
         rest = [(0, 0)] * (values.ndim - 1)
         return jnp.pad(values, [(by, 0), *rest])[:-by], jnp.pad(values, [(0, by), *rest])[by:]
 
+    # At samples without a curvature: on a line through the two beside it, or that beside it.
     near, far = beside(bends, 1), beside(bends, 2)
     lines = [
         jnp.where((two & own_two[:, None]) & one, 2 * d - dd, d)
         for d, dd, one, two, own_two in zip(
-            near, far, beside(smooth, 1), beside(smooth, 2), beside(own, 2)
+            near, far, beside(resolved, 1), beside(resolved, 2), beside(own, 2)
         )
     ]
-    return jnp.where(beside(own, 1)[0][:, None], *lines)
+    known_before = beside(own, 1)[0][:, None]
+    return jnp.where((there & ~own)[:, None], jnp.where(known_before, *lines), bends)
 
 
 def _weighted(values: Array, weights: np.ndarray) -> Array:
@@ -167,9 +152,12 @@ def _weighted(values: Array, weights: np.ndarray) -> Array:
     return functools.reduce(jnp.add, parts)
 
 
-def curves_of(
-    bends: Float[Array, "n inputs"],
-) -> tuple[Float[Array, "n-1 inputs"], Float[Array, "n-1 inputs"]]:
-    """Coefficients a, b by which u(s) differs from a line on each interval: s (1 - s) (a + b s)."""
+def curves_of(bends: Float[Array, "n inputs"] | None) -> tuple[Float[Array, "n-1 inputs"], ...]:
+    """Coefficients a, b by which u(s) differs from a line on each interval: s (1 - s) (a + b s).
+
+    None of straight lines.
+    """
+    if bends is None:
+        return ()
     first, last = bends[:-1], bends[1:]
     return -(2 * first + last) / 6, (first - last) / 6

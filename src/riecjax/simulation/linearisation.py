@@ -117,8 +117,7 @@ def modes(matrix: Float[Array, "states states"]) -> list[Mode]:
     found = np.linalg.eig(np.asarray(matrix))
     values, vectors = found.eigenvalues.astype(complex), found.eigenvectors
     floor = 1e-9 * np.max(np.abs(values))
-    order = np.argsort(np.real(values))
-    pairs = [(complex(values[i]), vectors[:, i]) for i in order]
+    pairs = [(complex(values[i]), vectors[:, i]) for i in np.argsort(np.real(values))]
     return [
         Mode(v, abs(v) / (2 * np.pi), -v.real / abs(v), shape)
         if v.imag

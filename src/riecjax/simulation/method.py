@@ -30,7 +30,8 @@ starts kernels one by one, the state is one vector, so that there are few of the
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -53,7 +54,7 @@ from jaxtyping import Array, Float, Int
 from riecjax.errors import ModelError
 from riecjax.runtime import compiles_loops_whole
 from riecjax.simulation.intersample import curves_of
-from riecjax.simulation.reversals import Level, cut_step
+from riecjax.simulation.reversals import cut_step
 from riecjax.simulation.system import AbstractSystem, Inputs, State
 
 
@@ -167,16 +168,20 @@ class FixedStep(AbstractMethod):
         """States at the samples; see the base class."""
         count = self.steps_per_sample
         step = time_step / count
-        split = _components if compiles_loops_whole() else _whole
-        start = split(initial_state)
+        by_component = compiles_loops_whole()
+        advance: Any = partial(_runge_kutta_step, self.tableau)
+
+        def split(state: State) -> _State:
+            return tuple(state[i] for i in range(state.shape[0])) if by_component else state
+
+        def whole(state: _State) -> State:
+            return jnp.stack(state) if isinstance(state, tuple) else state
+
+        def where(condition: Array, state: _State, otherwise: _State) -> _State:
+            return jax.tree.map(partial(jnp.where, condition), state, otherwise)
 
         def slope(state: _State, level: Array) -> _State:
-            return split(system.derivative(_vector(state), level))
-
-        def advance(slope, state: Array, level: Level, step: Array) -> Array:
-            return _runge_kutta_step(
-                self.tableau, lambda x, inputs: (slope(x[0], inputs),), (state,), level, step
-            )[0]
+            return split(system.derivative(whole(state), level))
 
         def between_samples(carry, interval):
             state, running = carry
@@ -192,26 +197,24 @@ class FixedStep(AbstractMethod):
                     return on_line + _off_line(curve, (k + node) / count) if curve else on_line
 
                 if system.reversing:
-                    return split(cut_step(system, advance, _vector(x), level, step))
-                return _runge_kutta_step(self.tableau, slope, x, level, step)
+                    return split(cut_step(system, advance, whole(x), level, step))
+                return advance(slope, x, level, step)
 
             # A lost lane restarts from its initial state, unseen, so that no infinity enters later
             # steps or their derivatives; the state it shows stays at its last finite value.
-            moved = jax.lax.fori_loop(0, count, one_step, _where(running, state, start))
-            running = running & jnp.all(jnp.isfinite(_vector(moved)))
-            state = _where(running, moved, state)
-            return (state, running), (_vector(state), running)
+            moved = jax.lax.fori_loop(0, count, one_step, where(running, state, start))
+            running = running & jnp.all(jnp.isfinite(whole(moved)))
+            state = where(running, moved, state)
+            return (state, running), (whole(state), running)
 
-        intervals = (inputs[:-1], inputs[1:], *_curves(bends))
+        start = split(initial_state)
+        intervals = (inputs[:-1], inputs[1:], *curves_of(bends))
         _, (states, running) = jax.lax.scan(between_samples, (start, jnp.array(True)), intervals)
         status = SimulationStatus.where(
             running[-1], SimulationStatus.successful, SimulationStatus.diverged
         )
-        return (
-            jnp.concatenate([initial_state[None], states]),
-            status,
-            1 + jnp.sum(running.astype(jnp.int32)),
-        )
+        reached = 1 + jnp.sum(running.astype(jnp.int32))
+        return jnp.concatenate([initial_state[None], states]), status, reached
 
 
 class Adaptive(AbstractMethod):
@@ -276,7 +279,7 @@ class Adaptive(AbstractMethod):
             samples[-1],
             0.1,
             initial_state,
-            args=(system, inputs, time_step, _curves(bends)),
+            args=(system, inputs, time_step, curves_of(bends)),
             saveat=SaveAt(ts=samples),
             # The right-hand side has a kink at every sample; a step across one loses its order.
             stepsize_controller=ClipStepSizeController(
@@ -299,32 +302,11 @@ class Adaptive(AbstractMethod):
             SimulationStatus.solver_failed,
         )
         finished = choose(reached > last, SimulationStatus.successful, SimulationStatus.diverged)
-        status = choose(result == DIFFRAX_RESULTS.successful, finished, failed)
-        return states, status, reached
+        return states, choose(result == DIFFRAX_RESULTS.successful, finished, failed), reached
 
 
-_State = tuple[Array, ...]
+_State = State | tuple[Array, ...]
 """The state as one vector, or as its components."""
-
-
-def _whole(state: State) -> _State:
-    return (state,)
-
-
-def _components(state: State) -> _State:
-    return tuple(state[i] for i in range(state.shape[0]))
-
-
-def _vector(state: _State) -> State:
-    return state[0] if state[0].ndim else jnp.stack(state)
-
-
-def _where(condition: Array, state: _State, otherwise: _State) -> _State:
-    return tuple(jnp.where(condition, a, b) for a, b in zip(state, otherwise))
-
-
-def _curves(bends: Float[Array, "n inputs"] | None) -> tuple[Float[Array, "n-1 inputs"], ...]:
-    return () if bends is None else curves_of(bends)
 
 
 def _off_line(curve: Sequence[Array], share: float | Array) -> Inputs:
@@ -342,8 +324,7 @@ def _runge_kutta_step(
     """One step, over which `level` gives the inputs from 0 to 1."""
     slopes = [slope(state, level(0.0))]
     for node, weights in zip(tableau.nodes, tableau.lower):
-        at = _moved(state, step, weights, slopes)
-        slopes.append(slope(at, level(node)))
+        slopes.append(slope(_moved(state, step, weights, slopes), level(node)))
     return _moved(state, step, tableau.weights, slopes)
 
 
@@ -351,8 +332,10 @@ def _moved(
     state: _State, step: Float[Array, ""], weights: tuple[float, ...], slopes: list[_State]
 ) -> _State:
     """The state, moved along the weighted sum of slopes."""
-    used = [(weight, each) for weight, each in zip(weights, slopes) if weight != 0]
-    return tuple(
-        x + step * sum((weight * each[i] for weight, each in used), start=jnp.zeros_like(x))
-        for i, x in enumerate(state)
-    )
+    used = [(weight, slope) for weight, slope in zip(weights, slopes) if weight != 0]
+
+    def moved(x: Array, *along: Array) -> Array:
+        parts = (weight * part for (weight, _), part in zip(used, along))
+        return x + step * sum(parts, start=jnp.zeros_like(x))
+
+    return jax.tree.map(moved, state, *(slope for _, slope in used))

@@ -51,8 +51,7 @@ class Regime(NamedTuple):
 
     def seen(self, state: State) -> State:
         """The state, velocities past zero taken for zero on their side."""
-        tiny = jnp.finfo(state.dtype).tiny
-        held = self.sides * jnp.maximum(self.sides * state, tiny)
+        held = self.sides * jnp.maximum(self.sides * state, jnp.finfo(state.dtype).tiny)
         return jnp.where(self.sides == 0, state, held)
 
     def derivative(self, system: AbstractSystem, state: Array, inputs: Array) -> Array:
@@ -96,20 +95,12 @@ def _regime_of(rise: Rises, state: State, system: AbstractSystem) -> Regime:
     resting = jnp.asarray(ours) & (state == 0)
     free = Regime(jnp.zeros_like(state), jnp.zeros(state.shape, bool))
     leaving = jnp.where(resting, rise(free, state, 0.0), state)
-    sides = jnp.where(ours, jnp.sign(leaving), 0.0)
-    return _sticking(rise, state, sides, resting, 0.0)
+    return _sticking(rise, state, jnp.where(ours, jnp.sign(leaving), 0.0), resting, 0.0)
 
 
 def regime_at(system: AbstractSystem, state: Array, inputs: Array) -> Regime:
     """The same of a system at a sample."""
     return _regime_of(lambda regime, at, _: regime.derivative(system, at, inputs), state, system)
-
-
-def derivative_at(system: AbstractSystem, state: Array, inputs: Array) -> State:
-    """Time derivative of the state, that of a velocity which sticks being zero."""
-    if not system.reversing:
-        return system.derivative(state, inputs)
-    return regime_at(system, state, inputs).derivative(system, state, inputs)
 
 
 def _sticking(

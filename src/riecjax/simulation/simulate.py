@@ -1,7 +1,6 @@
 """Simulation of a system along a record of its inputs."""
 
 from collections.abc import Mapping
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -19,7 +18,7 @@ from riecjax.simulation.intersample import (
     smooth_inputs,
 )
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
-from riecjax.simulation.reversals import derivative_at
+from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, State
 
 
@@ -122,12 +121,18 @@ def _simulate(
     states, status, reached = method.trajectory(
         system, levels, inputs.time_step, initial_state, *bends
     )
-    derivatives = jax.vmap(partial(derivative_at, system))(states, levels)
-    outputs = jax.vmap(system.output)(states, levels)
+
+    def derivative(state: State, level: Array) -> State:
+        """That of a velocity which sticks is zero."""
+        if not system.reversing:
+            return system.derivative(state, level)
+        return regime_at(system, state, level).derivative(system, state, level)
+
+    derivatives = jax.vmap(derivative)(states, levels)
     made = {
         **{f"d{name}": derivatives[:, i] for i, name in enumerate(system.state_names)},
         **{name: states[:, i] for i, name in enumerate(system.state_names)},
-        **outputs,
+        **jax.vmap(system.output)(states, levels),
     }
     units = dict(inputs.units) | dict(system.states) | dict(system.outputs)
     driving = {name: inputs.signal(name) for name in system.input_names}

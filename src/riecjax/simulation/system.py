@@ -29,6 +29,10 @@ class AbstractSystem(eqx.Module):
     """(name, unit) of each input."""
     outputs: ClassVar[Quantities] = ()
     """(name, unit) of each further quantity that `output` returns."""
+    reversing: ClassVar[tuple[str, ...]] = ()
+    """Velocities at whose zero friction makes the derivative jump: fixed steps end there."""
+    carried: ClassVar[tuple[str, ...]] = ()
+    """States of hidden elements, which no recording need hold."""
 
     def derivative(self, state: State, inputs: Inputs) -> State:
         """Time derivative of the state."""
@@ -63,20 +67,10 @@ class AbstractSystem(eqx.Module):
             )
 
     @property
-    def reversing(self) -> tuple[str, ...]:
-        """Velocities at whose zero friction makes the derivative jump: fixed steps end there."""
-        return ()
-
-    @property
     def velocity_of(self) -> Mapping[str, str]:
         """State to the state that is its time derivative: `d<state>`, where there is one."""
         names = self.state_names
         return {name: f"d{name}" for name in names if f"d{name}" in names}
-
-    @property
-    def carried(self) -> tuple[str, ...]:
-        """States of hidden elements, which no recording need hold."""
-        return ()
 
     def carried_levels(
         self, signals: Mapping[str, Float[Array, " n"]]

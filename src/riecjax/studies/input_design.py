@@ -54,6 +54,50 @@ class _Experiment(eqx.Module):
     channels: tuple[str, ...] = eqx.field(static=True)
     parameters: tuple[str, ...] = eqx.field(static=True)
 
+    def __init__(
+        self,
+        model: AbstractParametric,
+        values: Mapping[str, float | Array],
+        inputs: Record,
+        channels: Sequence[str],
+        sigma: Mapping[str, float | Array],
+        settings: Mapping[str, Any],
+    ):
+        """Checked. `settings`: `known`, `initial_state` and `method`, or None."""
+        known, initial_state = settings["known"] or {}, settings["initial_state"] or {}
+        if names := model.parameters:
+            refuse_unknown([name for name in {**known, **values} if name not in names], names)
+        if not values or not channels:
+            raise ModelError(
+                "an experiment needs a parameter to estimate and a channel to measure."
+            )
+        held = {n: v for n, v in {**model.defaults, **known}.items() if n not in values}
+        self.model, self.known = model, {name: jnp.asarray(value) for name, value in held.items()}
+        self.parameters, self.channels = tuple(values), tuple(channels)
+        self.values = jnp.stack([jnp.asarray(value, float) for value in values.values()])
+        system = self.system(self.values)
+        if lacking := [name for name in channels if name not in sigma]:
+            raise ModelError(f"no noise (sigma) is given for {', '.join(lacking)}.")
+        self.sigma = jnp.stack([jnp.asarray(sigma[name], float) for name in channels])
+        made = system.simulated_names
+        if unknown := [name for name in channels if name not in made]:
+            raise ModelError(
+                f"the simulation has no signal '{unknown[0]}' to measure; it has: "
+                f"{', '.join(made)}."
+            )
+        system.require_states(initial_state)
+        start = [jnp.asarray(initial_state.get(name, 0.0), float) for name in system.state_names]
+        self.initial_state, self.method = jnp.stack(start), settings["method"] or FixedStep()
+        if settings["method"] is None and is_concrete(system, start, inputs):
+            # Steps that are short enough along the motion that this record excites.
+            run = simulate(system, inputs, method=self.method, initial_state=initial_state).record
+            states, levels = (
+                jnp.stack([run[name] for name in names], axis=-1)
+                for names in (system.state_names, system.input_names)
+            )
+            steps = suitable_steps(system, states, levels, float(inputs.time_step))
+            self.method = FixedStep(steps)
+
     def system(self, values: Float[Array, " p"]) -> AbstractSystem:
         """The system at these values."""
         return self.model.build({**self.known, **dict(zip(self.parameters, values))})
@@ -83,54 +127,6 @@ class _Experiment(eqx.Module):
         rounding = 8 * k * float(jnp.finfo(dtype).eps)
         inverse = solve_scaled(information, jnp.eye(k, dtype=dtype), ridge=rounding)
         return jnp.sqrt(jnp.diagonal(inverse)[:p]) * size, signals
-
-
-def _planned(
-    model: AbstractParametric,
-    values: Mapping[str, float | Array],
-    inputs: Record,
-    channels: Sequence[str],
-    sigma: Mapping[str, float | Array],
-    settings: Mapping[str, Any],
-) -> _Experiment:
-    """An experiment, checked. `settings`: `known`, `initial_state` and `method`, or None."""
-    known, initial_state = settings["known"] or {}, settings["initial_state"] or {}
-    if names := model.parameters:
-        refuse_unknown([name for name in {**known, **values} if name not in names], names)
-    if not values or not channels:
-        raise ModelError("an experiment needs a parameter to estimate and a channel to measure.")
-    held = {**model.defaults, **known}
-    held = {name: jnp.asarray(value) for name, value in held.items() if name not in values}
-    free = {name: jnp.asarray(value, float) for name, value in values.items()}
-    system: AbstractSystem = model.build({**held, **free})
-    if lacking := [name for name in channels if name not in sigma]:
-        raise ModelError(f"no noise (sigma) is given for {', '.join(lacking)}.")
-    made = system.simulated_names
-    if unknown := [name for name in channels if name not in made]:
-        raise ModelError(
-            f"the simulation has no signal '{unknown[0]}' to measure; it has: {', '.join(made)}."
-        )
-    system.require_states(initial_state)
-    start = [jnp.asarray(initial_state.get(name, 0.0), float) for name in system.state_names]
-    method = settings["method"] or FixedStep()
-    if settings["method"] is None and is_concrete(system, start, inputs):
-        # Steps that are short enough along the motion that this record excites.
-        run = simulate(system, inputs, method=method, initial_state=initial_state).record
-        states, levels = (
-            jnp.stack([run[name] for name in names], axis=-1)
-            for names in (system.state_names, system.input_names)
-        )
-        method = FixedStep(suitable_steps(system, states, levels, float(inputs.time_step)))
-    return _Experiment(
-        model,
-        jnp.stack(list(free.values())),
-        held,
-        jnp.stack(start),
-        jnp.stack([jnp.asarray(sigma[name], float) for name in channels]),
-        method,
-        tuple(channels),
-        tuple(free),
-    )
 
 
 def predicted_standard_errors(
@@ -164,7 +160,7 @@ def predicted_standard_errors(
     """
     settings = {"known": known, "initial_state": initial_state, "method": method}
     family = as_parametric_system(model, record)
-    experiment = _planned(family, values, record, channels, sigma, settings)
+    experiment = _Experiment(family, values, record, channels, sigma, settings)
     errors, _ = eqx.filter_jit(_Experiment.standard_errors)(experiment, record)
     return dict(zip(experiment.parameters, errors))
 
@@ -337,7 +333,7 @@ def design_input(
         )
     sampling = Record({inputs[0]: wave}, time_step)
     settings = {"known": known, "initial_state": initial_state, "method": method}
-    experiment = _planned(family, values, sampling, channels, sigma, settings)
+    experiment = _Experiment(family, values, sampling, channels, sigma, settings)
     if parameter not in values:
         raise ModelError(f"'{parameter}' is not estimated; estimated are: {', '.join(values)}.")
     experiment.system(experiment.values).require_states(travel or {})

@@ -13,7 +13,6 @@ from .reconstruction import quarter_car_source as quarter_car_source
 from .reconstruction import reconstructed as reconstructed
 from .source import BumpStopSpring as BumpStopSpring
 from .source import Curve as Curve
-from .source import DamperCurve as DamperCurve
 from .source import DigressiveDamper as DigressiveDamper
 from .source import HardeningMount as HardeningMount
 from .source import QuarterCarSource as QuarterCarSource

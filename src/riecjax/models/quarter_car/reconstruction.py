@@ -21,7 +21,7 @@ from jaxtyping import Array
 from riecjax.models.catalogue import LISTED
 from riecjax.models.quarter_car.source import (
     BumpStopSpring,
-    DamperCurve,
+    Curve,
     DigressiveDamper,
     HardeningMount,
     QuarterCarSource,
@@ -56,7 +56,7 @@ class Reconstruction(eqx.Module):
     - `roughness`: k of eq. (27) for a density per rad/s.
     """
 
-    damper: DamperCurve
+    damper: Curve
     stop_gaps: Leaf
     stop_rates: Leaf
     mount_cubic: Leaf

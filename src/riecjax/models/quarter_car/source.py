@@ -5,8 +5,8 @@ them. The families here keep what the text says; their constants are reconstruct
 `riecjax.models.quarter_car.reconstruction`.
 """
 
-from collections.abc import Mapping
-from typing import ClassVar, Protocol
+from collections.abc import Callable, Mapping
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -17,21 +17,8 @@ from riecjax.simulation import AbstractSystem
 
 GRAVITY = 9.81
 
-
-class Curve(Protocol):
-    """A force in N over a deflection in m or a velocity in m/s."""
-
-    def __call__(self, x: Array, /) -> Array:
-        """The force at x."""
-        ...
-
-
-class DamperCurve(Curve, Protocol):
-    """A damper's force over velocity, with its slope, by which x7 is governed."""
-
-    def slope(self, velocity: Array, /) -> Array:
-        """dF/dv in N s/m."""
-        ...
+Curve = Callable[[Array], Array]
+"""A force in N over a deflection in m or a velocity in m/s."""
 
 
 class QuarterCarSource(AbstractSystem):
@@ -44,7 +31,7 @@ class QuarterCarSource(AbstractSystem):
 
     **Fields:** masses in kg, `tyre_stiffness` K_t and `damper_compliance` K_c in N/m,
     `mount_damping` B_m in N s/m; `damper`, `spring` and `mount` are the force curves F_d(x7),
-    F_s(x2) and F_ms(x5), the first with a method `slope`.
+    F_s(x2) and F_ms(x5).
     """
 
     wheel_mass: Float[Array, ""]
@@ -53,7 +40,7 @@ class QuarterCarSource(AbstractSystem):
     tyre_stiffness: Float[Array, ""]
     damper_compliance: Float[Array, ""]
     mount_damping: Float[Array, ""]
-    damper: DamperCurve
+    damper: Curve
     spring: Curve
     mount: Curve
 
@@ -81,9 +68,9 @@ class QuarterCarSource(AbstractSystem):
     def derivative(self, state: Array, inputs: Array) -> Array:
         """Eq. (19)."""
         x1, x2, x3, x4, x5, x6, x7 = (state[i] for i in range(7))
-        suspension = self.spring(x2) + self.damper(x7)
+        damping, slope = jax.value_and_grad(self.damper)(x7)
+        suspension = self.spring(x2) + damping
         mount = self.mount(x5) + self.mount_damping * (x4 - x6)
-        relaxation = self.damper_compliance / self.damper.slope(x7)
         return jnp.stack(
             [
                 inputs[0] - x3,
@@ -92,7 +79,7 @@ class QuarterCarSource(AbstractSystem):
                 (suspension - mount) / self.body_mass,
                 x4 - x6,
                 mount / self.engine_mass,
-                relaxation * (x3 - x4 - x7),
+                self.damper_compliance / slope * (x3 - x4 - x7),
             ]
         )
 
@@ -118,22 +105,13 @@ class DigressiveDamper(eqx.Module):
     high_speed_rates: Float[Array, " 2"]
     knees: Float[Array, " 2"]
 
-    def _side(self, velocity: Array) -> tuple[Array, Array]:
-        """c of the velocity's direction, and 1 / sqrt(1 + (v / v_knee)^2)."""
+    def __call__(self, velocity: Array) -> Array:
+        """Force in N at a velocity in m/s."""
         rebound = velocity > 0
         rate = jnp.where(rebound, self.high_speed_rates[1], self.high_speed_rates[0])
         knee = jnp.where(rebound, self.knees[1], self.knees[0])
-        return rate, jax.lax.rsqrt(1 + (velocity / knee) ** 2)
-
-    def __call__(self, velocity: Array) -> Array:
-        """Force in N at a velocity in m/s."""
-        rate, bend = self._side(velocity)
+        bend = jax.lax.rsqrt(1 + (velocity / knee) ** 2)
         return velocity * (rate + (self.low_speed_rate - rate) * bend)
-
-    def slope(self, velocity: Array) -> Array:
-        """dF/dv in N s/m."""
-        rate, bend = self._side(velocity)
-        return rate + (self.low_speed_rate - rate) * bend**3
 
 
 class BumpStopSpring(eqx.Module):
