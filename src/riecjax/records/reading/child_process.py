@@ -9,8 +9,9 @@ takes longer than most reading, and is ended where a file took too long or too m
 import atexit
 import contextlib
 import functools
+import importlib
+import json
 import os
-import pickle
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
@@ -66,21 +69,19 @@ def _answer(
     read: Callable[..., Channels], file: Path, arguments: object, kind: str, is_trusted: bool
 ) -> Channels:
     limit = PATIENCE + size_of(file) / SLOWEST_READING
+    function = [read.__module__, read.__name__]
+    question = [*function, str(file.absolute()), arguments, kind, is_trusted, limit]
     with _lock:
         if not (_readers and _readers[0].is_usable):
             _end()
             _readers.append(_Reader())
-        began, answer = time.monotonic(), None
+        began, answered = time.monotonic(), False
         try:
-            question = read, file.absolute(), arguments, kind, is_trusted, limit
-            answer = _readers[0].answer(question, limit)
+            if answered := _readers[0].answers(question, limit):
+                return _handed_over(_readers[0].out)
         finally:
-            if answer is None:
+            if not answered:
                 _end()
-    if isinstance(answer, Channels):
-        return answer
-    if answer is not None:
-        raise answer
     if time.monotonic() - began < limit:
         why = "its reader crashed, as it does on damaged files"
     else:
@@ -88,18 +89,32 @@ def _answer(
     raise DataError(f"not a readable {kind} file: {why}.")
 
 
+def _handed_over(archive: Path) -> Channels:
+    """What the reading process wrote: arrays and words alone, as nothing that a damaged or hostile
+    file makes of that process is run here."""
+    with np.load(archive) as arrays:
+        described = json.loads(arrays["described"].tobytes())
+        if "error" in described:
+            raise DataError(described["error"])
+        if "memory" in described:
+            raise MemoryError(described["memory"])
+        names = enumerate(described.pop("columns"))
+        return Channels({name: arrays[str(i)] for i, name in names}, **described)
+
+
 class _Reader:
-    """The reading process and the folder for what crashes leave behind."""
+    """The reading process and the folder for what it hands over, and what crashes leave behind."""
 
     def __init__(self):
         self.ending = contextlib.ExitStack()
         place = temporary(Path(tempfile.gettempdir()), is_folder=True, mode=0o700)
-        self.folder = self.ending.enter_context(place)
+        folder = str(self.ending.enter_context(place))
+        self.out = Path(folder) / "channels.npz"
         self.made_for = _surroundings()
-        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(self.folder))
+        places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
         self.process: Any = subprocess.Popen(
             # -P: it finds its modules where this process does, and not in the working folder.
-            [sys.executable, "-P", "-m", __spec__.name, str(self.folder)],
+            [sys.executable, "-P", "-m", __spec__.name, folder],
             env={**os.environ, **places, "PYTHONPATH": self.made_for[1]},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -108,20 +123,20 @@ class _Reader:
 
     @property
     def is_usable(self) -> bool:
-        """Whether it runs, for this process, and what crashes leave behind has its place."""
-        is_alive = self.process.poll() is None and self.folder.is_dir()
+        """Whether it runs, for this process, and what it hands over has its place."""
+        is_alive = self.process.poll() is None and self.out.parent.is_dir()
         return is_alive and self.made_for == _surroundings()
 
-    def answer(self, question: tuple[object, ...], limit: float) -> Channels | Exception | None:
-        """What a file holds, or why it cannot be read; `None` for nothing in `limit` seconds."""
+    def answers(self, question: list[object], limit: float) -> bool:
+        """Whether a file was read, or refused, within `limit` seconds: the answer is in `out`."""
         timer = threading.Timer(limit, self.process.kill)
         timer.start()
         try:
-            pickle.dump(question, self.process.stdin)
+            self.process.stdin.write(json.dumps(question).encode() + b"\n")
             self.process.stdin.flush()
-            return pickle.load(self.process.stdout)
-        except (OSError, EOFError, pickle.UnpicklingError):  # it has ended
-            return None
+            return bool(self.process.stdout.readline())
+        except OSError:  # it has ended
+            return False
         finally:
             timer.cancel()
 
@@ -149,7 +164,7 @@ def _end() -> None:
 
 
 def _serve(folder: str) -> None:
-    """Read the files that are asked for, one by one, until nobody can ask any more.
+    """Read the files that are asked for, a line each, until nobody can ask any more.
 
     Damaged sizes are kept from the machine's memory, and crashes from its disk. Windows has neither
     limit, but a dialog after a crash, for which reading would wait.
@@ -165,12 +180,11 @@ def _serve(folder: str) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     # What a library prints is no answer.
-    answers = os.fdopen(os.dup(1), "wb")
+    answers = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     try:
-        while True:
-            question = pickle.load(sys.stdin.buffer)
-            read, file, (arguments, named), kind, is_trusted, limit = question
+        for line in sys.stdin.buffer:
+            module, function, file, (arguments, named), kind, is_trusted, limit = json.loads(line)
             # Ends a loop that the parent cannot, having been killed itself; threads count together.
             with contextlib.suppress(ImportError, ValueError, OSError):
                 import resource
@@ -178,13 +192,20 @@ def _serve(folder: str) -> None:
                 seconds = int(time.process_time() + limit * (1 + (os.cpu_count() or 1))) + 1
                 _, most = resource.getrlimit(resource.RLIMIT_CPU)
                 resource.setrlimit(resource.RLIMIT_CPU, (seconds, most))
+            columns: dict[str, Any] = {}
             try:
+                read = getattr(importlib.import_module(module), function).__wrapped__
                 with foreign_reader(kind, is_trusted):
-                    answer = read.__wrapped__(file, *arguments, **named)
-            except (DataError, MemoryError) as error:
-                answer = error
-            pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
-            answers.flush()
+                    channels = read(Path(file), *arguments, **named)
+                columns = {str(i): values for i, values in enumerate(channels.columns.values())}
+                described = {**vars(channels), "columns": list(channels.columns)}
+            except DataError as error:
+                described = {"error": str(error)}
+            except MemoryError as error:
+                described = {"memory": str(error)}
+            written = np.frombuffer(json.dumps(described).encode(), np.uint8)
+            np.savez(Path(folder) / "channels.npz", described=written, **columns)
+            os.write(answers, b"\n")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
