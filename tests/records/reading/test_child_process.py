@@ -71,7 +71,8 @@ def test_one_process_reads_file_after_file(whole, tmp_path):
     process.kill()
     process.wait()
     assert "x" in read_channels(whole).columns
-    child_process._readers[0].folder.rmdir()
+    child_process._readers[0].out.unlink()
+    child_process._readers[0].out.parent.rmdir()
     assert "x" in read_channels(whole).columns
 
 
@@ -79,7 +80,7 @@ def test_the_process_ends_with_the_one_that_asks(whole):
     code = (
         "import os, signal, sys; from riecjax.records.reading import channels, child_process\n"
         "channels.read_channels(sys.argv[1]); reader = child_process._readers[0]\n"
-        "print(reader.folder, flush=True)\n"
+        "print(reader.out.parent, flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
     command = [sys.executable, "-c", code, str(whole)]
