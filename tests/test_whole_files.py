@@ -1,14 +1,12 @@
 """Files that appear whole or not at all, and what stands beside them."""
 
 import os
-import time
 from pathlib import Path
 
 import click
 import pytest
 
 import riecjax as rx
-from riecjax import whole_files
 from riecjax.cli.command import read_job
 from riecjax.errors import DataError
 from riecjax.reporting.output import require_folder
@@ -16,7 +14,7 @@ from riecjax.whole_files import Store, is_stamped, stamp, sweep, temporary, writ
 
 CONTENT = bytes(range(256)) * 3
 LEFT = f".riecjax-{'0' * 32}"
-YESTERDAY = time.time() - 2 * whole_files.OLD
+LONG_AGO = (0, 0)
 
 
 @pytest.mark.portable
@@ -30,10 +28,10 @@ def test_what_was_left_long_ago_goes_and_all_else_stays(tmp_path, is_folder):
     others = [tmp_path / name for name in (".riecjax-notes", ".riecjax-" + "0" * 31, "a.csv")]
     for other in others:
         other.touch()
-        os.utime(other, (YESTERDAY, YESTERDAY))
+        os.utime(other, LONG_AGO)
     with temporary(tmp_path, is_folder=is_folder) as made:
         assert left.exists()  # it may be another process's
-        os.utime(left, (YESTERDAY, YESTERDAY))
+        os.utime(left, LONG_AGO)
         sweep(tmp_path)
         assert made.exists()
         assert not left.exists()
@@ -45,7 +43,7 @@ def test_what_is_no_plain_file_is_never_opened(tmp_path):
     os.mkfifo(tmp_path / LEFT)
     (tmp_path / LEFT.replace("0", "1")).symlink_to("/dev/zero")
     for path in tmp_path.iterdir():
-        os.utime(path, (YESTERDAY, YESTERDAY), follow_symlinks=False)
+        os.utime(path, LONG_AGO, follow_symlinks=False)
     with temporary(tmp_path):
         pass
     assert len(list(tmp_path.iterdir())) == 2

@@ -18,7 +18,7 @@ from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.bases import AbstractShape
 from riecjax.equations.model import as_model
-from riecjax.records.preparation import upsample
+from riecjax.records.preparation.resampling import upsample
 from riecjax.refinement.output_error import OutputError, Tiles
 from riecjax.reporting.discovery import sentence
 from riecjax.simulation.method import FixedStep

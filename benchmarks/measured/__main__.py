@@ -8,7 +8,7 @@ import jax
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
 from riecjax.criteria.test_functions import Bump, Hat
 from riecjax.criteria.windows import AllWindows
-from riecjax.records.preparation import upsample
+from riecjax.records.preparation.resampling import upsample
 
 DATA = Path(os.environ.get("RIECJAX_DATA", Path(__file__).parents[3] / "shared" / "data"))
 

@@ -24,7 +24,7 @@ from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
-from riecjax.records.preparation import differentiate
+from riecjax.records.preparation.filtering import differentiate
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.refine import Refined, refine

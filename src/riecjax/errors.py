@@ -94,6 +94,7 @@ class SimulationError(RiecjaxError):
 
 
 LONGEST_REASON = 500
+"""Characters of a reason that are told."""
 
 
 def reason_of(error: BaseException) -> str:
@@ -169,9 +170,8 @@ def _line_of(error: BaseException) -> str:
     installed = [sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")]
     packages = [*site.getsitepackages(), site.getusersitepackages()]
     folders = [Path(__file__).parent, *installed, *packages]
-    own = []
-    for frame in traceback.extract_tb(error.__traceback__):
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(os.path.abspath(frame.filename))
         if not (frame.filename.startswith("<") or any(map(path.is_relative_to, folders))):
-            own.append(f" at line {frame.lineno} of {path.name}")
-    return own[-1] if own else ""
+            return f" at line {frame.lineno} of {path.name}"
+    return ""

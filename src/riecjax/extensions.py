@@ -24,7 +24,6 @@ from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-OURS = "riecjax"
 Kind = Literal["readers", "commands", "elements"]
 
 NEEDS = {
@@ -59,8 +58,7 @@ def require_packages(use: str) -> None:
     **Raises:** `DataError` with the remedy if one is not.
     """
     words, packages, extra = NEEDS[use]
-    lacking = [name for name in packages if importlib.util.find_spec(name) is None]
-    if lacking:
+    if lacking := [name for name in packages if importlib.util.find_spec(name) is None]:
         raise DataError(
             f"{words} {', '.join(lacking)}; install {'them' if len(lacking) > 1 else 'it'} by "
             f'pip install "riecjax[{extra}]".'
@@ -80,8 +78,7 @@ def extension(kind: Kind, name: str) -> Callable[..., Any] | None:
 
     **Raises:** `ExtensionError` if it cannot be imported, or several distributions offer it.
     """
-    points = _offered(kind, tuple(sys.path)).get(name, [])
-    if not points:
+    if not (points := _offered(kind, tuple(sys.path)).get(name, [])):
         return None
     packages = [point.dist and point.dist.name for point in points]
     if len(points) > 1:
@@ -108,8 +105,7 @@ def element(name: str, own: Sequence[str] = ()) -> Callable[..., Any]:
 
     **Raises:** `ModelError` if no distribution has it; `ExtensionError` as `extension`.
     """
-    made = extension("elements", name)
-    if made is None:
+    if (made := extension("elements", name)) is None:
         listed = ", ".join(dict.fromkeys([*own, *extension_names("elements")]))
         raise ModelError(f"there is no element '{name}'; there are: {listed}.")
     return made
@@ -126,7 +122,7 @@ def _offered(kind: Kind, path: tuple[str, ...]) -> "dict[str, list[EntryPoint]]"
         raise ExtensionError(
             f"what is installed beside riecjax cannot be listed: {reason_of(error)}."
         ) from None
-    ours = [point for point in points if point.dist and point.dist.name == OURS]
+    ours = [point for point in points if point.dist and point.dist.name == "riecjax"]
     offered = {point.name: [point] for point in ours}
     for point in sorted(set(points) - set(ours)):
         if all(other not in ours for other in offered.get(point.name, ())):

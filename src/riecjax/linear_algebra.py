@@ -151,10 +151,9 @@ def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:
     size = rows.shape[1]
     if not np.isfinite(rows).all():
         return np.full((size, size), np.nan)
-    found = np.linalg.qr(rows, mode="r")
-    factor = np.zeros((size, size))
-    factor[: len(found)] = np.where(np.diagonal(found) < 0, -1.0, 1.0)[:, None] * found
-    return factor
+    factor = np.linalg.qr(rows, mode="r")
+    signed = np.where(np.diagonal(factor) < 0, -1.0, 1.0)[:, None] * factor
+    return np.pad(signed, [(0, size - len(factor)), (0, 0)])
 
 
 def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*batch n n"]:
@@ -166,8 +165,7 @@ def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*bat
     rounding = 8 * n * jnp.finfo(moments.dtype).eps
     identity = jnp.eye(n, dtype=moments.dtype).reshape((1,) * (moments.ndim - 2) + (n, n))
     scaled = moments * scale[..., :, None] * scale[..., None, :] + rounding * identity
-    factor = jnp.swapaxes(jnp.linalg.cholesky(scaled), -1, -2)
-    return jnp.sqrt(size)[..., None, :] * factor
+    return jnp.sqrt(size)[..., None, :] * jnp.swapaxes(jnp.linalg.cholesky(scaled), -1, -2)
 
 
 def gram_condition_limit(dtype: jnp.dtype) -> float:

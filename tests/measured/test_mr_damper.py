@@ -16,7 +16,7 @@ from riecjax.equations.bases import roof
 from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term, Terms
 from riecjax.estimation.identify import identify
-from riecjax.records.preparation import differentiate
+from riecjax.records.preparation.filtering import differentiate
 from riecjax.records.record import Record
 
 CRITERION = RIEC(RandomWindows(0.05, 0.5, 4000))

@@ -17,7 +17,7 @@ from benchmarks.measured.silverbox import (
 
 from conftest import measured_data
 from riecjax.criteria.test_functions import Hat
-from riecjax.records.preparation import upsample
+from riecjax.records.preparation.resampling import upsample
 from riecjax.records.record import Record
 
 REFERENCE = {"arrow": 0.63, "no extrapolation": 0.44, "multisine": 0.44}

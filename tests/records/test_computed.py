@@ -8,7 +8,7 @@ from tests.machines import drag_signals as signals
 
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import find_model
-from riecjax.records.consistency import filter_between
+from riecjax.records.faults.derivative_pairs import filter_between
 from riecjax.records.record import Record
 from riecjax.records.signal import noise_level
 from riecjax.summaries.task import ready

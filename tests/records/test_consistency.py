@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from riecjax.errors import MissingSignalError
-from riecjax.records.consistency import _best_lag, check_derivatives
+from riecjax.records.faults.derivative_pairs import _best_lag, check_derivatives
 from riecjax.records.record import Record
 
 STEP = 0.005

@@ -23,7 +23,7 @@ from nightly import nightly
 from riecjax import compilation, runtime
 from riecjax.errors import DataError, ModelError
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation import differentiate
+from riecjax.records.preparation.filtering import differentiate
 from riecjax.records.record import Record, shared_length, stack_records
 from riecjax.refinement.optimum import Prior, RefinementStatus
 from riecjax.refinement.output_error import (

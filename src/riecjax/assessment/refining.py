@@ -24,7 +24,7 @@ from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import AbstractEstimate, Estimate
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
-from riecjax.records.consistency import is_motion
+from riecjax.records.faults.derivative_pairs import is_motion
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractMisfit, AbstractObjective

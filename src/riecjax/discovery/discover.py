@@ -24,7 +24,7 @@ from riecjax.estimation.estimate import EquationFit, Estimate
 from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
-from riecjax.records.preparation.alignment import shift
+from riecjax.records.preparation.resampling import shift
 from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
 from riecjax.settings import Discover as DiscoverSettings

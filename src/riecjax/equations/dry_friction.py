@@ -34,7 +34,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, combined, evaluate, product
 from riecjax.equations.term import AbstractTerm
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
-from riecjax.records.faults.at_rest import Rest, rest_of
+from riecjax.records.faults.sampled_signal import Rest, rest_of
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 

@@ -17,7 +17,7 @@ from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.findings import Finding
-from riecjax.records.consistency import check_derivatives
+from riecjax.records.faults.derivative_pairs import check_derivatives
 from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records

@@ -30,8 +30,7 @@ def from_dataframe(frame: Any, settings: Frame) -> Record:
         name = ".".join(map(str, label)) if isinstance(label, tuple) else str(label)
         if name in channels.columns or name in channels.left_out:
             raise DataError(f"two columns are called '{name}'.")
-        values = _numbers(frame.iloc[:, place])
-        if values is None:
+        if (values := _numbers(frame.iloc[:, place])) is None:
             channels.left_out[name] = f"it holds {frame.dtypes.iloc[place]}, not numbers"
         else:
             channels.columns[name] = values
@@ -94,8 +93,7 @@ def from_dataset(dataset: Any, settings: Frame) -> Record:
     renamed = dict(settings.rename)
     if axis is not None:
         name = str(axis)
-        values = _numbers(dataset[axis])
-        if values is None:
+        if (values := _numbers(dataset[axis])) is None:
             raise DataError(f"the coordinate '{name}' holds no times.")
         arrays[name] = values
         if dataset[axis].attrs.get("units") and dataset[axis].dtype.kind in "fiu":
@@ -110,8 +108,7 @@ def _numbers(series: Any) -> np.ndarray | None:
 
     NaN where there is no value, however pandas marks it.
     """
-    kind = getattr(series.dtype, "kind", "O")
-    if kind in "mM":
+    if (kind := getattr(series.dtype, "kind", "O")) in "mM":
         if getattr(series.dtype, "tz", None) is not None:
             series = type(series)(series.to_numpy("datetime64[ns]"))
         return seconds_of(np.asarray(series))

@@ -19,11 +19,9 @@ from jaxtyping import Float
 from riecjax.errors import DataError, require
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, runs
-from riecjax.records.signal import Signal, SignalNoise
+from riecjax.records.signal import Samples, Signal, SignalNoise, Taps
 
-Samples = Float[np.ndarray, " n"]
 Places = Float[np.ndarray, " m"]
-Taps = Float[np.ndarray, " taps"]
 SAME_TIME = 1e-6
 """Share of a step within which a new time is a sample's time."""
 
@@ -73,16 +71,15 @@ class LinearOp:
 
         last = first + taps.size - 1
 
-        def noise(of: SignalNoise) -> SignalNoise:
-            # The middle tap of a kernel is for the same sample.
-            reach = max(-first, last, 0)
-            kernel = np.zeros(2 * reach + 1)
-            kernel[reach - last : reach - first + 1] = taps[::-1]
-            return of.convolved(kernel)
-
-        fields = {"noise": noise, "shortest": taps.size, **fields}
-        lost = max(-first, 0), max(last, 0)
-        return cls.of_stretches(words, sums, lost=lost, **fields)
+        # The middle tap of a kernel is for the same sample.
+        reach = max(-first, last, 0)
+        room = reach - last, reach + first
+        fields = {
+            "noise": lambda noise: noise.convolved(np.pad(taps[::-1], room)),
+            "shortest": taps.size,
+            **fields,
+        }
+        return cls.of_stretches(words, sums, lost=(max(-first, 0), max(last, 0)), **fields)
 
     @classmethod
     def of_stretches(

@@ -77,13 +77,29 @@ class Record(Drawn, eqx.Module):
         dtype = jnp.result_type(float)
         self.by_name = {}
         for name, given in by_name.items():
-            signal = given if isinstance(given, Signal) else _signal(name, given)
+            signal = _signal(name, given)
             values = _owned(_numbers(name, signal.values), dtype)
             present = None if signal.present is None else _owned(signal.present, bool)
             self.by_name[name] = Signal(values, present, signal.unit, signal.noise)
         # Of a batch of records, signals and time steps have the batch's axes in front.
         axes = max((values.ndim for values in self.arrays.values()), default=1) - 1
-        self.time_step = jnp.asarray(_checked_step(time_step, axes), dtype)
+        if np.ndim(time_step) > axes:
+            raise DataError(
+                "the time step must be one number of seconds; got an array. For the time of each "
+                'sample write rx.Record.from_samples({"x": x}, time=t).'
+            )
+        if is_concrete(time_step):
+            try:
+                time_step = np.asarray(time_step, float)
+            except (TypeError, ValueError):
+                require("the time step", time_step, (), WRITE_RECORD, DataError)
+                raise
+            if not (np.isfinite(time_step) & (time_step > 0)).all():
+                least = np.min(time_step)
+                raise DataError(
+                    f"the time step must be a positive number of seconds; got {least:g}."
+                )
+        self.time_step = jnp.asarray(time_step, dtype)
         self.start_time = jnp.asarray(start_time, dtype)
         self.stamps = None if stamps is None else _owned(stamps, dtype)
         self.skipped = jnp.asarray(skipped, dtype)
@@ -92,9 +108,9 @@ class Record(Drawn, eqx.Module):
         lengths = {name: values.shape for name, values in self.arrays.items()}
         if not lengths:
             raise DataError("a record needs at least one signal.")
-        beside = {f"{name}.present": signal.present for name, signal in self.by_name.items()}
-        beside = {"stamps": self.stamps} | beside
-        samples = {name: each.shape[-1:] for name, each in beside.items() if each is not None}
+        masks = {f"{name}.present": signal.present for name, signal in self.by_name.items()}
+        beside = {"stamps": self.stamps, **masks}.items()
+        samples = {name: each.shape[-1:] for name, each in beside if each is not None}
         rows = {shape[-1:] for shape in lengths.values()} | {*samples.values()}
         if len(set(lengths.values())) > 1 or len(rows) > 1:
             listed = ", ".join(f"{name} {shape}" for name, shape in (lengths | samples).items())
@@ -133,7 +149,8 @@ class Record(Drawn, eqx.Module):
         if len({values.size for values in every.values()}) > 1:
             listed = ", ".join(f"{name} {values.size}" for name, values in every.items())
             raise DataError(f"all signals and the time must have the same length; got {listed}.")
-        step, start, stamps = time_step, 0.0, None
+        step: Any = time_step
+        start, stamps = 0.0, None
         if time is not None:
             given = every["t"]
             (step, pauses), start = time_base(given), given[0]
@@ -141,7 +158,6 @@ class Record(Drawn, eqx.Module):
                 # The middle of each pause.
                 stamps = np.insert(given, pauses, 0.5 * (given[pauses - 1] + given[pauses]))
                 arrays = {k: np.insert(v, pauses, np.nan) for k, v in arrays.items()}
-        step = float(_checked_step(step, 0))
         if min((values.size for values in arrays.values()), default=2) < 2:
             raise DataError("a record needs at least two samples.")
         known = units or {}
@@ -236,12 +252,7 @@ class Record(Drawn, eqx.Module):
         unit. A NaN of NumPy's is a missing sample; in JAX's arrays, traced or not, all are present.
         """
         units = {name: signal.unit for name, signal in self.by_name.items()}
-        given = {
-            name: signal
-            if isinstance(signal, Signal)
-            else _signal(name, signal, units.get(name, ""))
-            for name, signal in signals.items()
-        }
+        given = {n: _signal(n, samples, units.get(n, "")) for n, samples in signals.items()}
         return dataclasses.replace(self, by_name={**self.by_name, **given})
 
     def through(self, op: "LinearOp | Mapping[str, LinearOp]", *names: str) -> "Record":
@@ -371,29 +382,6 @@ def _named(by_name: Mapping[str, Signal], name: str) -> Signal:
 WRITE_RECORD = 'rx.Record.from_samples({"x": x}, time_step=0.005), samples by name'
 
 
-def _checked_step(time_step: Any, axes: int) -> Any:
-    """The time step, with so many axes at most; a positive number where it is known.
-
-    **Raises:** `DataError` otherwise.
-    """
-    if np.ndim(time_step) > axes:
-        raise DataError(
-            "the time step must be one number of seconds; got an array. For the time of each "
-            'sample write rx.Record.from_samples({"x": x}, time=t).'
-        )
-    if is_concrete(time_step):
-        try:
-            step = np.asarray(time_step, float)
-        except (TypeError, ValueError):
-            require("the time step", time_step, (), WRITE_RECORD, DataError)
-            raise
-        if not (np.isfinite(step) & (step > 0)).all():
-            raise DataError(
-                f"the time step must be a positive number of seconds; got {np.min(step):g}."
-            )
-    return time_step
-
-
 class HasRecord(Protocol):
     """Something around a record, such as a [`Recording`][riecjax.Recording]."""
 
@@ -476,11 +464,13 @@ def _numbers(name: str, values: Any) -> Any:
 
 
 def _signal(name: str, values: Any, unit: str = "") -> Signal:
-    """A signal of bare samples, of which NumPy's are missing where they are NaN or masked."""
+    """A signal as it is; of bare samples NumPy's are missing where they are NaN or masked."""
+    if isinstance(values, Signal):
+        return values
     samples = _numbers(name, values)
-    return (
-        Signal(samples, unit=unit) if isinstance(samples, jax.Array) else Signal.of(samples, unit)
-    )
+    if isinstance(samples, jax.Array):
+        return Signal(samples, unit=unit)
+    return Signal.of(samples, unit)
 
 
 def _samples(name: str, values: ArrayLike) -> np.ndarray:

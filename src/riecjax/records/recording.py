@@ -11,12 +11,10 @@ import numpy as np
 
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
-from riecjax.records.consistency import without_computed
+from riecjax.records.faults.derivative_pairs import align, declared_pairs, without_computed
 from riecjax.records.faults.rows import without_repetitions
 from riecjax.records.noise_judgement import given_noise
-from riecjax.records.preparation import align, split
-from riecjax.records.preparation.alignment import declared_pairs
-from riecjax.records.preparation.steps import halves, idle_cuts, prepare
+from riecjax.records.preparation.steps import halves, idle_cuts, prepare, split
 from riecjax.records.reading.channels import LONGEST_MESSAGE, Channels, read_channels
 from riecjax.records.reading.selection import Parts, record_from_channels, recordings_in, several
 from riecjax.records.reading.times import TIME_COLUMNS
@@ -199,10 +197,7 @@ def _recordings(path: str | os.PathLike[str], parts: Parts, settings: Reading) -
 
 
 def _recording(
-    path: str | os.PathLike[str],
-    part: str,
-    channels: Channels,
-    settings: Reading,
+    path: str | os.PathLike[str], part: str, channels: Channels, settings: Reading
 ) -> Recording:
     model = settings.model
     file = Path(path).name

@@ -26,6 +26,8 @@ from numpy.typing import ArrayLike
 from riecjax.errors import DataError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 
+Samples = Float[np.ndarray, " n"]
+Taps = Float[np.ndarray, " taps"]
 DIFFERENCE_ORDER = 6
 GAIN = float(np.sqrt(np.sum(np.poly([1.0] * DIFFERENCE_ORDER) ** 2)))
 """Times that white noise is as large in such differences."""
@@ -100,7 +102,7 @@ class SignalNoise:
             kernels[source] = _sum(kernels[source], taps) if source in kernels else taps
         return SignalNoise(kernels, {**self.freedom, **other.freedom})
 
-    def convolved(self, taps: Float[np.ndarray, " taps"]) -> "SignalNoise":
+    def convolved(self, taps: Taps) -> "SignalNoise":
         """The noise behind a filter of an odd number of taps, centred on the same sample."""
         return self.of_each(lambda kernel: shortened(np.convolve(kernel, taps)))
 
@@ -258,15 +260,12 @@ def _sum(one: Leaf, other: Leaf) -> Leaf:
     return padded(one) + padded(other)
 
 
-def shortened(
-    taps: Float[np.ndarray, " taps"], negligible: float = NEGLIGIBLE
-) -> Float[np.ndarray, " taps"]:
+def shortened(taps: Taps, negligible: float = NEGLIGIBLE) -> Taps:
     """A kernel without those ends that hold next to nothing of its energy."""
     half = taps.size // 2
     sides = taps[half + 1 :] ** 2 + taps[:half][::-1] ** 2
     beyond = np.cumsum(sides[::-1])[::-1]
-    kept = int(np.sum(beyond > negligible * np.sum(taps**2)))
-    kept = min(kept, LONGEST_KERNEL // 2)
+    kept = min(int(np.sum(beyond > negligible * np.sum(taps**2))), LONGEST_KERNEL // 2)
     return taps[half - kept : half + kept + 1]
 
 
@@ -277,9 +276,7 @@ def stretches_of(count: int) -> Int[np.ndarray, "stretches samples"]:
     return np.linspace(0, count - STRETCH, STRETCHES).astype(int)[:, None] + np.arange(STRETCH)
 
 
-def noise_level(
-    samples: Float[Array, "*batch n"] | Float[np.ndarray, "*batch n"],
-) -> Float[Leaf, "*batch"]:
+def noise_level(samples: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
     """Standard deviation of the white noise on a smooth signal.
 
     From its differences of sixth order: the median of their size, which steps and spikes do not

@@ -10,8 +10,8 @@ STEP_TOLERANCE = 1e-3
 """Share of a step by which stamps of an even grid may be off."""
 SHORTEST_PAUSE = 1.5
 """Steps between two samples past which one is missing between them."""
-
-
+PPM = 1e-6
+"""A millionth of time, by which clocks are set."""
 COARSE = 0.3
 """Share of rows that repeat a stamp from which stamps are coarse, and not some rows repeated."""
 HOUR = 3600.0
@@ -19,8 +19,6 @@ EPOCH = 1e9
 """Seconds since 1970 in 2001: no clock of a record that starts at 0 gets there."""
 FEWEST_DIGITS, MOST_DIGITS = 4, 9
 """Significant digits that a logger may round its stamps to."""
-
-
 FEWEST_ODD = 10
 """Steps of another length from which rounding makes them, and not rows lost or repeated."""
 MOST_LOST = 0.05
@@ -207,8 +205,8 @@ def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
 
 def _distance_from_grid(stamps: np.ndarray, pauses: np.ndarray, step: float) -> float:
     """How far a stamp lies off the even grid of its own stretch, in seconds."""
-    stretches = np.split(stamps, pauses)
-    return max(float(np.ptp(part - step * np.arange(part.size))) / 2 for part in stretches)
+    parts = np.split(stamps, pauses)
+    return max(float(np.ptp(part - step * np.arange(part.size))) / 2 for part in parts)
 
 
 def _resolution(stamps: np.ndarray, step: float) -> float:

@@ -53,8 +53,7 @@ def write_record(path: str | os.PathLike[str], record: Record) -> None:
     allowed, refusal = NAMES.get(ending, (lambda name: True, ""))
     if refused := [name for name in columns if not allowed(name)]:
         raise DataError(f"{refused[0]!r} cannot {refusal}.")
-    writer = WRITERS[ending]
-    write_file(file, lambda temporary: writer(temporary, columns, dict(record.units)))
+    write_file(file, lambda path: WRITERS[ending](path, columns, dict(record.units)))
 
 
 def check_writable(file: Path) -> None:

@@ -17,7 +17,7 @@ from riecjax.equations.memories import with_memories
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
 from riecjax.leaves import is_concrete
-from riecjax.records.consistency import without_computed
+from riecjax.records.faults.derivative_pairs import without_computed
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Records

@@ -147,6 +147,7 @@ def equation_error(
         if not equation.has_target:
             target = -parts.pop(equation.parameters[0])
         explained = sum(parts.values(), start=jnp.zeros_like(target))
+        times = 0.5 * (record.elapsed[span:] + record.elapsed[:-span])
         error = EquationError(
             target - explained,
             explained,
@@ -155,16 +156,14 @@ def equation_error(
             span,
             equation.name,
             equation.unit,
-            0.5 * (record.elapsed[span:] + record.elapsed[:-span]),
+            times,
         )
         errors.append(error)
     return tuple(errors)
 
 
 def errors_over_records(
-    model: Equation | Model,
-    records: Sequence[Record],
-    values: Mapping[str, float | Array],
+    model: Equation | Model, records: Sequence[Record], values: Mapping[str, float | Array]
 ) -> list[list[EquationError]]:
     """For each equation, its error on each of several records (not under jit).
 
@@ -181,11 +180,10 @@ def errors_over_records(
         )
     model = as_model(model)
     records = [with_memories(record, model.memories) for record in records]
-    names = model.parameter_names
     parts = []
     for index, record in enumerate(records):
-        own = values_in_recording(names, values, index)
         # Only what the equations read: other names would compile them anew.
+        own = values_in_recording(model.parameter_names, values, index)
         own = {name: jnp.asarray(value) for name, value in own.items()}
         parts.append(_compiled(in_motion(model, record), record, own))
     return [list(of_equation) for of_equation in zip(*parts)]

@@ -34,7 +34,7 @@ import functools
 import itertools
 import operator
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -46,6 +46,7 @@ from riecjax.equations.hidden_elements import accelerated
 from riecjax.equations.model import Model
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, option_for
+from riecjax.linear_algebra import unit_diagonal
 from riecjax.records.faults.derivative_pairs import Course, changing
 from riecjax.records.preparation.filtering import SLOPE, lead
 from riecjax.records.record import Record
@@ -102,17 +103,17 @@ class Search:
 
     def __post_init__(self) -> None:
         self.step = float(self.records[0].time_step)
-        zero, one = self.sums(0), self.sums(1)
-        differ = (np.any(a.clean != b.clean) for a, b in zip(zero, one))
-        self.reading = [i for i, other in enumerate(differ) if other]
-        self.blocks = np.flatnonzero(zero[0].clean[:, 0, 0])
+        changes = zip(self.sums(0), self.sums(1))
+        self.reading = [i for i, (a, b) in enumerate(changes) if np.any(a.clean != b.clean)]
+        self.blocks = np.flatnonzero(self.sums(0)[0].clean[:, 0, 0])
 
     def sums(self, count: int) -> Stages:
         """Of the records with so much undone."""
         if count not in self.kept:
             # By the functions that were compiled for the estimate's own Summary.
-            made, criterion, own = self.estimate.summary, self.estimate.criterion, None
+            made, criterion = self.estimate.summary, self.estimate.criterion
             assert made is not None
+            own = None
             if (windows := criterion.windows) is not None:
                 own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
             bins = None if own is not None or made.edges is None else np.asarray(made.edges)
@@ -120,9 +121,8 @@ class Search:
             records = [self.undo(each, self.signals, samples, self.reach) for each in self.records]
             task = Task(self.model, records, criterion, record_keys(None, len(records)))
             surveyed = made.recordings[0].stages[0][0].survey is not None
-            summary = summed(task, bins=bins, survey=surveyed)
-            stages = (sum_of_equations(stage).flattened() for stage in summary.equations())
-            self.kept[count] = list(stages)
+            stages = summed(task, bins=bins, survey=surveyed).equations()
+            self.kept[count] = [sum_of_equations(stage).flattened() for stage in stages]
         return self.kept[count]
 
     # Values too large to be squared leave no finite sum, and nothing is found.
@@ -130,33 +130,36 @@ class Search:
     def delay(self, level: float) -> "SignalDelay | None":
         """Where least is left, if that is found, with its reach at a level of chance."""
         before = self.solved(0, 0.0)
-        middle, moved = self.descended(0)
-        after = self.solved(middle, moved)
+        middle, moved, after = self.descended(0)
         if before.left > LOST and not after.left < FOUND * before.left:
             every = range(1 - self.most, self.most, COARSE)
-            middle, moved = self.descended(min(every, key=lambda k: self.solved(k, 0.0).left))
-            after = self.solved(middle, moved)
+            start = min(every, key=lambda k: self.solved(k, 0.0).left)
+            middle, moved, after = self.descended(start)
         if not np.isfinite(after.left):
             return None
         groups = np.array_split(self.blocks, min(int(self.estimate.block_count), GROUPS))
-        rests = (np.setdiff1d(self.blocks, group) for group in groups)
-        amounts = [self.lowest(middle, rest, moved, (FINE, FINE)) for rest in rests]
+        amounts = [
+            self.lowest(middle, np.setdiff1d(self.blocks, group), moved, (FINE, FINE))
+            for group in groups
+        ]
         # The jackknife's standard error.
         error = self.unit * float(np.std(amounts) * np.sqrt(len(groups) - 1))
         reach = float(tails.student(level / 2, len(groups) - 1)) * error
-        sizes = (middle + moved) * self.unit, error, reach, self.step
-        delay = SignalDelay(self.signals, *sizes, 0.0, before.left**0.5, 0.0, {})
+        seconds = (middle + moved) * self.unit
+        delay = SignalDelay(self.signals, seconds, error, reach, self.step, before.left**0.5)
         return delay.leaving(before, after)
 
-    def descended(self, middle: int) -> tuple[int, float]:
-        """The nearest amount that leaves least, as whole units and a part; NaN if not found."""
+    def descended(self, middle: int) -> tuple[int, float, Solved]:
+        """The nearest amount that leaves least, as whole units and a part, NaN if not found; and
+        what is found there."""
         moved = float("nan")
         for _ in range(STEPS):
             moved = self.lowest(middle, self.blocks, 0.0, (1.0, 0.3, FINE))
             if not np.isfinite(moved) or abs(moved) <= 0.75:
                 break
             middle = round(np.clip(middle + moved, 1 - self.most, self.most - 1))
-        return middle, moved if abs(moved) <= 1 else float("nan")
+        moved = moved if abs(moved) <= 1 else float("nan")
+        return middle, moved, self.solved(middle, moved)
 
     def lowest(self, middle: int, blocks: Blocks, at: float, units: Sequence[float]) -> float:
         """Where blocks leave least, in units from the middle amount, by parabolas so wide; NaN if
@@ -194,9 +197,7 @@ class Search:
             clean = np.asarray(equations.clean)
             if not np.isfinite(clean).all():
                 return Solved(values, float("nan"), 0.0)
-            sizes = np.diagonal(clean)
-            scale = 1 / np.sqrt(np.where(sizes > 0, sizes, 1.0))
-            scaled = clean * scale[:, None] * scale
+            scaled, scale = unit_diagonal(clean)
             theta = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-12)[0]
             theta = theta * scale[1:] / scale[0]
             values |= dict(zip(equations.parameters, theta.tolist()))
@@ -211,11 +212,9 @@ class Search:
     def energy(self, stages: Stages, values: Mapping[str, float]) -> float:
         """What stages leave beyond noise with these values, in the squares of their units."""
         # As `fix` of them all does, without another set of normal equations for each of thousands.
-        rows = {
-            i: np.array([1.0, *(-values[name] for name in stages[i].parameters)])
-            for i in self.reading
-        }
-        return float(sum(row @ stages[i].clean @ row for i, row in rows.items()))
+        equations = [stages[i] for i in self.reading]
+        rows = [np.array([1.0, *(-values[name] for name in e.parameters)]) for e in equations]
+        return float(sum(row @ e.clean @ row for row, e in zip(rows, equations)))
 
 
 def between(parts: Sequence[Stages], at: float) -> Stages:
@@ -226,9 +225,8 @@ def between(parts: Sequence[Stages], at: float) -> Stages:
     ]
 
 
-PARTS = 16
-"""Parts of a record whose delays are told."""
-FEWEST = 8
+PARTS, FEWEST = 16, 8
+"""Parts of a record whose delays are told, at the most and at the least."""
 TURNS = 8
 """Times that parameters and delays are found in turn."""
 PERHAPS, CERTAIN = 2.0, 40.0
@@ -305,8 +303,8 @@ def _course_among(
     statistic = (steady - left) / max(left / (delays.shape[1] - 3), 1e-12 * steady, 1e-300)
     # Of all parts but the one that leaves most: a jump within it is not undone.
     values = solved_of(every).values
-    energies = [search.energy(stages_of(part), values) for part in every.tolist()]
-    return course, solved_of(np.delete(every, np.argmax(energies))), statistic
+    worst = max(every.tolist(), key=lambda part: search.energy(stages_of(part), values))
+    return course, solved_of(np.delete(every, worst)), statistic
 
 
 LEVEL = 1e-3
@@ -358,10 +356,10 @@ class SignalDelay(NamedTuple):
     error: float
     reach: float
     time_step: float
-    left: float
     left_as_recorded: float
-    noise: float
-    moved: Mapping[str, float]
+    left: float = 0.0
+    noise: float = 0.0
+    moved: Mapping[str, float] = {}
     low_passed: bool = False
     otherwise: float = 0.0
     course: Course = Course()
@@ -416,43 +414,40 @@ def signal_delays(model: Model, records: Sequence[Record], estimate: Estimate) -
     if reach < 3 or int(estimate.block_count) < FEWEST_GROUPS or not groups:
         return []
     level, unmoved = LEVEL / len(groups), {}
-
-    def search(signals: tuple[str, ...], undo: Undo, unit: float, most: int) -> Search:
-        # Without a shift all are the same records. Filters describe their noise otherwise.
-        kept = {**unmoved} if undo is advanced else {}
-        made = Search(model, estimate, records, signals, undo, unit, reach, most, kept)
-        unmoved.setdefault(0, made.sums(0))
-        return made
-
     every: list[tuple[SignalDelay, Search]] = []
     for signals in groups:
-        searched = search(signals, advanced, step, reach)
-        late = searched.delay(level)
+        # Without a shift all are the same records. Filters describe their noise otherwise.
+        search = Search(
+            model, estimate, records, signals, advanced, step, reach, reach, {**unmoved}
+        )
+        unmoved = {0: search.sums(0)}
+        late = search.delay(level)
         if late is not None and late.significant and late.seconds > 0:
-            lagged = search(signals, unfiltered, late.seconds, MOST_LAGS).delay(level)
+            lagged = Search(
+                model, estimate, records, signals, unfiltered, late.seconds, reach, MOST_LAGS, {}
+            ).delay(level)
             if lagged is not None:
                 nearer, other = sorted((late, lagged), key=lambda each: each.left)
                 late = nearer._replace(low_passed=nearer is lagged, otherwise=other.left)
-        every += [] if late is None else [(late, searched)]
+        every += [] if late is None else [(late, search)]
     every.sort(key=lambda each: each[0].left)
     delays = [late for late, _ in every]
     if len(records) == 1 and delays and not delays[0].explains and delays[0].left > VISIBLE:
-        best, searched = every[0]
-        course = course_of(searched, round(best.samples), criterion.block_samples(records[0]))
+        best, search = every[0]
+        course = course_of(search, round(best.samples), criterion.block_samples(records[0]))
         if course is not None:
             best = best._replace(course=course[0], low_passed=False)
-            delays[0] = best.leaving(searched.solved(0, 0.0), course[1])
+            delays[0] = best.leaving(search.solved(0, 0.0), course[1])
     return delays
 
 
-def late_signals(model: Model, records: Sequence[Record], estimate: Estimate) -> Iterator[Finding]:
+def late_signals(model: Model, records: Sequence[Record], estimate: Estimate) -> list[Finding]:
     """`late_signal`, `low_passed`, `two_clocks` or `lost_rows`: what explains most of what is left.
 
     **Raises:** as [`signal_delays`][].
     """
-    one = late_cause(model, records, estimate)
-    if one is not None:
-        yield finding_of(one, records[0])
+    cause = late_cause(model, records, estimate)
+    return [finding_of(cause, records[0])] if cause is not None else []
 
 
 def late_cause(model: Model, records: Sequence[Record], estimate: Estimate) -> SignalDelay | None:
@@ -464,8 +459,9 @@ def late_cause(model: Model, records: Sequence[Record], estimate: Estimate) -> S
     errors = dict(zip(estimate.parameters, np.asarray(estimate.standard_errors, float)))
 
     def matters(one: SignalDelay) -> bool:
-        moved = ((abs(share * float(estimate[n])), errors[n]) for n, share in one.moved.items())
-        return any(change > MOVES * error for change, error in moved)
+        """Whether it moves some parameter by more than chance does."""
+        changes = {name: share * float(estimate[name]) for name, share in one.moved.items()}
+        return any(abs(change) > MOVES * errors[name] for name, change in changes.items())
 
     causes = [one for one in delays if one.significant and one.explains and matters(one)]
     # One equation blames either of its signals; all together, the one that they read.
@@ -475,11 +471,9 @@ def late_cause(model: Model, records: Sequence[Record], estimate: Estimate) -> S
 def finding_of(one: SignalDelay, record: Record) -> Finding:
     """What is told of a delay, seen in a record and others."""
     names, course, then = " and ".join(one.signals), one.course, ""
-    size = (
-        f"{1e3 * abs(one.seconds):.3g} ms ({abs(one.samples):.3g} samples, "
-        f"+-{1e3 * one.reach:.2g} ms)"
-    )
-    lasts = f"from {course.first:.3g} to {course.first + course.change:.3g} samples"
+    lasts = course.lasts
+    milliseconds = f"{1e3 * abs(one.seconds):.3g} ms"
+    size = f"{milliseconds} ({abs(one.samples):.3g} samples, +-{1e3 * one.reach:.2g} ms)"
     time = np.asarray(record.elapsed)
     if course.kind == "clocks":
         # Clocks go on through pauses.
@@ -509,14 +503,14 @@ def finding_of(one: SignalDelay, record: Record) -> Finding:
         step = f"Undo the low-pass of {names}"
     else:
         code, remedy = "late_signal", option_for("--shift", one.signals, f"{one.seconds:.4g}")
-        comes = "come" if len(one.signals) > 1 else "comes"
-        doubtful, late = "" if one.certain else ", or low-passed", one.seconds > 0
-        others = "earlier than the equation says: all others are late, or low-passed"
-        what = f"{names} {comes} {size} " + (
-            f"later than the equation says{doubtful}" if late else others
-        )
+        verb = "Delay"
+        way = "earlier than the equation says: all others are late, or low-passed"
+        if one.seconds > 0:
+            verb = "Advance"
+            way = f"later than the equation says{'' if one.certain else ', or low-passed'}"
+        what = f"{names} come{'s' * (len(one.signals) == 1)} {size} {way}"
         then = f"Shift it (on the command line: {shlex.join(remedy)}), or record all by one clock."
-        step = f"{'Advance' if late else 'Delay'} {names} by {1e3 * abs(one.seconds):.3g} ms"
+        step = f"{verb} {names} by {milliseconds}"
     if course.kind == "steady":
         most = max(one.moved, key=lambda name: abs(one.moved[name]))
         then = f", and {most} changes by {100 * one.moved[most]:+.2g} %. {then}"

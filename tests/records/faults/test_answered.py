@@ -5,8 +5,7 @@ import pytest
 import scipy.linalg
 
 from riecjax.records.faults.signals import check_signals
-from riecjax.records.faults.spikes import are_answered
-from riecjax.records.preparation import repair_outliers
+from riecjax.records.faults.spikes import are_answered, repair_outliers
 from riecjax.records.record import Record
 
 RATE, COUNT = 200, 4000

@@ -5,8 +5,8 @@ import pytest
 from tests.machines import JOINT_SENSORS, Shape, joint, joint_record
 
 import riecjax as rx
-from riecjax.records.faults.at_rest import rest_of
-from riecjax.records.preparation import with_local_derivative
+from riecjax.records.faults.sampled_signal import rest_of
+from riecjax.records.preparation.filtering import with_local_derivative
 
 
 def rest(velocity: np.ndarray, noise: float = 0.0):

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from riecjax.records.faults.signals import check_signals
-from riecjax.records.preparation import leave_out, notch, repair_outliers
+from riecjax.records.faults.signals import check_signals, leave_out
+from riecjax.records.faults.spikes import repair_outliers
+from riecjax.records.preparation.hum import notch
 from riecjax.records.record import Record
 
 STEP, COUNT = 0.005, 4000

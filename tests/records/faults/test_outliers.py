@@ -8,8 +8,7 @@ from riecjax.errors import DataError
 from riecjax.estimation.identify import identify
 from riecjax.models.oscillators import drag_oscillator_equation
 from riecjax.records.faults.signals import check_signals
-from riecjax.records.faults.spikes import find_spikes
-from riecjax.records.preparation import repair_outliers
+from riecjax.records.faults.spikes import find_spikes, repair_outliers
 from riecjax.records.record import Record
 from riecjax.records.recording import read_recording
 

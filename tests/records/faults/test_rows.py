@@ -6,8 +6,7 @@ from tests.machines import drag_signals as signals
 
 import riecjax as rx
 from riecjax.records import check_signals
-from riecjax.records.consistency import compared
-from riecjax.records.faults.derivative_pairs import relations
+from riecjax.records.faults.derivative_pairs import align, compared, relations
 from riecjax.records.faults.rows import (
     Repetition,
     cut_rows,
@@ -16,7 +15,6 @@ from riecjax.records.faults.rows import (
     repetitions,
     without_repetitions,
 )
-from riecjax.records.preparation.alignment import align
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.records.preparation.alignment import align, set_clocks
+from riecjax.records.faults.derivative_pairs import align
+from riecjax.records.preparation.resampling import set_clocks
 from riecjax.records.record import Record
 
 STEP = 0.005

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from riecjax.records.preparation import (
-    differentiate,
-    low_pass,
+from riecjax.records.preparation.filtering import differentiate, low_pass, remove_drift
+from riecjax.records.preparation.resampling import (
     on_grid,
-    remove_drift,
     resample,
+    resampled_taps,
+    spline_taps,
     upsample,
 )
-from riecjax.records.preparation.resampling import resampled_taps, spline_taps
 from riecjax.records.record import Record
 from riecjax.records.signal import Noise
 

@@ -4,20 +4,17 @@ import numpy as np
 import pytest
 
 from riecjax.errors import DataError
-from riecjax.records.preparation import (
+from riecjax.records.faults.signals import leave_out
+from riecjax.records.faults.spikes import repair_outliers
+from riecjax.records.preparation.filtering import (
     differentiate,
-    leave_out,
     low_pass,
     remove_drift,
     remove_offset,
-    repair_outliers,
-    resample,
-    set_clocks,
-    shift,
     unfilter,
-    upsample,
     with_local_derivative,
 )
+from riecjax.records.preparation.resampling import resample, set_clocks, shift, upsample
 from riecjax.records.record import Record
 from riecjax.records.signal import Noise
 

@@ -1,9 +1,10 @@
 """Files are read in a process of their own, whose end, by whatever cause, is one line here."""
 
 import contextlib
+import os
+import select
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import h5py
@@ -80,12 +81,15 @@ def test_the_process_ends_with_the_one_that_asks(whole):
     code = (
         "import os, signal, sys; from riecjax.records.reading import channels, child_process\n"
         "channels.read_channels(sys.argv[1]); reader = child_process._readers[0]\n"
-        "print(reader.out.parent, flush=True)\n"
+        "print(reader.process.pid, reader.out.parent, flush=True); sys.stdin.read()\n"
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
-    command = [sys.executable, "-c", code, str(whole)]
-    folder = subprocess.run(command, capture_output=True, text=True).stdout.strip()
-    deadline = time.monotonic() + 20
-    while Path(folder).exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
+    command, pipe = [sys.executable, "-c", code, str(whole)], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as asking:
+        assert asking.stdout is not None
+        process, folder = asking.stdout.readline().split()
+        ended = os.pidfd_open(int(process))
+        assert Path(folder).is_dir()
+    select.select([ended], [], [])
+    os.close(ended)
     assert not Path(folder).exists()

@@ -29,7 +29,7 @@ from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
 from riecjax.records.linear_op import LinearOp
 from riecjax.records.record import Record
-from riecjax.records.signal import NORMAL
+from riecjax.records.signal import NORMAL, Samples
 
 if TYPE_CHECKING:
     from riecjax.records.recording import Recording
@@ -64,9 +64,7 @@ class Repetition(NamedTuple):
     rows: int
 
 
-def row_keys(
-    columns: Sequence[Float[np.ndarray, " rows"]], block: int = 1
-) -> Float[np.ndarray, " blocks"]:
+def row_keys(columns: Sequence[Samples], block: int = 1) -> Float[np.ndarray, " blocks"]:
     """A number for each block of successive rows, which differs where one of their samples does.
 
     Of sums with random weights two that should differ are the same once in 1e16.
@@ -75,12 +73,14 @@ def row_keys(
     rows = np.zeros(len(columns[0]))
     for column, weight in zip(columns, weights):
         rows += weight * column
+    if block == 1:
+        return rows
     count = max(rows.size - block + 1, 0)
     shifted = (weight * rows[k : k + count] for k, weight in enumerate(weights[len(columns) :]))
-    return rows if block == 1 else sum(shifted, np.zeros(count))
+    return sum(shifted, np.zeros(count))
 
 
-def repetitions(columns: Sequence[Float[np.ndarray, " rows"]]) -> list[Repetition]:
+def repetitions(columns: Sequence[Samples]) -> list[Repetition]:
     """Stretches of rows that stand elsewhere before, to the bit.
 
     **Arguments:** `columns`, NaN where a sample is missing; such rows are no others'.
@@ -148,13 +148,14 @@ def duplicates(recordings: Sequence["Recording"]) -> list[Finding]:
         for first, second, shift in _candidates(chosen):
             pair = members[first], members[second]
             across = names == others or (pair[0] in groups[names]) != (pair[1] in groups[names])
+            if pair in found or not across:
+                continue
             starts = max(shift, 0), max(-shift, 0)
-            new = across and pair not in found
-            if new and (rows := _rows_in_common(chosen[first], chosen[second], starts)):
+            if rows := _rows_in_common(chosen[first], chosen[second], starts):
                 one, other = (recordings[number] for number in pair)
                 counts = [each.record.sample_count for each in (one, other)]
-                shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
                 step = float(one.record.time_step)
+                shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
                 what = (
                     f"all of {shorter.name} lies in {longer.name}"
                     if rows >= min(counts)
@@ -253,8 +254,8 @@ def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
             continue
         factor, offset = line
         least = ROUNDED * np.nanstd(other.values)
-        said = f"{other.name} is {factor:.4g} times {one.name}"
-        said += f" plus {offset:.4g}" if abs(offset) > least else ""
+        more = f" plus {offset:.4g}" if abs(offset) > least else ""
+        said = f"{other.name} is {factor:.4g} times {one.name}{more}"
         if abs(factor - 1) < ROUNDED and abs(offset) < least:
             said = f"{other.name} holds the samples of {one.name}"
         yield Finding(
@@ -299,7 +300,7 @@ def cut_rows(record: Record, signal: str, derivative: str) -> Finding | None:
     if x.size < 4 * SIDES[1] or not (np.isfinite(size) and size > 0):
         return None
     moved = np.nan_to_num(0.5 * step * (v[1:] + v[:-1]))
-    integral = np.concatenate([[0.0], np.cumsum(moved)])
+    integral = np.append(0.0, np.cumsum(moved))
     left = np.where(np.isnan(v), np.nan, (x - integral) / size)
     short, long = (_jumps(left, side) for side in SIDES)
     if np.isnan(short).all() or np.isnan(long).all():  # nowhere so many samples without a gap
@@ -337,7 +338,5 @@ def _jumps(values: np.ndarray, side: int) -> np.ndarray:
     at = np.arange(side) + 0.5
     # Weights whose sum with values on a straight line is that line's value at 0.
     weights = 1 / side - np.mean(at) * (at - np.mean(at)) / np.sum((at - np.mean(at)) ** 2)
-    found = np.full(values.size, np.nan)
-    kernel = np.concatenate([-weights[::-1], weights])
-    found[side : values.size - side + 1] = np.convolve(values, kernel[::-1], "valid")
-    return found
+    inner = np.convolve(values, np.concatenate([weights[::-1], -weights]), "valid")
+    return np.pad(inner, (side, side - 1), constant_values=np.nan)

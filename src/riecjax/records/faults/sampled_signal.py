@@ -1,11 +1,16 @@
-"""A signal with what checks ask of it: which values it takes, and the quantum between them."""
+"""A signal with what checks ask of it: which values it takes, the quantum between them, its rest.
 
-from typing import NamedTuple
+Rest is a stretch about zero in which a signal scatters no more than its noise. A motion that passes
+through zero, or turns there, is within three standard deviations of the noise for a while too. But
+over that stretch it moves, and its mean square is 2.5 to 4 times that of the noise alone.
+"""
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from riecjax.findings import Finding
-from riecjax.records.record import Record
+from riecjax.records.record import Record, runs
 
 MOST_OUTLIERS = 0.01
 """Share of samples; more of them are how the signal is."""
@@ -39,9 +44,8 @@ def resolution_of(levels: np.ndarray) -> float:
     if levels.size < 3:
         return 0.0
     steps = np.diff(levels)
-    smallest = float(np.min(steps))
     # The smallest step carries rounding; the mean of all steps of about its size less of it.
-    quantum = float(np.mean(steps[steps < 1.5 * smallest]))
+    quantum = float(np.mean(steps[steps < 1.5 * np.min(steps)]))
     multiples = steps / quantum
     near = np.abs(multiples - np.round(multiples)) < 0.02 + 1e-3 * multiples
     return quantum if np.mean(near[multiples < 100]) > 0.99 else 0.0
@@ -98,17 +102,9 @@ class SampledSignal(NamedTuple):
         """A value of the signal in words."""
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
-    def finding(
-        self,
-        code: str,
-        message: str,
-        doubt: float = 0.0,
-        remedy: tuple[str, ...] = (),
-        step: str = "",
-    ) -> Finding:
+    def finding(self, code: str, message: str, **fields: Any) -> Finding:
         """A finding about this signal."""
-        said = f"{self.name}: {message}"
-        return Finding(code, said, (self.name,), doubt=doubt, remedy=remedy, step=step)
+        return Finding(code, f"{self.name}: {message}", (self.name,), **fields)
 
 
 def sampled_signal(record: Record, name: str) -> SampledSignal:
@@ -143,3 +139,59 @@ def percent(part: float, whole: float) -> str:
     if not abs(whole) > 0:
         return "all"
     return f"{100 * part / whole:.3g} %"
+
+
+NOISES, MOVES = 3.0, 1.0
+"""What is about zero: so many standard deviations of noise, or usual changes over a sample."""
+FEWEST = 6
+"""Samples of a rest at the least."""
+STILL = 1.5
+"""Mean square of a rest at the most, in that of the noise."""
+RISE = 3.0
+"""Slope along a rest at the most, in standard errors by the noise."""
+LEAST = 0.005
+"""Share of a record that counts as rest at the least."""
+OF_SLOW = 0.3
+"""The same of all that is about zero: of what passes through slowly, a fifth looks still."""
+REACH = (6.0, 4.0)
+"""Widths of what is to be left out of it, in noise and in changes over a sample."""
+
+
+class Rest(NamedTuple):
+    """Rest in a signal.
+
+    **Fields:** `share` of the samples; `width`, in the signal's unit, about zero within which rest,
+    noise and what a sample holds cannot be told apart.
+    """
+
+    share: float
+    width: float
+
+
+def rest_of(record: Record, name: str) -> Rest | None:
+    """Rest in a signal, `None` where there is none, or nothing else (not under jit)."""
+    values = record.signal(name).with_nan
+    with np.errstate(all="ignore"):
+        change = np.abs(np.diff(values))
+        if not (change > 0).any():
+            return None
+        noise, usual = float(record.noise.std(name)), float(np.median(change[change > 0]))
+        near = max(NOISES * noise, MOVES * usual)
+        about = np.where(np.abs(values) <= near, values / near, np.nan)
+    if not np.isfinite(near) or np.isnan(about).mean() > 1 - LEAST:
+        return None
+    starts, stops = runs(~np.isnan(about))
+    lengths = stops - starts
+    # Of these stretches those that hold noise at the most, and neither move nor turn. Between them
+    # all is zero, so that sums from one start to the next are theirs.
+    scaled, place = np.nan_to_num(NOISES * about), np.arange(values.size) / values.size
+    columns = np.array([scaled, scaled * place, scaled**2])
+    level, moment, energy = np.add.reduceat(columns, starts, axis=1)
+    middle = place[starts] + 0.5 * (lengths - 1) / values.size
+    rise = np.abs(moment - middle * level) * values.size
+    still = (lengths >= FEWEST) & (rise <= RISE * np.sqrt(lengths**3 / 12))
+    still &= energy <= STILL * lengths
+    share = lengths[still].sum() / values.size
+    if not max(LEAST, OF_SLOW * lengths.sum() / values.size) < share < 1:
+        return None
+    return Rest(float(share), max(REACH[0] * noise, REACH[1] * usual))

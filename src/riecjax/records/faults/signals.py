@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.faults.rows import copied_signals
 from riecjax.records.faults.sampled_signal import (
@@ -24,7 +25,7 @@ from riecjax.records.faults.sampled_signal import (
     sampled_signal,
 )
 from riecjax.records.faults.spikes import outliers
-from riecjax.records.linear_op import longest_stretch
+from riecjax.records.linear_op import LinearOp, Operations, longest_stretch, step
 from riecjax.records.preparation.hum import hum
 from riecjax.records.record import Record, runs
 
@@ -69,11 +70,12 @@ def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iter
     force on its tyre.
     """
     for side in (one for one in limits(signal) if not is_real(signal, one, others)):
-        remedy, which = ("--leave-out", signal.name), "maximum" if side.sign > 0 else "minimum"
+        remedy = ("--leave-out", signal.name)
         yield signal.finding(
             "clipped",
-            f"sits at its {which} of {signal.with_unit(side.extreme)} in {side.starts.size} "
-            f"place(s), {percent(side.samples, signal.sample_count)} of the samples, first at "
+            f"sits at its {'maximum' if side.sign > 0 else 'minimum'} of "
+            f"{signal.with_unit(side.extreme)} in {side.starts.size} place(s), "
+            f"{percent(side.samples, signal.sample_count)} of the samples, first at "
             f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does. "
             f"Record with a larger range, or leave them out (on the command line: "
             f"{shlex.join(remedy)}), unless the limit is real, as of a command or of a wheel that "
@@ -132,9 +134,9 @@ def is_real(signal: SampledSignal, side: Visits, others: Sequence[SampledSignal]
     rows = [np.stack([np.roll(s.values, lag) for lag in LAGS]) for s in others if s.levels.size > 1]
     if len(rows) < 2 or side.starts.size < MANY_VISITS:
         return False
-    target, inside = signal.values, np.zeros(signal.values.size, bool)
-    inside[2:-2] = True
-    known = inside & ~np.isnan(np.concatenate([target[None], *rows])).any(axis=0)
+    target = signal.values
+    known = np.all(~np.isnan(np.concatenate([target[None], *rows])), axis=0)
+    known[[0, 1, -2, -1]] = False
     held = known & (np.abs(target - side.extreme) <= signal.rounding)
     free = np.flatnonzero(known & ~held)
     free = free[:: max(free.size // ENOUGH, 1)]
@@ -245,16 +247,14 @@ def dropouts(signal: SampledSignal) -> np.ndarray:
         if long.size >= PLACES and jumps and 2 * long.size > own.size:
             found.append(long)
     # Of a signal whose values come once, another one each time: the last is written again.
-    if np.mean(signal.counts == 1) > UNIQUE:
-        again = np.flatnonzero(lengths > SHORT)
-        own = np.isin(values[again], values[np.setdiff1d(np.arange(lengths.size), again)])
-        ends = padded[starts + lengths][again]
-        if (
-            np.unique(values[again]).size >= PLACES
-            and not own.any()
-            and np.median(ends) > TURNING * np.median(moving)
-        ):
-            found.append(again)
+    again = np.flatnonzero(lengths > SHORT)
+    if (
+        np.mean(signal.counts == 1) > UNIQUE
+        and np.unique(values[again]).size >= PLACES
+        and not np.isin(values[again], values[lengths <= SHORT]).any()
+        and np.median(out[again]) > TURNING * np.median(moving)
+    ):
+        found.append(again)
     return np.unique(np.concatenate(found))
 
 
@@ -329,13 +329,13 @@ def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterato
     """One finding for all signals that lack the same samples, as they do in a logger's pause."""
     alike: dict[bytes, list[SampledSignal]] = {}
     for signal in signals:
-        mask = np.isnan(signal.values)
-        if mask.any():
-            alike.setdefault(mask.tobytes(), []).append(signal)
+        alike.setdefault(np.isnan(signal.values).tobytes(), []).append(signal)
     for group in alike.values():
         mask = np.isnan(group[0].values)
-        time, step = group[0].time, float(record.time_step)
+        time, step = group[0].time, group[0].time_step
         starts, stops = runs(mask)
+        if not starts.size:
+            continue
         # One sample, halfway, stands for all of a logger's pause.
         inside = (starts > 0) & (stops < mask.size)
         before, after = time[np.maximum(starts - 1, 0)], time[np.minimum(stops, mask.size - 1)]
@@ -377,6 +377,14 @@ def quantised(signal: SampledSignal) -> Iterator[Finding]:
     )
 
 
+def _sampled(record: Record, names: Iterable[str]) -> dict[str, SampledSignal]:
+    """These signals first, then all others of a record.
+
+    **Raises:** `DataError` for a signal that the record lacks.
+    """
+    return {name: sampled_signal(record, name) for name in dict.fromkeys([*names, *record.arrays])}
+
+
 # Values too large to be squared are for the fit to refuse; here they only compare as infinite.
 @np.errstate(over="ignore", invalid="ignore")
 def check_signals(
@@ -398,9 +406,7 @@ def check_signals(
     **Raises:** `DataError` for a signal that the record lacks.
     """
     names = tuple(dict.fromkeys(names))
-    every = {
-        name: sampled_signal(record, name) for name in {**dict.fromkeys(names), **record.arrays}
-    }
+    every = _sampled(record, names)
     findings = list(missing_samples(record, [every[name] for name in names]))
     for name in names:
         signal = every[name]
@@ -428,3 +434,31 @@ def check_signals(
     findings += copied_signals([recorded[name] for name in names if name in recorded])
     findings += hum(recorded, [p for p in pairs if {*p} <= {*recorded}], names)
     return findings
+
+
+@step
+def leave_out(record: Record, *signals: str) -> Operations:
+    """Mark as missing what a stuck sensor showed, or one at the end of its range.
+
+    These are the samples of which `stuck_sensor` and `clipped` speak: a long run of one value, and
+    a limit into which the signal ran. Windows that touch one count no more.
+
+    **Raises:** `DataError` for no signal, one that the record lacks, or one of which nothing would
+    be left.
+    """
+    if not signals:
+        raise DataError(f"name the signals to leave out of; there are: {', '.join(record.arrays)}.")
+    every = _sampled(record, signals)
+    for name in signals:
+        signal = every[name]
+        values = signal.values.copy()
+        others = [every[other] for other in record.arrays if other != name]
+        stuck = np.zeros(signal.run_starts.size, bool)
+        stuck[[*long_runs(signal, others), *dropouts(signal)]] = True
+        values[np.repeat(stuck, signal.run_lengths)] = np.nan
+        # Limits that may be real among them.
+        for side in limits(signal):
+            values[side.sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
+        if np.isnan(values).all():
+            raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
+        yield name, LinearOp.of_values("{}: left out where it is stuck or at its limit", values)

@@ -1,4 +1,4 @@
-"""Spikes of one to three samples, found against the noise around them, and what belongs there.
+"""Spikes of one to three samples: found against the noise around them, repaired or left out.
 
 A spike of height h adds h times 1, -6, 15, -20, 15, -6, 1 to seven differences of sixth order, in
 which smooth motion is next to nothing and white noise of standard deviation sigma has sqrt(924)
@@ -19,13 +19,15 @@ levels or slopes part further than they do elsewhere, the spike acted.
 """
 
 import math
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
+from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
     FEW_LEVELS,
@@ -36,9 +38,11 @@ from riecjax.records.faults.sampled_signal import (
     levels_of,
     resolution_of,
 )
-from riecjax.records.record import run_lengths
+from riecjax.records.linear_op import LinearOp, Operations, step
+from riecjax.records.record import Record, run_lengths
 from riecjax.records.remembered import remembered
-from riecjax.records.signal import DIFFERENCE_ORDER, GAIN, NORMAL
+from riecjax.records.signal import DIFFERENCE_ORDER, GAIN, NORMAL, Samples
+from riecjax.records.time_base import SHORTEST_PAUSE
 
 SUSPECT = 4.5
 """Standard deviations past which a sixth difference makes suspects of the samples around it."""
@@ -135,7 +139,7 @@ class Spikes(NamedTuple):
 # Values up to the largest number overflow when scaled; they are cut off.
 @remembered(lambda values: (np.asarray(values, float),))
 @np.errstate(all="ignore")
-def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
+def find_spikes(values: Samples) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
     values = np.asarray(values, float)
     known = values[~np.isnan(values)]
@@ -166,8 +170,8 @@ def find_spikes(values: Float[np.ndarray, " n"]) -> Spikes:
 
 
 def _judged(
-    scaled: Float[np.ndarray, " n"], quantum: float, local: "Local"
-) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    scaled: Samples, quantum: float, local: "Local"
+) -> tuple[Bool[np.ndarray, " n"], Samples]:
     """Which samples are spikes, and the noise around each."""
     cleaned, sizes = scaled.copy(), np.zeros(scaled.size)
     noise, stretch, half = sizes, np.cumsum(np.isnan(scaled)), DIFFERENCE_ORDER // 2
@@ -263,9 +267,7 @@ def _by_block(
     return np.pad(local, (0, max(count - local.size, 0)), mode="edge")[:count]
 
 
-def _threshold(
-    rest: Float[np.ndarray, " n"], sizes: Float[np.ndarray, " k"], noise: Float[np.ndarray, " n"]
-) -> float:
+def _threshold(rest: Samples, sizes: Float[np.ndarray, " k"], noise: Samples) -> float:
     """Standard deviations past which spikes stand apart from the noise's own tail."""
     rest = rest / np.maximum(noise, _by_block(rest, BLOCK, rest.size) / NORMAL)
     threshold = SPIKE
@@ -290,7 +292,7 @@ class Local(NamedTuple):
         places = np.arange(-BESIDE, BESIDE + 1)[:, None] / BESIDE
         return cls(np.linalg.qr(places ** np.arange(degree + 1))[0])
 
-    def off(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    def off(self, values: Samples) -> Samples:
         """How far each sample is off the one through all, over its gain for white noise.
 
         0 where its window has gaps or ends.
@@ -305,15 +307,15 @@ class Local(NamedTuple):
         """Times `off` that a sample is off the one through the others."""
         return float(1 / np.sqrt(1 - np.sum(self.columns[BESIDE] ** 2)))
 
-    def error(self, values: Float[np.ndarray, " n"]) -> float:
+    def error(self, values: Samples) -> float:
         """How far samples mostly are off the one through the others."""
         return float(self.gain * np.median(self.off(values)))
 
 
 def fits(
-    values: Float[np.ndarray, " n"],
+    values: Samples,
     places: Int[np.ndarray, " k"],
-    noise: Float[np.ndarray, " n"],
+    noise: Samples,
     stretch: Int[np.ndarray, " n"],
     local: Local,
 ) -> Float[np.ndarray, "4 k"]:
@@ -372,7 +374,7 @@ def fits(
     return np.concatenate(parts, axis=1)
 
 
-def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarray, " n"]]) -> bool:
+def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Samples]) -> bool:
     """Whether some other signal shows that spikes at these samples acted.
 
     The share of all samples where lines part further is a p-value, and of n of them the sum of
@@ -417,7 +419,7 @@ def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Float[np.ndarra
     return False
 
 
-def too_many(spikes: Spikes, values: Float[np.ndarray, " n"]) -> bool:
+def too_many(spikes: Spikes, values: Samples) -> bool:
     """Whether spikes are more than single samples that went wrong."""
     return spikes.places.size > MOST * np.sum(~np.isnan(values))
 
@@ -433,8 +435,8 @@ def outliers(signal: SampledSignal, others: Iterable[SampledSignal] = ()) -> lis
 def finding_of(
     name: str,
     spikes: Spikes,
-    values: Float[np.ndarray, " n"],
-    time: Float[np.ndarray, " n"],
+    values: Samples,
+    time: Samples,
     unit: str = "",
     done: Treatment = "keep",
 ) -> Finding:
@@ -470,3 +472,156 @@ def finding_of(
     )
     remedy = ("--outliers", "repair") if kept and not beyond_repair else ()
     return Finding("outliers", message, (name,), doubt=doubt, remedy=remedy)
+
+
+@step
+def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") -> Operations:
+    """Replace spikes of one to three samples by what the samples around them say.
+
+    A spike is found against the noise around it: its sixth differences stand out by 4.5 standard
+    deviations, and it lies 6 off a polynomial of degree 3, 5 or 7 through the 8 samples to each
+    side, weighed by Tukey's biweight. Steps, corners and pulses of commands stay, and blows to
+    which another signal answers. Of a signal of which more than 5 % are spikes nothing is changed:
+    that is a fault of its channel.
+
+    **Arguments:** the signals to repair, all if none is named; `how`: `"repair"`, `"missing"` to
+    mark spikes as missing, or `"keep"`.
+
+    **Raises:** `DataError` for a signal that the record lacks, or another treatment.
+    """
+    columns = {n: record.signal(n).with_nan for n in {**dict.fromkeys(signals), **record.arrays}}
+    times = dict.fromkeys(columns, np.asarray(record.elapsed))
+    for name, signal in _treated(signals or tuple(columns), columns, times, how).items():
+        if not signal.acted:
+            yield name, LinearOp.of_values("{}: without outliers", signal.values)
+
+
+TURNS = (2 * np.pi, 360.0)
+"""A turn in radians and in degrees."""
+QUICKEST = 0.25
+"""Turns from sample to sample past which nothing tells which way it went."""
+MOST_TURNS = 0.05
+"""Share of samples that begin a turn at most."""
+REGISTERS = (16, 32)
+"""Bits of registers of signed numbers."""
+
+
+def unwrapped(values: Samples) -> tuple[Samples, int]:
+    """An angle that goes on from turn to turn, and how often it began anew; 0 if it never did.
+
+    It is one whose values fill a turn, and jump from one end of it to the other, and nowhere else.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    steps = np.diff(values[known])
+    sizes = np.abs(steps)
+    for turn in TURNS:
+        jumps = sizes > turn / 2
+        if not jumps.any() or np.mean(jumps) > MOST_TURNS:
+            continue
+        usual, reach = np.max(sizes[~jumps], initial=0.0), np.ptp(values[known])
+        fills = turn - 2 * usual <= reach <= turn + usual
+        around = np.abs(sizes[jumps] - turn) <= 2 * usual
+        if usual < QUICKEST * turn and fills and around.all():
+            whole = values.copy()
+            whole[known] -= turn * np.cumsum(np.append(0, np.where(jumps, np.sign(steps), 0)))
+            return whole, int(jumps.sum())
+    return values, 0
+
+
+def signed(values: Samples) -> tuple[Samples, int]:
+    """A register of signed numbers that was read as unsigned put right, and its bits; 0 if none.
+
+    Below zero it counts down from 2^bits: it holds whole numbers, and leaps from one end of that
+    range to the other where the signed number passes zero by no more than it steps elsewhere.
+    """
+    known = values[~np.isnan(values)]
+    for bits in REGISTERS:
+        count = 2.0**bits
+        inside = known.size > 1 and known.min() >= 0 and count / 2 < known.max() < count
+        if not inside or (known != np.floor(known)).any():
+            continue
+        whole = np.where(values >= count / 2, values - count, values)
+        leaps, steps = (np.abs(np.diff(v[~np.isnan(v)])) for v in (values, whole))
+        leaps = leaps > count / 2
+        usual = np.max(steps[~leaps], initial=0.0)
+        if leaps.any() and usual < count / 4 and np.max(steps[leaps]) <= 2 * usual:
+            return whole, bits
+    return values, 0
+
+
+class Treated(NamedTuple):
+    """Samples as they are after treatment, their spikes as they were recorded, and whether these
+    acted: then they are still there."""
+
+    values: Samples
+    spikes: Spikes
+    acted: bool = False
+
+
+def treat_all(
+    columns: Mapping[str, Samples],
+    times: Mapping[str, Samples],
+    units: Mapping[str, str],
+    time_step: float | None,
+    how: Treatment,
+    formulas: Mapping[str, str],
+) -> tuple[dict[str, np.ndarray], list[str], list[Finding]]:
+    """Columns of a file without their spikes, what was done in words, and what is amiss with them.
+
+    Angles that begin anew with each turn go on, or each would be a spike or a jump. A finding
+    concerns what is computed from a column too.
+
+    **Arguments:** `times` of those that have stamps, the others are `time_step` apart; `how`, what
+    becomes of spikes; `formulas` of signals that are computed of columns.
+
+    **Raises:** `DataError` for another treatment.
+    """
+    turns = {name: unwrapped(column) for name, column in columns.items()}
+    columns = {name: column for name, (column, _) in turns.items()}
+    every = {n: times.get(n, (time_step or 1.0) * np.arange(v.size)) for n, v in columns.items()}
+    words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
+    treated, findings = _treated(tuple(columns), columns, every, how), []
+    for name, (_, spikes, acted) in treated.items():
+        count = spikes.places.size
+        if acted:
+            words.append(f"{name}: {count} samples of short pulses kept, which other signals show")
+        else:
+            done = "repaired" if how == "repair" else "marked as missing"
+            words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
+            used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
+            time, unit = every[name] - every[name][0], units.get(name, "")
+            finding = finding_of(name, spikes, columns[name], time, unit, how)
+            findings.append(finding._replace(signals=(name, *used)))
+    return {**columns, **{name: one.values for name, one in treated.items()}}, words, findings
+
+
+def _treated(
+    names: Sequence[str],
+    columns: Mapping[str, Samples],
+    times: Mapping[str, Samples],
+    how: Treatment,
+) -> dict[str, Treated]:
+    """Of these signals those with spikes, unless there are too many.
+
+    **Raises:** `DataError` for another treatment.
+    """
+    if how not in DONE:
+        raise DataError(f"outliers are for {', '.join(DONE)}; got '{how}'.")
+    treated: dict[str, Treated] = {}
+    for name in names if how != "keep" else ():
+        values, time = columns[name], times[name]
+        steps = np.diff(time) if time.size > 1 else np.ones(1)
+        pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
+        # No polynomial reaches across a pause.
+        spikes = find_spikes(np.insert(values, pauses, np.nan))
+        if spikes.places.size and not too_many(spikes, values):
+            places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
+            changed = values.copy()
+            changed[places] = spikes.repaired if how == "repair" else np.nan
+            treated[name] = Treated(changed, spikes._replace(places=places))
+    without = {**columns, **{name: one.values for name, one in treated.items()}}
+    for name, (_, spikes, _) in treated.items():
+        others = (n for n in without if n != name and np.array_equal(times[n], times[name]))
+        if are_answered(spikes.places, [without[other] for other in others]):
+            treated[name] = Treated(columns[name], spikes, acted=True)
+    return treated

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 import scipy
-from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.leaves import Leaf
 from riecjax.records.linear_op import LinearOp, Operations, convolved_with, longest_stretch, step
 from riecjax.records.noise_judgement import blackman_harris, judged
 from riecjax.records.record import Record
+from riecjax.records.signal import Taps
 
 FILTER_ORDER = 4
 FILTER_PADDING = 16
@@ -56,16 +56,14 @@ def low_pass(record: Record, cutoffs: Mapping[str, float]) -> Operations:
             inner = scipy.signal.sosfiltfilt(by, samples)[lost:-lost]
             return np.pad(inner, lost, constant_values=np.nan)
 
-        yield (
-            name,
-            LinearOp.of_stretches(
-                f"zero-phase {FILTER_ORDER}th-order Butterworth low-pass: {{}} at {cutoff:g} Hz",
-                settled,
-                lost=(lost, lost),
-                noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
-                shortest=shortest,
-            ),
+        op = LinearOp.of_stretches(
+            f"zero-phase {FILTER_ORDER}th-order Butterworth low-pass: {{}} at {cutoff:g} Hz",
+            settled,
+            lost=(lost, lost),
+            noise=convolved_with(*scipy.signal.sosfiltfilt(sections, impulse)),
+            shortest=shortest,
         )
+        yield name, op
 
 
 @step
@@ -148,17 +146,15 @@ def differentiate(record: Record, signal: str, name: str) -> Operations:
     **Raises:** `DataError` for a missing signal, or one without two samples in succession.
     """
     spacing = float(record.time_step)
-    yield (
-        name,
-        LinearOp.of_stretches(
-            f"{{}}: central differences of {signal}",
-            lambda x, *_: np.gradient(x, spacing, edge_order=2 if x.size > 2 else 1),
-            noise=convolved_with(0.5 / spacing, 0.0, -0.5 / spacing),
-            source=signal,
-            unit="/s",
-            shortest=2,
-        ),
+    op = LinearOp.of_stretches(
+        f"{{}}: central differences of {signal}",
+        lambda x, *_: np.gradient(x, spacing, edge_order=2 if x.size > 2 else 1),
+        noise=convolved_with(0.5 / spacing, 0.0, -0.5 / spacing),
+        source=signal,
+        unit="/s",
+        shortest=2,
     )
+    yield name, op
 
 
 ORDER = 4
@@ -215,7 +211,7 @@ def local_slope(record: Record, signal: str) -> LinearOp:
     return LinearOp.of_taps(words, taps, -count, source=signal, unit="/s")
 
 
-def derivative_taps(count: int, step: float) -> Float[np.ndarray, " taps"]:
+def derivative_taps(count: int, step: float) -> Taps:
     """Taps of the slope in the middle of `count` samples to each side, `step` seconds apart."""
     powers = np.vander(np.arange(-count, count + 1) / count, ORDER, increasing=True)
     # Of what is convolved, the taps stand in reverse.

@@ -224,10 +224,7 @@ def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
 
 
 def _is_motion(
-    name: str,
-    line: Line,
-    spectra: Mapping[str, Spectrum],
-    pairs: Sequence[tuple[str, str]],
+    name: str, line: Line, spectra: Mapping[str, Spectrum], pairs: Sequence[tuple[str, str]]
 ) -> bool | None:
     """Whether a line is motion, by a signal's derivative; `None` if that is hidden."""
     verdict = None

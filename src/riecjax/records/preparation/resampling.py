@@ -1,4 +1,4 @@
-"""Records at another rate, channels of different rates on one, and the noise that they have there.
+"""Records at another rate, shifted in time, channels on one grid, and the noise that is on them.
 
 A signal that is band-limited to half its rate is x(t) = sum_n x[n] sinc(t - n), with t in samples.
 Evaluating it at a slower rate needs a low-pass first, so that nothing folds; filtering and
@@ -24,7 +24,14 @@ from jaxtyping import Float
 
 from riecjax.errors import DataError
 from riecjax.memory import in_gigabytes, require_memory
-from riecjax.records.linear_op import SAME_TIME, LinearOp, Operations, step
+from riecjax.records.linear_op import (
+    SAME_TIME,
+    LinearOp,
+    Operations,
+    convolved_with,
+    longest_stretch,
+    step,
+)
 from riecjax.records.noise_judgement import noise_of_level
 from riecjax.records.record import Record
 from riecjax.records.signal import (
@@ -33,9 +40,11 @@ from riecjax.records.signal import (
     STRETCHES,
     Noise,
     Signal,
+    Taps,
     shortened,
     usual_size,
 )
+from riecjax.records.time_base import PPM
 
 LARGEST_BLOCK = 2**22
 """Weights held at once."""
@@ -70,6 +79,13 @@ SAME_RATE = 0.01
 EVEN = 1e-4
 """Share of a step by which stamps may be off an even grid and still count as even."""
 FEWEST_KNOTS = 4
+"""Samples of a stretch below which no cubic spline goes through them."""
+POINTS = np.arange(-3, 5)
+"""Samples around a place that a polynomial of degree 7 goes through."""
+MOST_LOST = 20
+"""Times the samples lost at both ends that a stretch must hold to be interpolated band-limited."""
+MOST_PPM = 1e5
+"""Millionths past which it is no clock that is off."""
 
 
 @step
@@ -128,6 +144,77 @@ def _spaced(record: Record, words: str, spacing: float) -> Operations:
         spacing=spacing,
     )
     yield from dict.fromkeys(record.arrays, op).items()
+
+
+@step
+def shift(record: Record, seconds: Mapping[str, float]) -> Operations:
+    """Advance signals by so many seconds: those that are late by as much are in time then.
+
+    By whole samples as they are; between samples band-limited, which loses 44 at both ends, and
+    in a stretch of fewer than 1760 by polynomials of degree 7, which lose 4. What is lost beside
+    gaps joins them.
+
+    **Arguments:** `seconds` by signal; negative ones delay it.
+
+    **Raises:** `DataError` for a signal that the record lacks, a time that is no number, or a
+    record or stretches too short for it.
+    """
+    reach = reach_beyond(1.0)
+    for name, late in seconds.items():
+        by = late / float(record.time_step)
+        if not abs(by) < record.sample_count / 2:
+            raise DataError(
+                f"cannot shift '{name}' by {late:g} s, which is {by:.4g} samples of "
+                f"{record.sample_count}. Give seconds, less than half the record."
+            )
+        whole = int(np.floor(by + SAME_TIME))
+        between, at, taps = by - whole, np.zeros(1, int), np.ones(1)
+        if between >= 2 * SAME_TIME and longest_stretch(record, name) >= 2 * MOST_LOST * reach:
+            at = np.arange(1 - reach, reach + 1)
+            taps = response(at - between, 1.0)
+        elif between >= 2 * SAME_TIME:
+            at = POINTS
+            taps = np.array([np.prod((between - at[at != k]) / (k - at[at != k])) for k in at])
+        taps = taps / taps.sum()
+        # A shift between samples leaves white noise nearly white, but a little less of it.
+        noise = convolved_with(float(np.linalg.norm(taps)))
+        words = f"advanced: {{}} by {late:g} s"
+        yield name, LinearOp.of_taps(words, taps, whole + int(at[0]), noise=noise)
+
+
+@step
+def set_clocks(record: Record, ppm: Mapping[str, float]) -> Operations:
+    """Bring signals to the record's time of which a clock runs slow or fast.
+
+    What falls behind evenly, by so many millionths of the time since the recording's first sample,
+    is in time then. Band-limited, which loses 44 samples at both ends; what is lost beside gaps
+    joins them.
+
+    **Arguments:** `ppm` by signal; negative ones of a signal that gets ahead.
+
+    **Raises:** `DataError` for a signal that the record lacks, a clock that is off by more than
+    10 %, or stretches too short for it.
+    """
+    reach = reach_beyond(1.0)
+    # The interpolator's gain of white noise, over all places between two samples.
+    phases = response(np.arange(1 - reach, reach + 1) - np.linspace(0, 1, 21)[:, None], 1.0)
+    white = np.sqrt(np.mean(np.sum(phases**2, axis=1)))
+    for name, rate in ppm.items():
+        if not abs(rate) < MOST_PPM:
+            raise DataError(
+                f"the clock of '{name}' is off by {rate:g} ppm, which is no clock. Give millionths "
+                f"of the time, less than {MOST_PPM:g}."
+            )
+        late = PPM * rate * np.asarray(record.elapsed) / float(record.time_step)
+        lost = reach + int(np.ceil(np.max(np.abs(late[[0, -1]]))))
+        op = LinearOp.of_stretches(
+            f"clocks: {{}} by {rate:g} ppm",
+            lambda x, places, first, late=late: band_limited(x, places - first + late[places], 1.0),
+            lost=(lost, lost),
+            noise=convolved_with(float(white)),
+            shortest=2 * reach + 1,
+        )
+        yield name, op
 
 
 def on_grid(
@@ -330,9 +417,7 @@ def response(offsets: np.ndarray, spacing: float) -> np.ndarray:
     return _weights(offsets, spacing) / _weights(np.arange(-reach, reach + 1), spacing).sum()
 
 
-def resampled_taps(
-    kernel: Float[np.ndarray, " taps"], spacing: float
-) -> Float[np.ndarray, " new_taps"]:
+def resampled_taps(kernel: Taps, spacing: float) -> Taps:
     """The kernel on new samples, `spacing` of the old ones apart, of one on the old.
 
     With h the response of the resampler, w of unit size on the old samples, gives
@@ -346,7 +431,7 @@ def resampled_taps(
     return shortened(math.sqrt(spacing) * through @ np.asarray(kernel))
 
 
-def spline_taps(positions: Float[np.ndarray, " m"]) -> Float[np.ndarray, " taps"]:
+def spline_taps(positions: Float[np.ndarray, " m"]) -> Taps:
     """The kernel that a cubic spline makes of white noise.
 
     Between samples a spline averages, on them it does not: the noise is not stationary. The kernel

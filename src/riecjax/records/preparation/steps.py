@@ -1,28 +1,26 @@
 """From a record as read to the records that a model's equations are estimated and validated on."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.records.faults.signals import leave_out
 from riecjax.records.linear_op import Step, words_of
 from riecjax.records.noise_judgement import judged
-from riecjax.records.preparation import (
+from riecjax.records.preparation.filtering import (
     differentiate,
-    leave_out,
+    local_slope,
     low_pass,
-    notch,
     remove_drift,
     remove_offset,
-    set_clocks,
-    shift,
     unfilter,
-    upsample,
 )
-from riecjax.records.preparation.filtering import local_slope
+from riecjax.records.preparation.hum import notch
+from riecjax.records.preparation.resampling import set_clocks, shift, upsample
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
 from riecjax.settings import Prepare
@@ -47,25 +45,6 @@ def idle_cuts(preparation: Prepare, record: Record) -> dict[str, str]:
     return idle
 
 
-def steps_of(preparation: Prepare) -> Iterator[tuple[Step[...], Sequence[Any]]]:
-    """The steps in the order in which they are taken, each of the record that those before it
-    made, and what is asked of it; but for alignment and missing derivatives, which depend on what
-    is found."""
-    p = preparation
-    yield from ((leave_out, (name,)) for name in p.left_out)
-    yield shift, (p.shifts,)
-    yield set_clocks, (p.clocks,)
-    yield unfilter, (p.lags,)
-    if p.offsets:
-        yield remove_offset, p.offsets
-    if p.drifts:
-        yield remove_drift, p.drifts
-    yield from ((notch, (hertz,)) for hertz in p.notches)
-    yield low_pass, (p.cutoffs,)
-    yield upsample, (p.upsample,)
-    yield from ((differentiate, (signal, name)) for name, signal in p.derivatives.items())
-
-
 def prepare(
     record: Record, derived: Mapping[str, str], preparation: Prepare
 ) -> tuple[Record, list[str]]:
@@ -79,19 +58,34 @@ def prepare(
 
     **Raises:** `DataError` for a missing signal or settings that the record does not allow.
     """
-    preparation = replace(preparation, **dict.fromkeys(idle_cuts(preparation, record)))
-    words, start, stop = [], preparation.start, preparation.stop
-    if start is not None or stop is not None:
-        record = cut(start, stop, record)
-        low = "the start" if start is None else f"{start:g} s"
-        high = "the end" if stop is None else f"{stop:g} s"
+    p = replace(preparation, **dict.fromkeys(idle_cuts(preparation, record)))
+    words = []
+    if p.start is not None or p.stop is not None:
+        record = cut(p.start, p.stop, record)
+        low = "the start" if p.start is None else f"{p.start:g} s"
+        high = "the end" if p.stop is None else f"{p.stop:g} s"
         words.append(f"cut from {low} to {high}")
-    for step, asked in steps_of(preparation):
+    # In the order in which they are taken, each of the record that those before it made, but for
+    # alignment and missing derivatives, which depend on what is found.
+    steps: list[tuple[Step[...], Sequence[Any]]] = [
+        *((leave_out, (name,)) for name in p.left_out),
+        (shift, (p.shifts,)),
+        (set_clocks, (p.clocks,)),
+        (unfilter, (p.lags,)),
+        *((remove_offset, (name,)) for name in p.offsets),
+        *((remove_drift, (name,)) for name in p.drifts),
+        *((notch, (hertz,)) for hertz in p.notches),
+        (low_pass, (p.cutoffs,)),
+        (upsample, (p.upsample,)),
+        *((differentiate, (signal, name)) for name, signal in p.derivatives.items()),
+    ]
+    for step, asked in steps:
         ops = dict(step.ops(record, *asked))
         record = record.through(ops)
         words += words_of(ops)
-    for name in [name for name in derived if name not in record.arrays]:
-        of = derived[name]
+    for name, of in derived.items():
+        if name in record.arrays:
+            continue
         record = judged(record, "auto", of)
         record.signal(of)  # without it there is a helpful error, and no noise to look up
         ops, kernel = dict(differentiate.ops(record, of, name)), record.noise.kernels[of].get(of)
@@ -100,11 +94,11 @@ def prepare(
                 ops = {name: local_slope(record, of)}
         record = record.through(ops)
         words += words_of(ops)
-    if (every := preparation.every) > 1:
-        tens, ones = divmod(every % 100, 10)
+    if p.every > 1:
+        tens, ones = divmod(p.every % 100, 10)
         ending = {1: "st", 2: "nd", 3: "rd"}.get(ones, "th") if tens != 1 else "th"
-        record = record.every(every)
-        words.append(f"every {every}{ending} sample")
+        record = record.every(p.every)
+        words.append(f"every {p.every}{ending} sample")
     return record, words
 
 

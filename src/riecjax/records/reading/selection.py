@@ -13,8 +13,8 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.derived import derived, sensitivities
+from riecjax.records.faults.spikes import signed, treat_all
 from riecjax.records.noise_judgement import given_noise, judged
-from riecjax.records.preparation.repair import signed, treat_all
 from riecjax.records.reading import times as clocks
 from riecjax.records.reading.channels import NUMBERED, Channels
 from riecjax.records.reading.times import TIME_COLUMNS, TimeColumn, find_time, listed, seconds_in
