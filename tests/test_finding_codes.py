@@ -14,12 +14,11 @@ from tests.machines import MACHINES, Shape
 import riecjax
 import riecjax as rx
 from conftest import held_to
-from riecjax.assessment.assessment import Refinement
-from riecjax.assessment.trust import validated
+from riecjax.assessment.refining import Refinement, Track, validated
 from riecjax.equations.model import as_model
 from riecjax.estimation.excitation import Excitation
 from riecjax.estimation.parameters import Parameter
-from riecjax.findings import CODES, Finding, code_of
+from riecjax.findings import CODES, Finding, class_of
 from riecjax.paper.report import road_findings
 from riecjax.paper.reproduction import PaperStudy
 
@@ -76,7 +75,7 @@ def test_a_test_is_held_to_its_marks():
 
 
 def test_an_unknown_code_is_said_in_its_own_words():
-    assert code_of("wet_road").said() == "wet road"
+    assert class_of("wet_road").said() == "wet road"
     assert CODES["clipped"].said(("u",)) == "u is clipped"
 
 
@@ -117,7 +116,7 @@ def test_windows_that_overlap_nearly_all_are_few_and_replicates_may_hold_none():
 def test_a_refinement_that_predicts_worse_than_the_estimate():
     run = SimpleNamespace(recording=SimpleNamespace(name="b.csv"), worst_fits=(90.0, 70.0))
     refined = SimpleNamespace(findings=list)
-    (finding,) = Refinement(refined, simulations=[run]).findings()  # type: ignore[arg-type]
+    (finding,) = Refinement(refined, refined, simulations=[run]).findings()  # type: ignore[arg-type]
     assert finding.message.startswith("b.csv: the refined model predicts worse")
 
 
@@ -126,8 +125,9 @@ def test_a_recording_on_which_no_simulation_is_possible():
     axis = as_model(rx.Equation(rx.Term("c", "v"), -rx.Term(1.0, "F")))
     t = 0.01 * np.arange(100)
     recording = rx.Recording(rx.Record({"v": np.sin(t), "F": np.sin(t)}, 0.01), "b.csv")
-    runs, (finding,) = validated(axis, {"c": jnp.asarray(1.0)}, [(None, recording)], [None])
-    assert runs == []
+    found = validated(axis, {"c": jnp.asarray(1.0)}, [Track(recording)])
+    assert found.runs == []
+    (finding,) = found.failures
     assert finding.message.startswith("b.csv: ")
 
 

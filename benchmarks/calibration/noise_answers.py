@@ -69,7 +69,7 @@ def fit_all(recordings: Iterable[Any], fit: Callable[[Any], Any]) -> Fits:
         names=found[0].parameters if found else (),
         kept=kept,
         refused=len(refusals),
-        refined=sum(isinstance(one, rx.Refined) for one in found),
+        refined=sum(one.search is not None for one in found),
     )
 
 

@@ -47,7 +47,7 @@ def print_silverbox_refined() -> None:
             silverbox_refined.score(silverbox_refined.circuit(values), fine, *ends)
             for ends in silverbox.SLICES.values()
         ]
-        train = 1e3 * float(refined.rms[0])
+        train = 1e3 * float(refined.search.rms[0])
         print(f"  {name:<28}", *(f"{s:7.4f}" for s in (train, *scores)), f"{seconds:6.1f} s")
         for parameter in refined.parameters:
             error = float(refined.standard_error(parameter))

@@ -22,12 +22,13 @@ from benchmarks.measured.emps_axis import (
 )
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.windows import AllWindows, RandomWindows
+from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
 from riecjax.records.preparation.filtering import differentiate
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.refine import Refined, refine
+from riecjax.refinement.refine import refine
 from riecjax.simulation.system import AbstractSystem
 
 STEP = 1e-3
@@ -84,7 +85,7 @@ def identified_axes(rig: Rig) -> dict[str, AbstractSystem]:
     return found
 
 
-def refined_axis(rig: Rig, windows: AllWindows) -> tuple[Refined, StribeckAxis]:
+def refined_axis(rig: Rig, windows: AllWindows) -> tuple[Estimate, StribeckAxis]:
     """Friction that may fall or rise near rest, refined from the published asymmetric one.
 
     The sign of the velocity changes over 0.1 mm/s, the encoder's resolution over some samples: the

@@ -21,9 +21,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from benchmarks.measured.silverbox import FACTOR, STEP, TRAIN
+from riecjax.estimation.estimate import Estimate
 from riecjax.records.record import Record
 from riecjax.refinement.output_error import OutputError, Tiles
-from riecjax.refinement.refine import Refined, refine
+from riecjax.refinement.refine import refine
 from riecjax.simulation.method import FixedStep
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import AbstractSystem
@@ -58,7 +59,7 @@ class Circuit(AbstractSystem):
 
 
 class Fit(NamedTuple):
-    refined: Refined
+    refined: Estimate
     seconds: float
 
 
@@ -74,7 +75,7 @@ def fitted(fine: Record, start: Mapping[str, float], known: Mapping[str, float])
     )
     began = time.perf_counter()
     refined = refine(circuit({**start, **known}), fine, start, by, known=known)
-    float(refined.cost)
+    float(refined.search.cost)
     return Fit(refined, time.perf_counter() - began)
 
 

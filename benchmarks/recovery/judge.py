@@ -20,7 +20,7 @@ from benchmarks.recovery.faults import FAULTS, recorded
 from benchmarks.recovery.machines import MACHINES, RATE, Machine
 from riecjax.cli.identify import command
 from riecjax.cli.main import run
-from riecjax.findings import code_of
+from riecjax.findings import class_of
 
 OPTIONS = ("--json", "--refine", "none", "--no-sweep")
 UNTREATED = {
@@ -194,7 +194,7 @@ HELD, RESTING = 6, 0.005
 
 def counts(code: str) -> bool:
     """Whether a finding speaks of sensors, the model or noise, and not of amount or computing."""
-    return code_of(code).kind not in ("data", "computation")
+    return class_of(code).kind not in ("data", "computation")
 
 
 def rests(name: str, seed: int, noise: float) -> bool:

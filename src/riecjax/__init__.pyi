@@ -11,8 +11,8 @@ from . import simulation as simulation
 from . import studies as studies
 from . import summaries as summaries
 from . import validation as validation
+from .assessment.assess import Assessment as Assessment
 from .assessment.assess import assess as assess
-from .assessment.assessment import Assessment as Assessment
 from .criteria.criterion import DOLS as DOLS
 from .criteria.criterion import RIEC as RIEC
 from .criteria.test_functions import Boxcar as Boxcar
@@ -44,10 +44,13 @@ from .errors import ModelError as ModelError
 from .errors import RiecjaxError as RiecjaxError
 from .errors import SimulationError as SimulationError
 from .estimation.check import check as check
+from .estimation.constraints import Prior as Prior
 from .estimation.estimate import Estimate as Estimate
 from .estimation.identify import estimate as estimate
 from .estimation.identify import identify as identify
+from .findings import CODES as CODES
 from .findings import Finding as Finding
+from .findings import FindingClass as FindingClass
 from .fleets.fleet import fleet as fleet
 from .models.catalogue import find_model as find_model
 from .records.frames import from_dataframe as from_dataframe
@@ -67,9 +70,7 @@ from .records.signal import Noise as Noise
 from .records.signal import Signal as Signal
 from .records.writing import write_record as write_record
 from .refinement.integral_error import IntegralError as IntegralError
-from .refinement.optimum import Prior as Prior
 from .refinement.output_error import OutputError as OutputError
-from .refinement.refine import Refined as Refined
 from .refinement.refine import refine as refine
 from .reporting.comparison import compare as compare
 from .reporting.result_files import load as load

@@ -43,14 +43,22 @@ class DuplicateRecordingError(DataError):
 class MissingSignalError(DataError):
     """A record lacks a signal; `signal` is its name, `available` what the record has.
 
-    `derivative_of` names the signal whose time derivative it is, where that is known.
+    `derivative_of` names the signal whose time derivative it is, where that is known; `is_state`,
+    whether the model says how it changes, so that a simulation carries it.
     """
 
     code = "missing_signal"
 
-    def __init__(self, signal: str, available: tuple[str, ...], derivative_of: str = ""):
+    def __init__(
+        self,
+        signal: str,
+        available: tuple[str, ...],
+        derivative_of: str = "",
+        is_state: bool = False,
+    ):
         self.signal = signal
         self.available = available
+        self.derivative_of = derivative_of
         listed = ", ".join(available) or "none"
         rename = f"Rename a column to it (on the command line: --map {signal}=COLUMN)"
         if not signal.strip():
@@ -67,6 +75,12 @@ class MissingSignalError(DataError):
                 f"the record has no signal '{signal}'; it has: {listed}. {rename}, or form it of "
                 f"others (--differentiate {signal}=SIGNAL, --derive {signal}=FORMULA)."
             )
+            if is_state:
+                message += (
+                    " Where nothing records it, it is a state that a simulation carries, since "
+                    "the model says how it changes: rx.refine(model, record, start), start a "
+                    "value of each parameter by name, fits what is recorded without it."
+                )
         super().__init__(message)
 
 

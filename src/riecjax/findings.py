@@ -1,15 +1,68 @@
 """What a user should know of data or of a result, with a code for scripts.
 
-`CODES` has every code that a finding may have: what it is about, and that in words. Their order is
-that of importance: of several codes of one kind, the first says most of their cause. Each has a row
-in docs/warnings.md, a test that raises it, and one that must not.
+`CODES` has the class of every code: what it is about, in words, and what it means for a verdict.
+Their order is that of importance: of several codes of one kind, the first says most of their cause.
+Each has a row in docs/warnings.md, a test that raises it, and one that must not. A test of a user's
+own registers its codes by `CODES["rattle"] = FindingClass("sensors", "{signals} rattles")`.
 """
 
+import functools
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 if TYPE_CHECKING:
     import numpy as np
+
+Kind = Literal["undetermined", "sensors", "model", "noise", "data", "computation", "reproduction"]
+KINDS: tuple[Kind, ...] = ("undetermined", "sensors", "model", "noise", "data", "computation")
+"""Kinds of causes in a verdict. What a user says of a parameter is held against it as a sensor."""
+
+
+class FindingClass(NamedTuple):
+    """What a code means, in words and for a verdict.
+
+    **Fields:**
+
+    - `kind` of cause, and its `phrase` in a sentence, with places for `{signals}`, `{parameters}`.
+    - `refuses`: that it leaves no `"answer"` at all, or none by `"windows"`, where output error,
+      which needs no derivative, may have one; `explains_refusal`: said in place of a refusal.
+    - `rules_out`: the parameters that it names are not to be used, whatever their doubt;
+      `symptom`: what makes it so is another cause, if one is known.
+    - `blames_model`: what equations of these parameters leave is the model's doing.
+    - `widens`: scatter of the parameters that it names is no chance; `short`: the record is short;
+      `collinear`: little or nothing tells parameters apart.
+    - `of_size`: of the size of errors, which a part that all of them share may make.
+    - `undo`: how its fault is taken off a record to size it: by the `"delay"`, `"gain"` or `"zero"`
+      of a pair of a signal and its derivative, or by leaving out what is beyond a sensor's
+      `"reach"`; `feigned`: what a signal beyond its reach seems to have as well.
+    - `disorder`: sensors of one motion do not go together, so that no term is to be looked for.
+    - `step`: what to do about it, in words with the same places, and the `options` of
+      `riecjax identify` that do it.
+    """
+
+    kind: Kind
+    phrase: str
+    refuses: Literal["", "windows", "answer"] = ""
+    explains_refusal: bool = False
+    rules_out: bool = False
+    symptom: bool = False
+    blames_model: bool = False
+    widens: bool = False
+    short: bool = False
+    collinear: bool = False
+    of_size: bool = False
+    undo: Literal["", "delay", "gain", "zero", "reach"] = ""
+    feigned: bool = False
+    disorder: bool = False
+    step: str = ""
+    options: tuple[str, ...] = ()
+
+    def said(self, signals: tuple[str, ...] = (), parameters: tuple[str, ...] = ()) -> str:
+        """The phrase, of these signals and parameters."""
+        return self.phrase.format(
+            signals=" and ".join(signals) or "a signal",
+            parameters=", ".join(parameters) or "some parameters",
+        )
 
 
 class Finding(NamedTuple):
@@ -31,6 +84,17 @@ class Finding(NamedTuple):
     remedy: tuple[str, ...] = ()
     step: str = ""
 
+    @property
+    def about(self) -> FindingClass:
+        """What its code means."""
+        return class_of(self.code)
+
+
+def class_of(code: str) -> FindingClass:
+    """What a code means. One that is not registered is said in its own words, and counts as what is
+    amiss with recordings does: by the doubt that a finding states."""
+    return CODES.get(code) or FindingClass("sensors", code.replace("_", " "))
+
 
 def option_for(option: str, signals: Iterable[str], value: str) -> tuple[str, ...]:
     """An option of the command line for each of these signals, `--shift v=0.005`."""
@@ -51,119 +115,106 @@ def line_taken_off(name: str, time: "np.ndarray", offset: float, change: float) 
     return ("--derive", f"{name}={name}{constant}{line}")
 
 
-Kind = Literal["undetermined", "sensors", "model", "noise", "data", "computation", "reproduction"]
-
-
-class FindingCode(NamedTuple):
-    """What is known of a code: the `kind` of cause, and its `phrase`."""
-
-    kind: Kind
-    phrase: str
-
-    def said(self, signals: tuple[str, ...] = (), parameters: tuple[str, ...] = ()) -> str:
-        """The phrase, of these signals and parameters."""
-        return self.phrase.format(
-            signals=" and ".join(signals) or "a signal",
-            parameters=", ".join(parameters) or "some parameters",
-        )
-
-
-def code_of(code: str) -> FindingCode:
-    """What is known of this code; of an unknown one, its words."""
-    return CODES.get(code) or FindingCode("computation", code.replace("_", " "))
-
-
-PHRASES: dict[Kind, dict[str, str]] = {
-    "undetermined": {
-        "constant_target": "one term alone reproduces the input",
-        "unidentifiable": "the recordings cannot tell {parameters} apart",
-        "undetermined": "the recordings say nothing of {parameters}",
-        "mode_not_carried": "the recordings carry no such mode",
-        "series_spring_not_carried": "the recordings do not tell {parameters} from infinity",
-        "negative_value": "{parameters} is below zero",
-        "interval_wider_than_estimate": "the recordings hardly determine {parameters}",
-        "not_excited": "the recordings hold nothing of {parameters}",
-        "rarely_excited": "{parameters} is seldom excited",
-    },
-    "sensors": {
-        "prior_disagrees": "the recordings and the prior of {parameters} disagree",
-        "outside_bound": "{parameters} lies outside its bounds",
-        "time_unit_doubtful": "time may be in another unit than seconds",
-        "unit_mismatch": "{signals} has another unit than the model expects",
-        "not_its_derivative": "{signals} do not fit each other",
-        "at_rest": "{signals} rests where friction jumps",
-        "copied_signal": "{signals} are one signal",
-        "duplicate_recording": "a recording was given twice",
-        "lost_rows": "{signals} part by a jump",
-        "two_clocks": "{signals} run by two clocks",
-        "silent_input": "{signals} says nothing",
-        "late_signal": "{signals} is late",
-        "low_passed": "one of {signals} is filtered",
-        "wrong_gain": "{signals} do not fit each other in size",
-        "drifting_signal": "one of {signals} drifts",
-        "velocity_offset": "one of {signals} has an offset",
-        "repeated_rows": "rows stand in the recording twice",
-        "wrong_zero": "some sensor's zero is off",
-        "constant_signal": "{signals} never varies",
-        "stuck_sensor": "{signals} is stuck for a while",
-        "clipped": "{signals} is clipped",
-        "outliers": "{signals} has outliers",
-        "hum": "the mains hum in {signals}",
-        "missing_samples": "samples of {signals} are missing",
-        "quantised": "{signals} is coarsely quantised",
-        "column_left_out": "a column of {signals} is left out",
-        "part_left_out": "a part of a file is left out",
-        "nothing_cut": "a cut removes nothing",
-        "file_changed": "a file is not the one that was read before",
-        "rows_left_out": "windows that touch a missing sample are left out",
-    },
-    "model": {
-        "unmodelled_mode": "the model leaves out a mode",
-        "large_residual": "the model leaves more than half of the signal",
-        "residual_follows_signal": "what the model leaves follows {signals}",
-        "hysteresis": "what the model leaves depends on the way that the motion came",
-        "window_sensitive": "estimates drift with window length",
-        "uneven_errors": "errors differ much along the record",
-        "does_not_predict": "the model does not predict",
-        "records_disagree": "the recordings disagree",
-        "no_known_term": "no term of an equation is known",
-        "break_points_outside": "a break point lies outside the data",
-    },
-    "noise": {
-        "noise_dominates": "noise of {signals} makes much of what tells {parameters} apart",
-    },
-    "data": {
-        "nearly_collinear": "little tells {parameters} apart",
-        "ill_conditioned": "little tells some parameters apart",
-        "few_blocks": "few stretches of the record tell of {parameters}",
-        "few_effective_windows": "few independent windows tell of {parameters}",
-        "short_record": "the record is short",
-    },
-    "computation": {
-        "mode_elsewhere": "no mode is near the frequency asked for",
-        "coarse_sampling": "the motion is sampled coarsely",
-        "coarse_steps": "the simulation's steps are coarse",
-        "refinement_not_converged": "the refinement did not converge",
-        "refined_predicts_worse": "the refined model predicts worse",
-        "at_bound": "{parameters} sits on a bound",
-        "short_windows": "the shortest window spans few samples",
-        "single_precision": "it was computed in 32-bit",
-        "band_snapped": "windows of a neighbouring band were taken",
-        "residuals_not_tested": "what the model leaves was not tested",
-        "not_validated": "it was not validated",
-        "validated_on_fitted": "it was validated on what it was fitted to",
-    },
-    "reproduction": {
-        "simulation_lost": "a simulation was lost",
-        "few_roads": "ranges over roads are rough",
-    },
+LONGER = "Record for longer, or excite the machine all along"
+_undetermined, _sensors, _model, _noise, _data, _computation, _reproduction = (
+    functools.partial(FindingClass, kind) for kind in get_args(Kind)
+)
+CODES: dict[str, FindingClass] = {
+    "constant_target": _undetermined("one term alone reproduces the input", refuses="answer"),
+    "not_excited": _undetermined("the recordings hold nothing of {parameters}", refuses="answer"),
+    "unidentifiable": _undetermined(
+        "the recordings cannot tell {parameters} apart",
+        refuses="windows",
+        rules_out=True,
+        collinear=True,
+    ),
+    "undetermined": _undetermined("the recordings say nothing of {parameters}", rules_out=True),
+    "mode_not_carried": _undetermined("the recordings carry no such mode", rules_out=True),
+    "series_spring_not_carried": _undetermined(
+        "the recordings do not tell {parameters} from infinity", rules_out=True
+    ),
+    "negative_value": _undetermined("{parameters} is below zero", rules_out=True),
+    "interval_wider_than_estimate": _undetermined(
+        "the recordings hardly determine {parameters}", rules_out=True, symptom=True
+    ),
+    "rarely_excited": _undetermined("{parameters} is seldom excited"),
+    "prior_disagrees": _sensors(
+        "the recordings and the prior of {parameters} disagree",
+        step="Check what you said of {parameters}, its unit too, or leave it out",
+    ),
+    "time_unit_doubtful": _sensors(
+        "time may be in another unit than seconds",
+        step="State the unit of time in its column's name, as in 'time [ms]', or scale it "
+        "(--scale)",
+    ),
+    "unit_mismatch": _sensors("{signals} has another unit than the model expects"),
+    "not_its_derivative": _sensors("{signals} do not fit each other", disorder=True),
+    "at_rest": _sensors("{signals} rests where friction jumps"),
+    "copied_signal": _sensors("{signals} are one signal", explains_refusal=True),
+    "duplicate_recording": _sensors("a recording was given twice"),
+    "lost_rows": _sensors("{signals} part by a jump", disorder=True, feigned=True),
+    "two_clocks": _sensors("{signals} run by two clocks", disorder=True),
+    "silent_input": _sensors("{signals} says nothing"),
+    "late_signal": _sensors("{signals} is late", undo="delay", disorder=True),
+    "low_passed": _sensors("one of {signals} is filtered", undo="delay", disorder=True),
+    "wrong_gain": _sensors("{signals} do not fit each other in size", undo="gain", feigned=True),
+    "drifting_signal": _sensors("one of {signals} drifts", undo="zero"),
+    "velocity_offset": _sensors("one of {signals} has an offset", undo="zero"),
+    "repeated_rows": _sensors("rows stand in the recording twice"),
+    "wrong_zero": _sensors("some sensor's zero is off"),
+    "constant_signal": _sensors("{signals} never varies"),
+    "stuck_sensor": _sensors("{signals} is stuck for a while", undo="reach"),
+    "clipped": _sensors("{signals} is clipped", undo="reach"),
+    "outliers": _sensors("{signals} has outliers"),
+    "hum": _sensors("the mains hum in {signals}"),
+    "missing_samples": _sensors("samples of {signals} are missing"),
+    "quantised": _sensors("{signals} is coarsely quantised"),
+    "column_left_out": _sensors("a column of {signals} is left out"),
+    "part_left_out": _sensors("a part of a file is left out"),
+    "nothing_cut": _sensors("a cut removes nothing"),
+    "file_changed": _sensors("a file is not the one that was read before"),
+    "rows_left_out": _sensors("windows that touch a missing sample are left out"),
+    "unmodelled_mode": _model("the model leaves out a mode", blames_model=True),
+    "large_residual": _model("the model leaves more than half of the signal", of_size=True),
+    "residual_follows_signal": _model("what the model leaves follows {signals}", blames_model=True),
+    "hysteresis": _model(
+        "what the model leaves depends on the way that the motion came", blames_model=True
+    ),
+    "window_sensitive": _model("estimates drift with window length", blames_model=True),
+    "uneven_errors": _model("errors differ much along the record", of_size=True),
+    "does_not_predict": _model("the model does not predict"),
+    "records_disagree": _model("the recordings disagree", widens=True),
+    "no_known_term": _model("no term of an equation is known"),
+    "break_points_outside": _model("a break point lies outside the data"),
+    "noise_dominates": _noise(
+        "noise of {signals} makes much of what tells {parameters} apart",
+        step="Compare simulations, which need no derivative",
+        options=("--refine", "output-error"),
+    ),
+    "nearly_collinear": _data("little tells {parameters} apart", collinear=True),
+    "ill_conditioned": _data("little tells some parameters apart", collinear=True),
+    "few_blocks": _data(
+        "few stretches of the record tell of {parameters}", short=True, step=LONGER
+    ),
+    "few_effective_windows": _data(
+        "few independent windows tell of {parameters}", short=True, step=LONGER
+    ),
+    "short_record": _data("the record is short", short=True, step=LONGER),
+    "rests_on_prior": _data("{parameters} rests on its prior"),
+    "mode_elsewhere": _computation("no mode is near the frequency asked for"),
+    "coarse_sampling": _computation("the motion is sampled coarsely"),
+    "coarse_steps": _computation("the simulation's steps are coarse"),
+    "refinement_not_converged": _computation("the refinement did not converge"),
+    "refined_predicts_worse": _computation("the refined model predicts worse"),
+    "at_bound": _computation("{parameters} sits on a bound"),
+    "short_windows": _computation("the shortest window spans few samples"),
+    "single_precision": _computation("it was computed in 32-bit"),
+    "band_snapped": _computation("windows of a neighbouring band were taken"),
+    "residuals_not_tested": _computation("what the model leaves was not tested"),
+    "test_failed": _computation("a test of your own failed"),
+    "not_validated": _computation("it was not validated"),
+    "validated_on_fitted": _computation("it was validated on what it was fitted to"),
+    "simulation_lost": _reproduction("a simulation was lost"),
+    "few_roads": _reproduction("ranges over roads are rough"),
 }
-"""Of each kind of cause its codes, first what says most of it, each with words for a sentence: they
-have places for `{signals}` and `{parameters}`."""
-CODES = {
-    code: FindingCode(kind, phrase)
-    for kind, codes in PHRASES.items()
-    for code, phrase in codes.items()
-}
-KINDS: tuple[Kind, ...] = ("undetermined", "sensors", "model", "noise", "data", "computation")
-"""Kinds of causes in a verdict. What a user says of a parameter is held against it as a sensor."""
+"""Of each kind of cause its codes, first what says most of it."""

@@ -5,7 +5,9 @@ anew. Numbers that users set therefore become arrays at the border; NumPy ones, 
 model at import time makes no JAX array.
 """
 
+import math
 import numbers
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -18,6 +20,8 @@ from numpy.typing import ArrayLike
 
 Leaf = Array | np.ndarray
 Tree = TypeVar("Tree")
+TINY = 1e-300
+"""In place of a size of zero, which nothing is a share of."""
 
 
 def as_leaf(value: ArrayLike | Array) -> Leaf:
@@ -25,6 +29,11 @@ def as_leaf(value: ArrayLike | Array) -> Leaf:
     if isinstance(value, jax.Array):
         return value
     return np.asarray(value, float)
+
+
+def size_of(value: ArrayLike) -> float:
+    """Size of a value, for shares of it."""
+    return max(float(np.abs(value)), TINY)
 
 
 def is_number(value: Any) -> bool:
@@ -36,9 +45,14 @@ def is_number(value: Any) -> bool:
 def on_host(tree: Tree) -> Tree:
     """The tree with NumPy arrays in place of JAX's, from which single numbers are cheap to read.
 
-    JAX compiles a slice for each of them.
+    JAX compiles a slice for each of them. Random keys, of which NumPy has none, stay.
     """
-    return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
+
+    def moved(leaf: Any) -> Any:
+        is_key = eqx.is_array(leaf) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return np.asarray(leaf) if eqx.is_array(leaf) and not is_key else leaf
+
+    return jax.tree.map(moved, tree)
 
 
 def held_still(tree: Tree) -> Tree:
@@ -54,6 +68,24 @@ def namespace(*trees: object) -> Any:
     For little arithmetic on results: done by JAX, each operation would be compiled.
     """
     return np if is_concrete(*trees) else jnp
+
+
+def finite(value: ArrayLike | Sequence[Any] | Mapping[Any, Any] | None) -> Any:
+    """The number, or `None` where JSON has no word for it; of an array, nested lists of them; of a
+    mapping the same of all that it holds; a text as it is."""
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, Mapping):
+        return {key: finite(each) for key, each in value.items()}
+    if isinstance(value, tuple | list) or np.ndim(value):
+        return [finite(each) for each in value]  # type: ignore[union-attr]
+    number = np.asarray(value).item()
+    return number if math.isfinite(number) else None
+
+
+def told(thing: object, *names: str) -> dict[str, Any]:
+    """Attributes of an object that are numbers, texts or arrays of them, by name."""
+    return {name: finite(getattr(thing, name)) for name in names}
 
 
 def is_concrete(*trees: object) -> bool:

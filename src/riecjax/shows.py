@@ -1,33 +1,86 @@
 """Objects that show themselves, by what `reporting` makes of them.
 
-The stages that define them come before reporting and know nothing of it: it is imported when an
-object is printed, drawn or exported.
+The stages that define them come before reporting and know nothing of it. Here stand verbs by the
+kind of object, [`view_of`][riecjax.shows.view_of] and the others: `reporting` registers a case for
+each kind as soon as one is asked for, and an object of another kind brings its own `view()` or
+`chart()`.
 """
 
-import importlib
+import functools
+import operator
 import os
-from collections.abc import ItemsView, Iterator, KeysView, Mapping
+from collections.abc import Callable, ItemsView, Iterator, KeysView, Mapping
 from typing import Any
 
 from riecjax.extensions import require_packages
 
+_registering: list[Callable[[], None]] = []
 
-def reported(module: str, verb: str, *of: Any, **settings: Any) -> Any:
-    """What a function of `riecjax.reporting` says of an object."""
-    return getattr(importlib.import_module(f"riecjax.reporting.{module}"), verb)(*of, **settings)
+
+def registered_by(register: Callable[[], None]) -> None:
+    """Have this called before anything is shown for the first time: it imports what registers."""
+    _registering.append(register)
+
+
+def _case(verb: Any, thing: Any, method: str = "") -> Callable[..., Any]:
+    """What a verb does with a kind of object, looked for once everything is registered.
+
+    Before, every object comes here; then only those of a kind that nobody registered, which have a
+    `method` for it.
+    """
+    while _registering:
+        _registering.pop()()
+    case = verb.dispatch(type(thing))
+    return case if case is not verb.dispatch(object) else operator.methodcaller(method)
+
+
+@functools.singledispatch
+def view_of(thing: Any) -> Any:
+    """What is said of an object, a [`View`][riecjax.reporting.View]: else what its `view()` is."""
+    return _case(view_of, thing, "view")(thing)
+
+
+@functools.singledispatch
+def chart_of(thing: Any) -> Any:
+    """The chart that shows an object: else what its `chart()` is."""
+    return _case(chart_of, thing, "chart")(thing)
+
+
+@functools.singledispatch
+def table_of(thing: Any) -> Any:
+    """The [`Table`][riecjax.reporting.Table] of an object that a paper has room for."""
+    return _case(table_of, thing, "table")(thing)
+
+
+@functools.singledispatch
+def draw(chart: Any, ax: Any = None) -> Any:
+    """Draw a chart by matplotlib; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
+    return _case(draw, chart)(chart, ax)
+
+
+@functools.singledispatch
+def save(thing: Any, path: str | os.PathLike[str]) -> None:
+    """Write an object to a file; see [`Saved.save`][riecjax.shows.Saved.save]."""
+    _case(save, thing)(thing, path)
+
+
+@functools.singledispatch
+def show(thing: Any) -> Any:
+    """Write the report of an object to a temporary folder, and open it in the browser."""
+    return _case(show, thing)(thing)
 
 
 class Shown:
     """Prints as numbers with units, and in a notebook as tables."""
 
     def __repr__(self) -> str:
-        return reported("views", "in_words", self, brief=True)
+        return view_of(self).text(brief=True)
 
     def __str__(self) -> str:
-        return reported("views", "in_words", self)
+        return view_of(self).text()
 
     def _repr_html_(self) -> str:
-        return reported("views", "as_html", self)
+        return view_of(self).html()
 
 
 class Drawn(Shown):
@@ -44,11 +97,19 @@ class Drawn(Shown):
         **Raises:** `DataError` if matplotlib is not installed, or for another number of axes.
         """
         require_packages("figure")
-        return reported("plots", "draw", self, ax)
+        return draw(chart_of(self), ax)
+
+
+COLUMNS = ("value", "std_error", "low95", "high95")
+"""Numbers of each parameter in a frame."""
 
 
 class Tabled(Drawn):
-    """Values by name, as of a mapping, that leave as dictionaries, frames and tables."""
+    """Values by name, as of a mapping, that leave as dictionaries, frames and tables.
+
+    What is one has `units`, and of what it estimated `standard_error(name)` and
+    `interval_by_name()`.
+    """
 
     def __iter__(self) -> Iterator[str]:
         raise NotImplementedError
@@ -82,7 +143,20 @@ class Tabled(Drawn):
         Plain numbers, of a batch nested lists; `None` for what is not finite, and for the error and
         interval of what is known.
         """
-        return reported("exports", "to_dict", self)
+        from riecjax.leaves import finite, on_host
+
+        host: Any = on_host(self)
+        units, ends = dict(host.units), host.interval_by_name()
+        return {
+            name: {
+                "value": finite(host[name]),
+                "std_error": finite(host.standard_error(name)) if name in ends else None,
+                "interval": tuple(finite(ends[name])) if name in ends else None,
+                "unit": units[name],
+                "known": name not in ends,
+            }
+            for name in self
+        }
 
     def to_frame(self) -> Any:
         """A pandas data frame with a row for each parameter, of a batch for each member's.
@@ -91,15 +165,44 @@ class Tabled(Drawn):
 
         **Raises:** `DataError` if pandas is not installed.
         """
-        return reported("exports", "to_frame", self)
+        require_packages("frame")
+        import pandas
+
+        data, axes = self._columns()
+        shape, names = data["value"].shape, list(self)
+        index = pandas.Index(names, name="parameter")
+        if len(shape) > 1:
+            levels = [*map(range, shape[:-1]), names]
+            index = pandas.MultiIndex.from_product(levels, names=axes)
+        frame = pandas.DataFrame({name: data[name].ravel() for name in COLUMNS}, index)
+        for name in ("unit", "known"):
+            frame[name] = data[name] * (frame.shape[0] // len(names))
+        return frame
+
+    def _columns(self) -> tuple[dict[str, Any], list[str]]:
+        """Each column's numbers, shape `(*batch, parameters)`, with units and what is known; names
+        of the axes."""
+        import numpy as np
+
+        entries = [*self.to_dict().values()]
+        shape = np.shape(entries[0]["value"])
+        data: dict[str, Any] = {name: np.full((*shape, len(entries)), np.nan) for name in COLUMNS}
+        for i, entry in enumerate(entries):
+            ends = entry["interval"] or (None, None)
+            for name, value in zip(COLUMNS, (entry["value"], entry["std_error"], *ends)):
+                if value is not None:
+                    data[name][..., i] = np.array(value, float)
+        data |= {name: [entry[name] for entry in entries] for name in ("unit", "known")}
+        batch = [f"member_{i}" for i in range(len(shape))] if len(shape) > 1 else ["member"]
+        return data, [*(batch if shape else ()), "parameter"]
 
     def to_markdown(self) -> str:
         """A table in Markdown: value, standard error, unit, rounded by the standard error."""
-        return reported("tables", "in_markdown", reported("exports", "paper_table", self))
+        return table_of(self).markdown()
 
     def to_latex(self) -> str:
         """The same as a `tabular` of LaTeX, which needs no package."""
-        return reported("tables", "in_latex", reported("exports", "paper_table", self))
+        return table_of(self).latex()
 
 
 class Saved(Tabled):
@@ -112,7 +215,12 @@ class Saved(Tabled):
 
         **Raises:** `DataError` if xarray is not installed.
         """
-        return reported("exports", "to_xarray", self)
+        require_packages("data set")
+        import xarray
+
+        data, axes = self._columns()
+        named = {name: (axes if name in COLUMNS else "parameter", x) for name, x in data.items()}
+        return xarray.Dataset(named, {"parameter": list(self)})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to a file of exactly this name, whole or not at all; see [`load`][].
@@ -122,4 +230,4 @@ class Saved(Tabled):
         **Raises:** `DataError` if the file cannot be written; `ModelError` for a batch, for what
         is being traced, or a criterion with a law that is a function.
         """
-        reported("result_files", "save", self, path)
+        save(self, path)

@@ -18,7 +18,7 @@ import riecjax as rx
 from riecjax.assessment import refining
 from riecjax.assessment.assess import check_answering
 from riecjax.records.recording import as_recordings
-from riecjax.reporting.checking import check_document
+from riecjax.reporting.checking import check_answer
 from riecjax.settings import Check
 
 DRAG = rx.find_model("drag-oscillator")
@@ -61,7 +61,7 @@ def test_straight_lines_between_samples_are_taken_on_evidence():
     assert refinement.chosen
     lines = rx.refine(DRAG, record, found.estimate, rx.OutputError(intersample="lines"))
     assert refinement.refined is not None
-    assert float(lines.rms[0]) < float(refinement.refined.rms[0])
+    assert float(lines.search.rms[0]) < float(refinement.refined.search.rms[0])
     assert float(found.answer["k"]) == pytest.approx(20.0, rel=3.5 * 0.00153 / 50)
     # Of inputs that are straight lines it is 60 times as much at a tenth of the noise.
     driven = rx.Record.from_samples({"u": held["u"]}, time_step=0.01)
@@ -83,11 +83,11 @@ def test_an_unstable_motion_is_refined_and_validated_over_windows():
     found, refinement = refinement_of(UPRIGHT, upright, hold_out=0.3)
     assert refinement.chosen
     assert refinement.refined is not None
-    assert dict(refinement.refined.by)["windows"] == "tiles"
+    assert dict(refinement.refined.search.by)["windows"] == "tiles"
     for name, true in {"p1": 20.0, "p2": 0.3}.items():
         low, high = found.answer.interval(name)
         assert low - (high - low) < true < high + (high - low)
-    (run,) = found.validations
+    (run,) = found.test("validation").runs
     assert run.held.predicts
     assert run.held.horizon == pytest.approx(0.57, abs=0.05)
 
@@ -117,7 +117,7 @@ def test_a_bound_in_the_way_is_declined():
 
 def test_what_would_take_long_is_told_and_not_begun(monkeypatch):
     monkeypatch.setattr(refining, "MOST_WORK", 1)
-    monkeypatch.setattr(refining, "refined_of", lambda *_, **__: pytest.fail("begun"))
+    monkeypatch.setattr(refining, "refine", lambda *_, **__: pytest.fail("begun"))
     _, refinement = refinement_of(DRAG, drag_record(0))
     assert "steps x states x tangents, more than 1;" in refinement.declined
     assert "--refine output-error" in refinement.declined
@@ -138,9 +138,9 @@ def test_check_names_the_refinement_that_answers_where_windows_cannot():
     bounds = {"m": 0.00181, "r": 0.0293, "r2": 0.0144, "k": 0.00153}
     for name, share in found.by_refinement.items():
         assert share == pytest.approx(bounds[name], rel=0.35)
-    document = check_document(found, "drag", as_recordings(record))
-    assert document["answerable"]
-    assert "error" not in document
+    said = check_answer(found, "drag", as_recordings(record))
+    assert said.answerable
+    assert not said.error
     answer = rx.assess(DRAG, record, short, **QUICK).answer
     assert float(answer["m"]) == pytest.approx(1.5, rel=5 * bounds["m"])
     with pytest.raises(rx.IdentifiabilityError):

@@ -7,8 +7,7 @@ from tests.machines import MODE_TRUTH as TRUTH
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
-from riecjax.assessment.refining import outside_bounds
-from riecjax.reporting.identification import verdict_entries
+from riecjax.reporting.answer import next_steps
 from riecjax.reporting.result_page import write_report
 
 RIEC = rx.RIEC(rx.AllWindows(0.05, 0.5))
@@ -85,8 +84,7 @@ def test_what_voids_an_answer_is_its_reason_and_the_first_thing_to_do():
     assert {one.level for one in verdict.parameters.values()} == {"do not use"}
     assert verdict.sentence.endswith(": time may be in another unit than seconds.")
     assert len(verdict.causes) > 1
-    steps = verdict_entries(verdict)["next"]
-    assert steps[0]["words"].startswith("State the unit of time")
+    assert next(next_steps(verdict.causes)).words.startswith("State the unit of time")
 
 
 @pytest.mark.slow
@@ -123,9 +121,10 @@ def test_a_parameter_is_what_the_model_says_whatever_it_is_called(tmp_path):
         assert float(found.estimate[name]) == pytest.approx(value, rel=5e-3, abs=0.1)
         assert found.verdict.parameters[name].level == ("caution" if value == 0 else "good")
     assert "series_spring_not_carried" not in {finding.code for finding in found.findings()}
-    assert not [*outside_bounds(found.answer, {"offset": (1.0, 2.0)})]
-    (outside,) = outside_bounds(found.answer, {"offset[2]": (1.0, 2.0)})
-    assert outside.parameters == ("offset[2]",)
+    with pytest.raises(rx.ModelError, match="bounds are given for 'offset'"):
+        rx.identify(ORDINARY, record, RIEC, bounds={"offset": (1.0, 2.0)})
+    bounded = rx.identify(ORDINARY, record, RIEC, bounds={"offset[2]": (1.0, 2.0)})
+    assert bounded.findings()[0].parameters == ("offset[2]",)
     assert found.parameters_of(rx.Finding("at_bound", "", parameters=("offset",))) == set()
     write_report(found, tmp_path)
     assert set(rx.load(tmp_path).parameters) == {*ORDINARY.parameters}

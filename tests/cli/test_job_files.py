@@ -188,7 +188,7 @@ def test_a_result_runs_again_to_the_same_numbers(capsys, machine):
     earlier = out / "earlier.json"
     earlier.write_text(json.dumps(sealed(old)))
     assert call(capsys, "check", "--job", earlier).status == 0
-    assert rx.load(earlier).document["schema"] == 1
+    assert rx.load(earlier).schema == 1
 
     with Path(name).open("a") as stream:
         stream.write("\n")

@@ -18,7 +18,7 @@ from riecjax import whole_files
 from riecjax.cli import command
 from riecjax.cli import main as entry
 from riecjax.cli.command import read_job
-from riecjax.reporting.identification import as_typed
+from riecjax.reporting.answer import as_typed
 
 ODD = "Weg β"
 RESISTANCE = """

@@ -5,13 +5,14 @@ import shlex
 from pathlib import Path
 
 import jax
+import msgspec
 import pytest
 from command_line import call, write_csv
 from test_own_recordings import MODEL, motion
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.reporting.identification import identification_document
+from riecjax.reporting import answer_of
 
 
 @pytest.mark.parametrize(
@@ -37,7 +38,7 @@ def test_every_number_of_the_command_line(capsys, windows, sweep):
     assert printed.pop("job")["alpha"] == 0.1
     assert len(printed.pop("checksum")) == 64
     assert [one["file"] for one in printed["provenance"].pop("files")] == ["machine.py", "run.csv"]
-    document = identification_document(found, asked[1:])
+    document = msgspec.to_builtins(answer_of(found, asked[1:]))
     assert json.loads(json.dumps(document)) == printed
     codes = [warning["code"] for warning in printed["warnings"]]
     assert [finding.code for finding in found.findings()] == codes

@@ -17,7 +17,7 @@ from riecjax.discovery.discover import discover
 from riecjax.discovery.model_file import model_source
 from riecjax.models.catalogue import find_model
 from riecjax.reporting.discovery import (
-    discovery_document,
+    discovery_answer,
     discovery_figures,
     discovery_page,
     print_discovery,
@@ -49,11 +49,11 @@ def test_terms_are_found_once_what_comes_late_is_in_time(late):
     assert found.delays["u"] == pytest.approx(LATE, abs=2e-4)
     assert float(found.estimate["viscous"]) == pytest.approx(0.8, rel=0.03)
     assert ("late_signal", ("u",)) in [(one.code, one.signals) for one in found.findings]
-    document = discovery_document(found)
-    assert document["delays"] == {"u": pytest.approx(LATE, abs=2e-4)}
-    assert f"u comes {1e3 * found.delays['u']:.3g} ms late" in document["sentence"]
-    assert "identify with --shift u=0.03" in document["sentence"]
-    assert "mend that first" not in document["sentence"]
+    answer = discovery_answer(found)
+    assert answer.delays == {"u": pytest.approx(LATE, abs=2e-4)}
+    assert f"u comes {1e3 * found.delays['u']:.3g} ms late" in answer.sentence
+    assert "identify with --shift u=0.03" in answer.sentence
+    assert "mend that first" not in answer.sentence
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ def test_of_a_right_model_only_the_delay_is_found(late):
     """Hysteresis and a harder spring stand for it where it is not taken off."""
     found = discover(DRAG.model, late, **QUICK)
     assert found.names == ("delay",)
-    assert discovery_document(found)["sentence"].startswith("No term is missing")
+    assert discovery_answer(found).sentence.startswith("No term is missing")
 
 
 @pytest.mark.parametrize("noise", [*nightly([0.0]), 0.02])
@@ -73,17 +73,17 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     assert found.mode.on == "v"
     for name in ("M_mode", "K_mode"):
         assert float(found.estimate[name]) == pytest.approx(TRUTH[name], rel=0.1)
-    document = discovery_document(found)
-    assert document["chosen"] == ["mode"]
-    assert document["terms"]["mode"]["parameters"] == ["M_mode", "K_mode", "B_mode"]
-    first, last = (one["unexplained"] for one in document["path"])
+    answer = discovery_answer(found)
+    assert answer.chosen == ["mode"]
+    assert answer.terms["mode"].parameters == ["M_mode", "K_mode", "B_mode"]
+    first, last = (step.unexplained for step in answer.path)
     assert last < 0.1 * first
-    assert document["sentence"].startswith("mode (a hidden mode on v near ")
+    assert answer.sentence.startswith("mode (a hidden mode on v near ")
     # What has no error or chance is printed without.
     console = Console(width=200, record=True, file=io.StringIO())
-    print_discovery(document, console)
+    print_discovery(answer, console)
     assert "+ mode" in console.export_text()
-    assert discovery_page(document).sections
+    assert discovery_page(answer).sections
     assert discovery_figures(found)["path"].rows
 
 
@@ -116,5 +116,5 @@ def test_a_velocity_that_is_late_is_not_the_forces_fault():
     found = discover(DRAG.start, late, **QUICK)
     assert found.delays == {}
     assert ("late_signal", ("dx",)) in [(one.code, one.signals) for one in found.findings]
-    sentence = discovery_document(found)["sentence"]
+    sentence = discovery_answer(found).sentence
     assert "mend that first (--shift dx=0.0" in sentence

@@ -95,3 +95,10 @@ def test_names_that_own_parameters_would_collide_with_are_refused():
 def test_unknown_names_are_answered_with_those_that_exist(settings, words):
     with pytest.raises(rx.ModelError, match=words):
         fit(EQUATION, RECORDS, rx.DOLS(), **settings)
+
+
+@pytest.mark.raises_finding("duplicate_recording")
+def test_a_record_that_was_given_twice_is_a_finding():
+    found = fit(EQUATION, [RECORDS[0]] * 2, rx.DOLS()).findings()[0]
+    assert found.code == "duplicate_recording"
+    assert "all of record 2 lies in record 1" in found.message

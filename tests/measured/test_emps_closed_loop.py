@@ -72,7 +72,7 @@ def test_friction_that_rises_from_rest_explains_the_controlled_axis_better():
     """No Stribeck fall: friction grows over the first 3 cm/s, and the closed loop confirms it."""
     rig = emps_closed_loop.load_rig(measured_data("emps"))
     refined, axis = emps_closed_loop.refined_axis(rig, AllWindows(0.005, 0.05))
-    assert bool(refined.converged)
+    assert bool(refined.search.converged)
     assert float(refined.interval("excess")[1]) < -0.05
     found = emps_closed_loop.errors(rig, emps_closed_loop.sampled(rig, axis, delay=0))
     # With asymmetric friction: 3.72 % (published values) and 4.22 % (RIEC).

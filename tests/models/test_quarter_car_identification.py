@@ -62,6 +62,6 @@ def test_integral_refinement_finds_the_break_points_of_a_map_that_has_them(equat
     # Samples that cross a break point are kinks, at which no gradient vanishes to rounding.
     solver = LevenbergMarquardt(1e-3)
     refined = refine(balance, record, start, by, known={mass: truth[mass]}, solver=solver)
-    assert bool(refined.converged)
+    assert bool(refined.search.converged)
     for name in ("K_s", "v_2", "v_3"):
         np.testing.assert_allclose(refined[name], truth[name], rtol=0.02)

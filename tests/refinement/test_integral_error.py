@@ -16,7 +16,7 @@ from riecjax.equations.term import Term
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.identify import identify
 from riecjax.records.record import Record
-from riecjax.refinement.integral_error import AbstractBalance, IntegralError, as_balances
+from riecjax.refinement.integral_error import AbstractBalance, IntegralError, as_balances, expanded
 from riecjax.refinement.refine import refine
 from riecjax.uncertainty.intervals import BlockBootstrap
 
@@ -116,11 +116,13 @@ def test_of_a_linear_equation_it_is_its_identification(record, criterion, unit):
     start = {"M": 10.0, "c": -5.0, "k": 0.0}
     by = IntegralError(criterion)
     refined = refine(LINEAR, record, start, by, key=key, intervals=BlockBootstrap(200))
-    assert bool(refined.converged)
+    assert bool(refined.search.converged)
     np.testing.assert_allclose(refined.theta, estimate.theta, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(refined.covariance, estimate.covariance, rtol=1e-3)
-    assert refined.quantity_units == (unit,)
-    assert float(refined.rms[0]) == pytest.approx(float(estimate.stages[0].residual_rms), rel=1e-6)
+    assert refined.search.quantity_units == (unit,)
+    assert float(refined.search.rms[0]) == pytest.approx(
+        float(estimate.stages[0].residual_rms), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,26 +133,26 @@ def test_friction_that_is_not_linear_is_found_from_far_away(record, kind, test_f
     windows = AllWindows(0.05, 0.5)
     by = IntegralError(RIEC(windows) if test_function is None else RIEC(windows, test_function))
     refined = refine(balance(kind), record, START, by)
-    assert bool(refined.converged)
+    assert bool(refined.search.converged)
     assert dict(refined.units) == UNITS
     for name, true in TRUTH.items():
         # What is left is the quadrature's error, where the friction turns within some samples.
         assert float(refined[name]) == pytest.approx(true, rel=0.01)
-    assert float(refined.rms[0]) < 0.01 * float(refined.rms_before[0])
+    assert float(refined.search.rms[0]) < 0.01 * float(refined.search.rms_before[0])
 
 
 def test_the_expansion_has_the_slopes_of_differences(record):
-    (parametric,) = as_balances(balance())
+    (model,) = as_balances(balance())
     values = {name: jnp.asarray(value) for name, value in START.items()}
-    equation, expanded = parametric.expanded(record, values, ("M", "vs", "Fs"), 1)
+    equation, signals = expanded(model, record, values, ("M", "vs", "Fs"), 1)
     assert set(equation.parameters) == {"M", "vs", "Fs"}
     v = np.asarray(record["dq"])
-    np.testing.assert_allclose(expanded["~:1"], START["M"] * v)
-    np.testing.assert_allclose(expanded["~:1/M"], v)
+    np.testing.assert_allclose(signals["~:1"], START["M"] * v)
+    np.testing.assert_allclose(signals["~:1/M"], v)
     for name in ("vs", "Fs"):
         up, down = ({**START, name: START[name] + s * 1e-6} for s in (1, -1))
         slope = friction(up, v, np.tanh, np.exp) - friction(down, v, np.tanh, np.exp)
-        np.testing.assert_allclose(expanded[f"~:0/{name}"], slope / 2e-6, atol=1e-6)
+        np.testing.assert_allclose(signals[f"~:0/{name}"], slope / 2e-6, atol=1e-6)
 
 
 class Time(AbstractBalance):

@@ -13,10 +13,10 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import Parameter, ParameterTable
 from riecjax.models.catalogue import built_in_model
 from riecjax.records.record import Record
-from riecjax.refinement.objective import AbstractMisfit
-from riecjax.refinement.optimum import Optimum, Reached, RefinementStatus
+from riecjax.refinement.objective import AbstractResiduals
+from riecjax.refinement.optimum import RefinementStatus, SearchResult
 from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import halve_steps, refine
+from riecjax.refinement.refine import halve_steps, refine, worst_excess
 from riecjax.simulation.method import Adaptive, FixedStep
 from riecjax.simulation.system import AbstractSystem
 
@@ -57,7 +57,7 @@ def recording(hardening) -> Record:
 @pytest.mark.slow
 def test_a_spring_that_hardens_is_resolved_where_it_is_deflected(recording):
     refined = refine(duffing(), recording, HARD, OutputError(intersample="lines"))
-    assert bool(refined.converged)
+    assert bool(refined.search.converged)
     assert [finding for finding in refined.findings() if finding.code == "coarse_steps"] == []
     for name, true in HARD.items():
         assert float(refined[name]) == pytest.approx(true, rel=1e-4)
@@ -74,23 +74,24 @@ def test_steps_that_change_the_answer_are_a_finding_with_the_change(recording):
     # To first order, from so far off, a good part of the way to the truth.
     for name in ("d", "k3"):
         off = float(refined[name]) - HARD[name]
-        assert 0.5 < -float(refined.step_change[refined.parameters.index(name)]) / off < 1.2
+        assert 0.5 < -float(refined.search.step_change[refined.parameters.index(name)]) / off < 1.2
 
 
 def test_a_slow_motion_takes_one_step(hardening):
     """The same spring, deflected a thousandth: sqrt(k1 / m) is 10 rad/s."""
     small = {name: 1e-3 * values for name, values in hardening.items()}
     by, records = OutputError(), [record_of(small, "u", "y", "dy")]
-    method = by.misfit(by.specify(duffing(), records, HARD)).method
+    method = by.residuals(duffing(), records, HARD).method
     assert method == FixedStep(1)
 
 
-class Stepped(AbstractMisfit):
-    """A misfit of which nothing matters but its steps."""
+class Stepped(AbstractResiduals):
+    """Residuals of which nothing matters but its steps."""
 
     table: ParameterTable = eqx.field(
         default_factory=lambda: ParameterTable((Parameter("a", "a"), Parameter("b", "b")))
     )
+    start: np.ndarray = eqx.field(default_factory=lambda: np.array([1.0, 2.0]))  # pyright: ignore[reportIncompatibleVariableOverride]
     labels: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     longest_window: np.ndarray = eqx.field(default_factory=lambda: np.zeros(()))  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -115,15 +116,21 @@ def test_what_diverged_is_halved_without_a_warning(monkeypatch):
     sums = infinite, infinite[0], array(100.0)
     monkeypatch.setattr("riecjax.refinement.refine._normal_equations", lambda *_: sums)
     theta, none, start = array([1.0, 2.0]), array([0.0, 0.0]), array([[]])
-    lost = Reached(theta, start, none, RefinementStatus.not_finite, array(3))
-    covered: Any = Covered(infinite)
-    count, length = array(1), array(1.0)
-    rest = none > 0, count, length, infinite[0], array([none, none])
-    at = Optimum(lost, array(False), covered, none, none, *rest)
-    halving = halve_steps(Stepped(), at, theta)
-    assert not np.isfinite(halving.change).any()
-    assert not halving.coarse.any()
-    assert halving._replace(allowed=infinite[0]).excess(infinite[0]) == np.inf
+    lost = SearchResult(
+        theta,
+        start,
+        none,
+        none,
+        RefinementStatus.not_finite,
+        array(3),
+        uncertainty=Covered(infinite),
+        moment=infinite[0],
+        information=array([none, none]),
+    )
+    halved = halve_steps(Stepped(), lost)
+    assert not np.isfinite(halved.step_change).any()
+    assert not halved.coarse.any()
+    assert worst_excess(infinite[0], infinite[0]) == np.inf
 
 
 def test_an_adjoint_that_only_goes_backward_is_refused():

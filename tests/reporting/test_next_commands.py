@@ -3,10 +3,11 @@
 import click
 import pytest
 
-from riecjax.assessment.verdict import Cause, Step
+from riecjax.assessment.next_steps import Step
+from riecjax.assessment.verdict import Cause
 from riecjax.cli.command import Given
 from riecjax.cli.identify import command
-from riecjax.reporting.identification import _next
+from riecjax.reporting.answer import next_steps
 
 COMMAND = ("a.csv", "--model", "axis")
 
@@ -62,5 +63,5 @@ def test_what_two_causes_ask_for_is_proposed_once_where_it_stands_first():
 
     zero, late = ("--unknown-offset", "u"), ("--shift", "v=1")
     causes = [cause("first", *zero), cause("second", *late), cause("third", *zero)]
-    found = [(step["words"], tuple(step["options"])) for step in _next(causes, None)]
+    found = [(step.words, tuple(step.options)) for step in next_steps(causes)]
     assert found == [("first", zero), ("second", late)]

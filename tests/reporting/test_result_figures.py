@@ -4,17 +4,18 @@ import json
 
 import equinox as eqx
 import jax
+import msgspec
 import numpy as np
 import pytest
 from reporting_charts import assert_whole_in_print
 
 import riecjax as rx
-from riecjax.assessment.assessment import Assessment
+from riecjax.assessment.assess import Assessment
 from riecjax.equations.model import as_model, staged
 from riecjax.estimation.check import Check
+from riecjax.reporting.answer import Known, answer_of
 from riecjax.reporting.charts.chart import Dots, Line
 from riecjax.reporting.document import ends_of
-from riecjax.reporting.identification import identification_document
 from riecjax.reporting.result_figures import (
     curves_figure,
     identification_figures,
@@ -49,38 +50,38 @@ def result_of(estimate, model, record) -> Assessment:
         validated_on=[],
         checked=Check([], [], ()),
         estimate=estimate,
-        residuals=ResidualTests(()),
+        tests=(ResidualTests(()),),
         key=jax.random.key(5),
     )
 
 
 def test_a_document_holds_numbers_that_samples_give(identified, record):
-    document = identification_document(result_of(identified, staged(EQUATION), record))
+    answer = answer_of(result_of(identified, staged(EQUATION), record))
     a, left = np.asarray(record["a"]), np.asarray(record["f"] - 3 * record["v"])
     mass = (a @ left) / (a @ a)
     naive = np.sqrt(np.sum((left - mass * a) ** 2) / 499 / (a @ a))
     error = float(identified.standard_error("m"))
-    assert document["parameters"]["m"] == {
+    assert msgspec.to_builtins(answer.parameters["m"]) == {
         "value": pytest.approx(mass, rel=1e-9),
         "unit": "kg",
         "std_error": error,
-        "interval95": list(identified.interval("m")),
+        "interval95": identified.interval("m"),
         "naive_std_error": pytest.approx(naive, rel=1e-9),
         "effective_windows": pytest.approx(500 * (naive / error) ** 2, rel=1e-9),
     }
-    assert document["known"] == {"c": {"value": 3.0, "unit": "N s/m"}}
+    assert answer.known == {"c": Known(value=3.0, unit="N s/m")}
     share = np.sqrt(np.mean((left - mass * a) ** 2) / np.mean(left**2))
-    assert document["residual"]["relative_rms"] == pytest.approx(share, rel=1e-9)
-    assert document["residual"]["stages"][0]["rows"] == 500
-    assert document["provenance"]["preparation"] == ["filtered"]
-    assert document["provenance"]["seed"] == 5
+    assert answer.residual.relative_rms == pytest.approx(share, rel=1e-9)
+    assert answer.residual.stages[0].rows == 500
+    assert answer.provenance.preparation == ["filtered"]
+    assert answer.provenance.seed == 5
 
 
 def test_numbers_that_are_not_finite_become_null(identified, record):
     lost = eqx.tree_at(lambda e: e.uncertainty.covariance, identified, np.full((1, 1), np.nan))
-    document = identification_document(result_of(lost, staged(EQUATION), record))
-    assert document["parameters"]["m"]["interval95"] == [None, None]
-    json.dumps(document, allow_nan=False)
+    answer = answer_of(result_of(lost, staged(EQUATION), record))
+    assert answer.parameters["m"].interval95 == (None, None)
+    json.dumps(msgspec.to_builtins(answer), allow_nan=False)
 
 
 @pytest.mark.parametrize(

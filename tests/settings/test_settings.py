@@ -237,7 +237,7 @@ def test_names_stand_for_objects(name):
         (tree.Discover, {"least": 0.0}, "^least: 0 must lie between 0 and 1"),
         (tree.Validate, {"sweep": 1}, "Write sweep=False"),
         (tree.Fit, {"band": (1.0, 2.0, 3.0)}, r"^band has 3 values. Write band=\(1.0, 10.0\)"),
-        (tree.Refine, {"bounds": {"k": 3}}, r"^bounds of 'k' is an int. Write \(0.0, None\)"),
+        (tree.Constrained, {"bounds": {"k": 3}}, r"^bounds of 'k' is an int. Write \(0.0, None\)"),
         (tree.Elements, {"modes": ["dy"]}, r"the text 'dy'. Write \('x', None\)"),
         (tree.Seed, {"seed": np.int64(2**62)}, None),
         (tree.Fit, {"windows": np.int64(100), "band": np.array([1.0, 9.0])}, None),

@@ -8,7 +8,6 @@ import scipy.signal
 from test_late_signals import AXIS
 
 import riecjax as rx
-from riecjax.assessment.trust import what_is_left
 from riecjax.estimation.identify import identify
 from riecjax.records.derived import derived
 from riecjax.records.record import Record
@@ -16,6 +15,7 @@ from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import Sandwich
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.input_faults import drifting_inputs
+from riecjax.validation.tests import residuals_tested
 
 RATE, COUNT = 100.0, 6000
 LAW = rx.Equation(rx.Term("c", "v"), rx.Term("k", "x"), -rx.Term(1.0, "u"))
@@ -94,8 +94,7 @@ def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
     every = [Record.from_samples(one, time_step=STEP) for one in (signals, *others)]
     records = [one.record for one in ready(AXIS, every)]
     fitted = partial(identify, AXIS, intervals=Sandwich())
-    residuals, _, _ = what_is_left(AXIS, records, fitted(records), fitted)
-    assert residuals is not None
+    residuals, *_ = residuals_tested(AXIS, records, fitted(records), fitted).tests
     return [(f.code, f.signals) for f in residuals.faults]
 
 

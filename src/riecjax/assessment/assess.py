@@ -5,15 +5,18 @@ beforehand whether there is an answer.
 """
 
 import contextlib
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from jaxtyping import Array
+from jaxtyping import Array, Key
 
-from riecjax.assessment.asked import Asked, require_memory_to_assess, size_of
+from riecjax.assessment.doubt import Evidence, with_doubts
+from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
-from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import (
@@ -26,30 +29,70 @@ from riecjax.estimation.check import (
     read_of,
     refusal_by,
 )
+from riecjax.estimation.constraints import Constraints
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import excitations
 from riecjax.estimation.identify import estimated
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
-from riecjax.leaves import on_host
-from riecjax.records.record import Records
+from riecjax.leaves import on_host, size_of
+from riecjax.memory import REMEDY, require_memory
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
 from riecjax.settings import Assess, taking
 from riecjax.settings import Check as CheckSettings
+from riecjax.shows import Drawn, show
 from riecjax.summaries.summarise import summarise
-from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import ready
-from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich, intervals_of
+from riecjax.uncertainty.intervals import AbstractIntervals, Naive, Sandwich, intervals_of
 from riecjax.validation.sweep import sweep_edges, sweep_of_sums
+from riecjax.validation.tests import own_tests, residuals_tested
 
 if TYPE_CHECKING:
-    from riecjax.assessment.assessment import Assessment
-    from riecjax.estimation.evidence import ModeEvidence
+    from riecjax.assessment.refining import Refinement
+    from riecjax.equations.equation import Equation
+    from riecjax.estimation.evidence import ModeTests
+    from riecjax.records.record import Record, Records
+    from riecjax.summaries.summary import Summary
+
+BYTES_PER_SAMPLE = 110.0
+"""Of sums and checks at the peak of memory, for each signal; and, for each equation, of tests of
+what it leaves."""
+BYTES_PER_ROW = 320.0
+"""Of a criterion that draws its windows, for each window and column."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Assessment(Evidence, Drawn):
+    """An estimate, and how far to trust it; made by [`assess`][].
+
+    **Fields:** those of [`Evidence`][riecjax.assessment.doubt.Evidence], and `key` of the windows.
+    """
+
+    key: Key[Array, ""] | None = None
+
+    @property
+    def refinement(self) -> "Refinement | None":
+        """The refinement, if one was asked for or `refine="auto"` tried one."""
+        return self.test("refinement")
+
+    @property
+    def verdict(self) -> Verdict:
+        """Which parameters can be trusted, how far, and what to do about the rest."""
+        return verdict(self)
+
+    def show(self) -> Path:
+        """Write the report to a temporary folder and open it in the browser.
+
+        **Returns:** the path of report.html.
+
+        **Raises:** `DataError` if a package for reports is not installed.
+        """
+        return show(self)
 
 
 @taking(Assess)
-def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "Assessment":
+def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -> Assessment:
     """Identify a model's parameters from recordings, and find out how far to trust them.
 
     What `riecjax identify` does: [`check`][], [`identify`][], [`refine`][] where that is warranted
@@ -64,13 +107,16 @@ def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "A
       the answer (an `rx.IntegralError()` takes the estimate's criterion), `"output-error"` and
       `"integral"` likewise; `"none"` or `None` for none. `channels` and `loss` are of
       `"output-error"`.
-    - `bounds`, `priors` of the refinement, as of [`refine`][]; priors, of one that is asked for.
+    - `bounds`, `priors` of the estimate and of a refinement; of hidden elements only one that is
+      asked for knows them.
     - `horizon`: seconds after which simulations start anew from what was recorded, in validation
       and in the refinement; by default where the motion is unstable.
     - `hold_out`: keep this share at the end of each recording for validation by simulation.
     - `validate_on`: further recordings to simulate the identified model on.
     - `sweep`: whether to estimate against window length, which shows an inexact model, not of
       hidden modes.
+    - `tests` of your own, each a function that makes a [`Test`][riecjax.validation.Test] of the
+      model, the records and the answer; what one raises is a finding.
     - `on_estimate`: called with the estimate before all that is slow, unless refinement answers.
     - `progress`: called with the sum of squares after each step of a refinement that was asked for.
 
@@ -82,94 +128,144 @@ def assess(model: Equation | Model, recordings: Records, settings: Assess) -> "A
     """
     model = with_rests(as_model(model), settings.at_rest)
     recordings = ready(model, recordings, settings.noise)
-    plain = [each.record for each in recordings]
-    criterion = criterion_for(settings, model, plain)
+    criterion = criterion_for(settings, model, [each.record for each in recordings])
 
-    def concerned(some: Sequence[Recording]) -> list[Recording]:
+    def concerning(some: Sequence[Recording]) -> list[Recording]:
         """The recordings with what is said of signals that the criterion reads."""
         return [each.concerning(read_of(model, each, criterion)) for each in some]
 
-    fitted, held = concerned(recordings), []
+    fitted, held = concerning(recordings), []
     if settings.hold_out is not None:
-        fitted, held = map(list, zip(*(each.split(settings.hold_out) for each in fitted)))
-    further: Any = settings.validate_on
-    further = concerned(ready(model, further)) if further else []
+        parts = [each.split(settings.hold_out) for each in fitted]
+        fitted, held = [part[0] for part in parts], [part[1] for part in parts]
+    validate_on: Any = settings.validate_on
+    further = concerning(ready(model, validate_on)) if validate_on else []
+    records = [each.record for each in fitted]
     # What is refused without arithmetic is refused before a sample is read.
     table = plan_parameters(model, len(fitted), settings.known, settings.per_record)
-    intervals = intervals_of(settings.intervals)
-    asked = Asked(model, criterion, fitted, held, further, table, intervals, settings)
+    intervals, by_windows = intervals_of(settings.intervals), (None, "none", "auto")
+    limits: Any = settings.bounds, settings.priors
+    constraints = Constraints.of(table, *limits, refined=settings.refine not in by_windows)
+
+    def again(
+        records: "list[Record]", model: Model = model, by: AbstractIntervals | None = None
+    ) -> Estimate:
+        """What is estimated in the same way from other records, or by other equations."""
+        summary = summarise(model, records, criterion, key=settings.key)
+        return estimated(model, summary, table, by or Naive(), constraints)
+
     with naming_copies(model, fitted, criterion):
-        return _answer(asked)
+        require_memory_to_assess(model, records, criterion)
+        # Read once: all that follows is made from these sums.
+        sweeps, bins = settings.sweep and not model.has_hidden, None
+        if sweeps and criterion.all_windows is not None:
+            with contextlib.suppress(DataError):  # too short a record, which the check says
+                bins = sweep_edges(records, criterion)
+        with explaining_errors(fitted, model.says_change_of):
+            summary = summarise(model, records, criterion, key=settings.key, bins=bins, survey=True)
+        estimate = on_host(estimated(model, summary, table, intervals, constraints))
+        modes, linear = _about_hidden(model, estimate, summary)
+        # Nothing else is asked of recordings that priors and bounds tell.
+        table_of_data = estimate.told_by_data
+        excited = excitations(linear, table_of_data)
+        raise_if_not_carried(() if modes is None else modes.modes, excited)
+        refusal = refusal_by(finding for stage in excited for finding in stage.findings())
+        # What windows cannot tell from noise, output error may: it needs no derivative.
+        of_windows = refusal is not None and refusal.about.refuses == "windows"
+        if not of_windows or settings.refine != "auto":
+            raise_if_refused(excited)
+        if settings.on_estimate is not None and refusal is None:
+            settings.on_estimate(estimate)
 
+        # Not earlier: to import all that simulates takes seconds, and a reader at a terminal
+        # should not wait for it.
+        from riecjax.assessment.refining import Problem, Track, against_priors, answered
 
-def _answer(asked: Asked) -> "Assessment":
-    model, records, criterion = asked.model, asked.records, asked.criterion
-    table, settings, key = asked.table, asked.settings, asked.settings.key
-    require_memory_to_assess(model, records, criterion)
-    # Read once: all that follows is made from these sums.
-    sweep = settings.sweep and not model.has_hidden
-    bins = None
-    if sweep and criterion.all_windows is not None:
-        with contextlib.suppress(DataError):  # too short a record, which the check says
-            bins = sweep_edges(records, criterion)
-    with explaining_errors(asked.fitted):
-        summary = summarise(model, records, criterion, key=key, bins=bins, survey=True)
-    estimate = on_host(estimated(model, summary, table, asked.intervals))
-    evidence, ordinary = _about_hidden(model, estimate, summary)
-    excited = excitations(ordinary, table)
-    # What windows cannot tell from noise, output error may: it needs no derivative.
-    raise_if_not_carried(evidence, excited)
-    doubted = refusal_by(finding for stage in excited for finding in stage.findings())
-    if doubted is None or doubted.code != "unidentifiable" or settings.refine != "auto":
-        raise_if_refused(excited)
-    if settings.on_estimate is not None and doubted is None:
-        settings.on_estimate(estimate)
-
-    # Not earlier: to import all that simulates takes seconds.
-    from riecjax.assessment import refining, trust
-    from riecjax.assessment.assessment import Assessment
-
-    checked = check_sums(model, ready(model, records), table, ordinary, excited)
-    checked = trust.with_doubts(asked, estimate, checked)
-    refinement, validations, failed = refining.answered(asked, estimate, doubted is not None)
-    if refinement is None or not refinement.chosen:
-        raise_if_refused(excited)
-        failed = [*failed, *refining.outside_bounds(estimate, settings.bounds)]
-    residuals, choice, untested = trust.what_is_left(model, records, estimate, asked.again)
-    resting = at_rest_findings(model, records, estimate, asked.otherwise)
-    over_lengths = None
-    if sweep and summary.criterion.windows is not None:
-        with contextlib.suppress(DataError):  # too short for any other length
-            if summary.bins is None and isinstance(summary.criterion, RIEC):
-                edges = sweep_edges(records, summary.criterion)
-                summary = summarise(model, records, summary.criterion.every, bins=edges)
-            over_lengths = on_host(sweep_of_sums(summary, table))
-    return Assessment(
+        checked = check_sums(model, as_recordings(records), table_of_data, linear, excited)
+        checked = with_doubts(checked, estimate, model, records, again)
+        unseen = [*(Track(part, number) for number, part in enumerate(held)), *map(Track, further)]
+        problem = Problem(model, fitted, unseen, intervals, settings)
+        refinement, validation = answered(problem, estimate, refusal is not None)
+        failures = [*validation.failures, *against_priors(estimate, limits[1])]
+        if refinement is None or not refinement.chosen:
+            raise_if_refused(excited)
+        residuals = residuals_tested(model, records, estimate, again)
+        failures += at_rest_findings(
+            model, records, estimate, lambda other: again(records, other, intervals)
+        )
+        failures += [*residuals.findings, *_validated_on_fitted(fitted, further)]
+        sweep = None
+        if sweeps and table_of_data.free and summary.criterion.windows is not None:
+            with contextlib.suppress(DataError):  # too short for any other length
+                if summary.bins is None and isinstance(summary.criterion, RIEC):
+                    edges = sweep_edges(records, summary.criterion)
+                    summary = summarise(model, records, summary.criterion.every, bins=edges)
+                sweep = on_host(sweep_of_sums(summary, table_of_data))
+        validation = validation if validation.runs else None
+        tests = (modes, sweep, *residuals.tests, refinement, validation)
+    assessment = Assessment(
         model=model,
-        recordings=asked.fitted,
-        validated_on=asked.further,
+        recordings=fitted,
+        validated_on=further,
         checked=checked,
         estimate=estimate,
-        sweep=over_lengths,
-        residuals=residuals,
-        choice=choice,
-        validations=validations,
-        refinement=refinement,
-        failures=[*failed, *resting, *untested, *trust.validated_on_fitted(asked)],
-        key=key,
-        modes=evidence,
+        tests=tuple(test for test in tests if test is not None),
+        failures=failures,
+        key=settings.key,
+    )
+    own = own_tests(settings.tests, model, records, assessment.answer)
+    return replace(
+        assessment,
+        tests=(*assessment.tests, *own.tests),
+        failures=[*failures, *own.findings],
     )
 
 
-def assess_summary(
-    model: Equation | Model,
-    summary: Summary,
+def _validated_on_fitted(fitted: list[Recording], further: list[Recording]) -> Iterator[Finding]:
+    """Recordings to validate on that the model was fitted to, which it follows in any case."""
+    places = {(os.path.abspath(one.source), one.part) for one in fitted if one.source}
+    for one in further:
+        if (os.path.abspath(one.source), one.part) in places:
+            yield Finding(
+                "validated_on_fitted",
+                f"{one.name} is validated on, and the model was fitted to it: that does not show "
+                f"whether the model predicts. Validate on another recording, or hold out a part "
+                f"(hold_out=0.3, --hold-out 0.3).",
+            )
+
+
+def require_memory_to_assess(
+    model: Model,
+    records: "Sequence[Record]",
+    criterion: AbstractCriterion,
     *,
-    lengths: Summary | None = None,
+    checking: bool = False,
+) -> None:
+    """Refuse to assess a model on these records, or only to check them, without refining it, where
+    the memory does not hold it.
+
+    **Raises:** `MemoryError`.
+    """
+    samples, peak = sum(record.sample_count for record in records), 0.0
+    for record in records:
+        columns = len(model.equations) + len(record.arrays)
+        peak += record.sample_count * BYTES_PER_SAMPLE * columns
+        if criterion.needs_key:
+            rows = float(criterion.row_count(record) or 0) * (len(model.parameter_names) + 1)
+            peak += rows * BYTES_PER_ROW
+    verb = "checking" if checking else "assessing"
+    require_memory(f"{verb} the model on {samples} samples", peak, REMEDY)
+
+
+def assess_summary(
+    model: "Equation | Model",
+    summary: "Summary",
+    *,
+    lengths: "Summary | None" = None,
     findings: Sequence[Finding] = (),
     known: Mapping[str, float | Array] | None = None,
     intervals: Literal["bootstrap", "sandwich", "naive"] | AbstractIntervals | None = None,
-) -> "Assessment":
+) -> Assessment:
     """As [`assess`][riecjax.assess], without what needs samples: tests of residuals, refinement
     and simulation (not under jit).
 
@@ -183,8 +279,6 @@ def assess_summary(
     **Raises:** as [`estimate`][riecjax.estimate], and `IdentifiabilityError` for what
     [`check`][riecjax.check] refuses.
     """
-    from riecjax.assessment.assessment import Assessment
-
     model = as_model(model)
     summary.require_model(model)
     table = plan_parameters(model, len(summary.recordings), known, ())
@@ -205,20 +299,19 @@ def assess_summary(
             [*findings, *(f for stage in excited for f in stage.findings())], excited, ()
         ),
         estimate=estimate,
-        sweep=sweep,
-        modes=evidence,
+        tests=tuple(test for test in (evidence, sweep) if test is not None),
     )
 
 
 def _about_hidden(
-    model: Model, estimate: Estimate, summary: Summary
-) -> tuple[list["ModeEvidence"], Summary]:
+    model: Model, estimate: Estimate, summary: "Summary"
+) -> tuple["ModeTests | None", "Summary"]:
     """What speaks for hidden modes, and the sums, linearised about hidden elements."""
-    evidence = []
+    evidence = None
     if model.modes:
-        from riecjax.estimation.evidence import mode_evidence
+        from riecjax.estimation.evidence import ModeTests, mode_evidence
 
-        evidence = mode_evidence(model, estimate)
+        evidence = ModeTests(mode_evidence(model, estimate))
     return evidence, linear_sums(model, summary, estimate.table)
 
 
@@ -240,7 +333,7 @@ class Answering(NamedTuple):
 
 
 def check_answering(
-    model: Equation | Model, records: Records, settings: CheckSettings
+    model: "Equation | Model", records: "Records", settings: CheckSettings
 ) -> Answering:
     """[`check`][], and where noise rules out an answer by windows, whether refinement has one.
 
@@ -260,15 +353,14 @@ def check_answering(
     excited = excitations(linear, table)
     checked = check_sums(model, ready(model, recordings), table, linear, excited)
     by_refinement = None
-    if checked.refusal is not None and checked.refusal.code == "unidentifiable":
+    if checked.refusal is not None and checked.refusal.about.refuses == "windows":
         # Not earlier: to import all that simulates takes seconds.
-        from riecjax.assessment.refining import answered
+        from riecjax.assessment.refining import Problem, answered
 
-        unsaid = Assess(key=key)
-        asked = Asked(model, criterion, recordings, [], [], table, Sandwich(), unsaid)
+        problem = Problem(model, recordings, [], Sandwich(), Assess(key=key))
         with contextlib.suppress(IdentifiabilityError):
-            start = on_host(estimated(model, summary, table, asked.intervals))
-            refinement, _, _ = answered(asked, start, True)
+            start = on_host(estimated(model, summary, table, problem.intervals))
+            refinement = answered(problem, start, True).refinement
             refined = None if refinement is None else refinement.answer
             if refined is not None:
                 errors = zip(refined.parameters, refined.standard_errors)

@@ -19,20 +19,35 @@ where none does: forces that act on the machine and on no sensor leave as much, 
 **Sensors.** What is found amiss with the recordings may say how far: a velocity that is 1.2 times
 the position's derivative puts what reads either of them in doubt by a fifth.
 
+How far a fault moves a parameter, the recordings say themselves: it is taken off, and all is
+estimated once more.
+
 **Resolution.** No criterion integrates samples, and no sensor is calibrated, better than `FINEST`.
 """
 
+import contextlib
+import dataclasses
 from collections import defaultdict
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from riecjax.assessment.asked import size_of
-from riecjax.validation.residuals import NOTABLE_SHARED
+from riecjax.equations.model import Model
+from riecjax.errors import DataError, IdentifiabilityError
+from riecjax.estimation.check import Check, parameters_reading
+from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding, class_of
+from riecjax.leaves import size_of
+from riecjax.records import leave_out, shift
+from riecjax.records.faults.derivative_pairs import compare, relations
+from riecjax.records.record import Record
+from riecjax.records.recording import Recording
+from riecjax.validation.tests import Test
 
 if TYPE_CHECKING:
-    from riecjax.assessment.assessment import Assessment
+    from riecjax.validation.residuals import EquationResidual
 
 LEVEL = 0.98
 """Level of the interval that a doubt starts from: one relies on it, so it is to hold more often."""
@@ -50,8 +65,78 @@ MOST_LEFT = 0.99
 """Share of a target past which no more is told of what an equation leaves."""
 FINEST = 1e-3
 """Share of a value below which nothing is claimed."""
-OF_THE_MODEL = ("unmodelled_mode", "hysteresis", "residual_follows_signal", "large_residual")
-"""Findings that say of an equation that what it leaves is the model's doing."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evidence:
+    """All that is known of an estimate, from which a verdict follows.
+
+    **Fields:**
+
+    - `model`.
+    - `recordings` that were estimated from, and those that it was only `validated_on`: with the
+      steps and findings that concern signals which the criterion reads.
+    - `checked`: what was looked at before the fit.
+    - `estimate`.
+    - `tests` that were asked for and could be made; `test` finds one by its name.
+    - `failures`: findings on what could not be tested or simulated.
+    """
+
+    model: Model
+    recordings: Sequence[Recording]
+    validated_on: Sequence[Recording]
+    checked: Check
+    estimate: Estimate
+    tests: tuple[Test, ...] = ()
+    failures: Sequence[Finding] = ()
+
+    def test(self, name: str) -> Any:
+        """The test of this name, `None` where it was not asked for or could not be made.
+
+        `modes`: evidence of each stage's last hidden mode; `window_sweep`: estimates against window
+        length; `residual_tests` of what equations leave; `window_choice`: which windows suit;
+        `refinement`; `validation`: simulations with the answer; and the names of your own.
+        """
+        return next((test for test in self.tests if test.name == name), None)
+
+    @property
+    def answer(self) -> Estimate:
+        """The refined values where those were asked for or chosen, else the linear estimate."""
+        refinement = self.test("refinement")
+        refined = None if refinement is None else refinement.answer
+        return self.estimate if refined is None else refined
+
+    @property
+    def equation_residuals(self) -> "Sequence[EquationResidual]":
+        """What each equation leaves, where that can be tested."""
+        residuals = self.test("residual_tests")
+        return () if residuals is None else residuals.equations
+
+    def findings(self) -> list[Finding]:
+        """What a user should know, each thing once."""
+        read = [f for r in (*self.recordings, *self.validated_on) for f in r.findings]
+        before = [*read, *self.failures, *self.checked.findings]
+        if self.answer is not self.estimate:
+            # Said of windows, and not of what was chosen: a refused estimate leaves no other.
+            before = [finding for finding in before if finding.about.refuses != "windows"]
+        said = {finding.code for finding in before if finding.about.short}
+        return [
+            *before,
+            *(finding for finding in self.estimate.findings() if finding.code not in said),
+            *(finding for test in self.tests for finding in test.findings()),
+        ]
+
+    def parameters_of(self, finding: Finding) -> set[str]:
+        """Parameters that a finding concerns: those it names, or of equations that read its
+        signals."""
+        table = self.answer.table
+        if finding.parameters:
+            return table.concerned(finding.parameters)
+        # Of sums alone it is not known which equation reads which signal.
+        if not finding.signals or not self.recordings:
+            return set(table.free)
+        record, criterion = self.recordings[0].record, self.estimate.criterion
+        return table.concerned(parameters_reading(self.model, record, criterion, finding.signals))
 
 
 class Doubt(NamedTuple):
@@ -101,63 +186,73 @@ class Doubt(NamedTuple):
         return self.value - self.low - more, self.value + self.high + more
 
 
-def doubts(assessment: "Assessment") -> dict[str, Doubt]:
+def doubts(evidence: Evidence) -> dict[str, Doubt]:
     """Of each estimated parameter.
 
     Refined values that are an answer by themselves left white noise: the model is as good as the
     record can tell, and neither drift nor residuals of the linear estimate concern them.
     """
-    answer, refinement = assessment.answer, assessment.refinement
+    answer, refinement = evidence.answer, evidence.test("refinement")
+    residuals, sweep = evidence.test("residual_tests"), evidence.test("window_sweep")
     below, above = answer.uncertainty.reach(LEVEL)
     errors = np.asarray(answer.standard_errors)
     left_white = refinement is None or refinement.whiteness is None or refinement.whiteness.white
     exact = refinement is not None and refinement.chosen and left_white
     # A fault that explains what is left moves these by a known amount.
-    faults = () if assessment.residuals is None else assessment.residuals.faults
+    faults = () if residuals is None else residuals.faults
     known = {name for fault in faults for name in fault.doubts}
     # How far estimates in windows of other lengths lie from the answer, beyond chance.
-    sweep, drift = assessment.sweep, {}
+    drift = {}
     if sweep is not None and not exact:
         names = {*sweep.parameters} & {*answer.parameters}
         drift = {name: sweep.away(name, float(answer[name])) for name in names}
-    left = {} if exact else left_out(assessment)
-    # Of each kind of fault all of what is amiss with the recordings, of kinds the worst.
+    left = {} if exact else left_out(evidence)
+    # Of each kind of fault all that findings state, of kinds the worst.
     amiss: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for finding in assessment.findings():
-        for name in assessment.parameters_of(finding):
+    for finding in evidence.findings():
+        for name in evidence.parameters_of(finding):
             share = finding.doubts.get(name, finding.doubt)
             if share > 0:
                 amiss[name][finding.code] += share * abs(float(answer[name]))
+
+    def stated(name: str, of_model: bool) -> float:
+        """The largest size of a kind of fault of the model, or of the recordings."""
+        sizes = amiss[name].items()
+        return max((s for c, s in sizes if (class_of(c).kind == "model") == of_model), default=0.0)
+
     by_name = {}
     for name, low, high in zip(answer.parameters, below * errors, above * errors):
-        scatter = float(low), float(high)
         drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, left))
         if sweep is not None:
-            moved = min(moved, STEADIER * (drifted + max(scatter)))
-        worst, value = max(amiss[name].values(), default=0.0), float(answer[name])
-        by_name[name] = Doubt(value, *scatter, drifted, moved, worst, FINEST * abs(value))
+            moved = min(moved, STEADIER * (drifted + max(float(low), float(high))))
+        by_name[name] = Doubt(
+            value=float(answer[name]),
+            low=float(low),
+            high=float(high),
+            drift=drifted,
+            left_out=moved + stated(name, of_model=True),
+            sensors=stated(name, of_model=False),
+            finest=FINEST * abs(float(answer[name])),
+        )
     return by_name
 
 
-def left_out(assessment: "Assessment") -> Mapping[str, float]:
+def left_out(evidence: Evidence) -> Mapping[str, float]:
     """How far each parameter may be moved by what its equations leave that is not noise."""
-    estimate = assessment.estimate
-    excited = assessment.checked.excitations
+    estimate = evidence.estimate
+    excited = evidence.checked.excitations
     own = {n: float(share) for e in excited for n, share in zip(e.parameters, e.own_share)}
-    # Equations of which some test says that what they leave is the model's.
-    tests = assessment.equation_residuals
-    blamed = {t.name for t in tests if any(f.code in OF_THE_MODEL for f in t.findings())}
-    if assessment.sweep is not None:
-        drifting = {name for f in assessment.sweep.findings() for name in f.parameters}
-        fits = estimate.equations.items()
-        blamed |= {name for name, fit in fits if drifting & set(fit.parameters)}
-    # By equation, the share of its windows' errors, as energy, that all of them have in common. A
-    # constant error is orthogonal to motion about a mean, and biases nothing.
-    constant = {
-        test.name: min(test.windows.correlation, 1.0)
-        for test in tests
-        if test.windows is not None and test.windows.correlation > NOTABLE_SHARED
-    }
+    # Equations of which a finding says that what they leave is the model's: one of their own, or
+    # of another test on one of their parameters.
+    residuals = evidence.equation_residuals
+    blamed = {r.name for r in residuals if any(f.about.blames_model for f in r.findings())}
+    others = (test for test in evidence.tests if test.name != "residual_tests")
+    findings = (finding for test in others for finding in test.findings())
+    named = {name for f in findings if f.about.blames_model for name in f.parameters}
+    fits = estimate.equations.items()
+    blamed |= {name for name, fit in fits if named & set(fit.parameters)}
+    # A constant error is orthogonal to motion about a mean, and biases nothing.
+    constant = {residual.name: residual.shared_energy for residual in residuals}
     moved: dict[str, float] = {}
     for stage, equations in zip(estimate.stages, estimate.equation_names):
         left = float(stage.relative_rms)
@@ -178,3 +273,58 @@ def left_out(assessment: "Assessment") -> Mapping[str, float]:
             if reach > 0:
                 moved[name] = along / reach
     return moved
+
+
+def with_doubts(
+    checked: Check,
+    estimate: Estimate,
+    model: Model,
+    records: Sequence[Record],
+    again: Callable[[list[Record]], Estimate],
+) -> Check:
+    """What was checked, with how far each fault moves each parameter as its `doubts`.
+
+    **Arguments:** `again` estimates in the same way from other records.
+    """
+    # Share by which each parameter moves once all records have no such fault.
+    doubts: dict[str, dict[str, float]] = {}
+    for code in {finding.code for finding in checked.findings if finding.about.undo}:
+        faults = [finding for finding in checked.findings if finding.code == code]
+        with contextlib.suppress(DataError, IdentifiabilityError):
+            other = again([_undone(record, model, faults) for record in records])
+            doubts[code] = {
+                name: abs(float(other[name]) / float(estimate[name]) - 1)
+                for name in estimate.parameters
+                if name in other.parameters and float(estimate[name])
+            }
+    findings = []
+    for finding in checked.findings:
+        if moved := doubts.get(finding.code):
+            name, share = max(moved.items(), key=lambda entry: entry[1])
+            effect = f" Without it {name} changes by {100 * share:.2g} %."
+            finding = finding._replace(message=finding.message + effect, doubts=moved)
+        findings.append(finding)
+    return dataclasses.replace(checked, findings=findings)
+
+
+def _undone(record: Record, model: Model, faults: Sequence[Finding]) -> Record:
+    """The record without faults of one code, as pairs of a signal and its derivative show them."""
+    undo = faults[0].about.undo
+    if undo == "reach":
+        return leave_out(record, *dict.fromkeys(name for fault in faults for name in fault.signals))
+    for relation in relations(model.derivatives):
+        if not {*relation.names} <= {*record.arrays} or (pair := compare(record, relation)) is None:
+            continue
+        if undo == "delay":
+            late = pair.fit.delay * pair.step
+            which = relation.side(pair.suspect)[0 if late > 0 else 1]
+            record = shift(record, dict.fromkeys(which, abs(late))) if pair.is_late else record
+        elif undo == "gain":
+            factor = pair.scaling if pair.gain_is_off else 1.0
+            record = record.with_signals({pair.suspect: factor * record.signal(pair.suspect)})
+        else:
+            name, size = pair.zeroed
+            course = np.arange(record.sample_count) / record.sample_count - 0.5
+            zero = size * (pair.offset + pair.drift * course)
+            record = record.with_signals({name: record.signal(name) - zero})
+    return record

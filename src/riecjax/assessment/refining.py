@@ -6,44 +6,52 @@ can have. Elsewhere the model leaves out something, which output error makes up 
 parameters, and integrals over windows forgive: the linear estimate stays the answer.
 """
 
+import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from riecjax.assessment.asked import Asked, size_of
-from riecjax.assessment.assessment import BeforeAfter, Refinement, ValidationRun
-from riecjax.assessment.trust import horizons, system_of, validated
 from riecjax.compilation import kept_jit
 from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.estimation.estimate import AbstractEstimate, Estimate
+from riecjax.estimation.constraints import Bounds, Constraints
+from riecjax.estimation.estimate import (
+    Estimate,
+    identified_entries,
+    intervals_entry,
+    parameter_entries,
+)
+from riecjax.estimation.parameters import values_in_recording
 from riecjax.findings import Finding
-from riecjax.leaves import on_host
+from riecjax.leaves import finite, on_host, told
 from riecjax.records.faults.derivative_pairs import is_motion
-from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.objective import AbstractMisfit, AbstractObjective
-from riecjax.refinement.optimum import Bounds, Constraints, is_pair
+from riecjax.refinement.objective import AbstractObjective, as_parametric_system
 from riecjax.refinement.output_error import (
     OutputError,
-    OutputMisfit,
     Tiles,
     WholeRecord,
     noise_levels,
 )
-from riecjax.refinement.refine import Refined, refined_of
-from riecjax.simulation.intersample import Course
-from riecjax.simulation.linearisation import spread_points
+from riecjax.refinement.refine import refine
+from riecjax.simulation.linearisation import growth, spread_points
 from riecjax.simulation.system import AbstractSystem, measured_states
+from riecjax.validation.held_out import HeldOut, validate_held_out
 from riecjax.validation.whiteness import Whiteness, whiteness
 
 if TYPE_CHECKING:
-    from riecjax.settings import Refine
+    from riecjax.equations.model import Model
+    from riecjax.records.record import Record
+    from riecjax.records.recording import Recording
+    from riecjax.settings import Assess, Refine
+    from riecjax.simulation.intersample import Course
+    from riecjax.uncertainty.intervals import AbstractIntervals
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
@@ -71,55 +79,263 @@ EXPECTED = (RiecjaxError, TypeError, ValueError, IndexError)
 JAX cannot differentiate."""
 
 
-Progress = Callable[[float], None] | None
-Answered = tuple[Refinement | None, list[ValidationRun], list[Finding]]
-"""A refinement, simulations with the answer along what it was not fitted to, and what failed."""
+class Track(NamedTuple):
+    """A recording to simulate along.
+
+    **Fields:** `number` of the recording whose own parameters it takes, if it has some; `horizon`,
+    seconds after which simulations start anew, `None` for none.
+    """
+
+    recording: "Recording"
+    number: int | None = None
+    horizon: float | None = None
+
+    def system(self, model: "Model", values: Mapping[str, Array]) -> AbstractSystem:
+        """The model with these values along it."""
+        names, number = model.parameter_names, self.number
+        own = values if number is None else values_in_recording(names, values, number)
+        return model.identified_system({name: own[name] for name in names}, self.recording.record)
+
+    def within(self, given: float | None, model: "Model", values: Mapping[str, Array]) -> "Track":
+        """With the horizon given, or where the motion is unstable that in which differences grow by
+        e^2.5."""
+        if given is not None:
+            return self._replace(horizon=given)
+        # What cannot be simulated is said where it is.
+        with contextlib.suppress(RiecjaxError):
+            grows = growth(self.system(model, values), self.recording.record)
+            return self._replace(horizon=None if grows is None else grows.horizon)
+        return self
 
 
-def answered(asked: Asked, estimate: Estimate, refused: bool) -> Answered:
+class Problem(NamedTuple):
+    """What is identified: a model, from `fitted` recordings.
+
+    **Fields:** `unseen`, what it is not fitted to, to validate on; `intervals`, how uncertainty is
+    estimated; `settings`, what else was said.
+    """
+
+    model: "Model"
+    fitted: "list[Recording]"
+    unseen: list[Track]
+    intervals: "AbstractIntervals"
+    settings: "Assess"
+
+    @property
+    def records(self) -> "list[Record]":
+        """The records to estimate from."""
+        return [recording.record for recording in self.fitted]
+
+    @property
+    def seen(self) -> list[Track]:
+        """What the model is fitted to."""
+        return [Track(recording, number) for number, recording in enumerate(self.fitted)]
+
+
+class ValidationRun(NamedTuple):
+    """A simulation of the identified model along a recording, compared with it in `held`."""
+
+    recording: "Recording"
+    held: HeldOut
+
+
+class Validations(NamedTuple):
+    """Simulations with the values of an answer along what it was not fitted to.
+
+    **Fields:** `runs` that could be made; `failures`, why others could not.
+    """
+
+    runs: Sequence[ValidationRun]
+    failures: Sequence[Finding] = ()
+    name = "validation"
+
+    def findings(self) -> list[Finding]:
+        """`does_not_predict`, of each recording that is not predicted."""
+        return [
+            Finding("does_not_predict", f"{run.recording.name}: {run.held.verdict}")
+            for run in self.runs
+            if not run.held.predicts
+        ]
+
+    def entry(self) -> list[dict[str, Any]]:
+        """Of each recording how well it is predicted, as plain data for JSON."""
+        return [{"on": run.recording.name, **run.held.entry()} for run in self.runs]
+
+
+class BeforeAfter(NamedTuple):
+    """Simulations along one recording with the start of a refinement and with its result."""
+
+    recording: "Recording"
+    before: HeldOut
+    after: HeldOut
+
+    @property
+    def worst_fits(self) -> tuple[float, float]:
+        """The worst fit in percent of any signal before and after; -inf if a simulation failed."""
+
+        def worst(held: HeldOut) -> float:
+            fits = [float(held.signals[n].fit) for n in held.judged] if held.ran else []
+            return min((fit for fit in fits if fit == fit), default=-float("inf"))
+
+        return worst(self.before), worst(self.after)
+
+
+class Refinement(NamedTuple):
+    """A refinement, whether its values are the answer, and what it did to predictions.
+
+    **Fields:**
+
+    - `start`, the linear estimate.
+    - `refined`; `None` where `refine="auto"` found nothing that could be one.
+    - `declined`: why its values are not the answer, of `refine="auto"`; empty where they are.
+    - `whiteness` of what is left, of output error.
+    - `simulations`, before and after, on held-out parts and further recordings, or if there are
+      none, and the refinement was asked for, on those that were fitted (`on_fitted`).
+    """
+
+    start: Estimate
+    refined: Estimate | None = None
+    declined: str = ""
+    whiteness: Whiteness | None = None
+    simulations: Sequence[BeforeAfter] = ()
+    on_fitted: bool = False
+    name = "refinement"
+
+    @property
+    def answer(self) -> Estimate | None:
+        """The refined values, where they are the answer."""
+        return None if self.declined else self.refined
+
+    @property
+    def chosen(self) -> bool:
+        """Whether the refined values are the answer."""
+        return self.answer is not None
+
+    def findings(self) -> list[Finding]:
+        """What a user should know of refined values that are the answer."""
+        findings = [] if self.answer is None else self.answer.findings()
+        for run in () if self.answer is None or self.on_fitted else self.simulations:
+            before, after = run.worst_fits
+            if after < before - 1:
+                message = (
+                    f"{run.recording.name}: the refined model predicts worse than the identified "
+                    f"one (worst fit {before:.1f} % before, {after:.1f} % after): it was bent to "
+                    f"the recording that it was fitted to. Use shorter windows (--horizon), or "
+                    f"keep the estimate."
+                )
+                findings.append(Finding("refined_predicts_worse", message))
+        return findings
+
+    def entry(self) -> dict[str, Any]:
+        """All of it, as plain data for JSON; `None` or empty what only a search would tell."""
+        refined, left = self.refined, self.whiteness
+        search: dict[str, Any] = dict.fromkeys(("by", "converged", "reason", "steps", "basis"))
+        search |= {"left": {}, "intervals": None, "at_bound": []}
+        if refined is not None:
+            done = refined.search
+            rms = done.quantities, done.rms_before, done.rms, done.quantity_units
+            search = {
+                "by": dict(done.by),
+                **told(done, "converged", "reason", "steps", "basis"),
+                "left": {
+                    name: {"before": finite(before), "after": finite(after), "unit": unit}
+                    for name, before, after, unit in zip(*rms)
+                },
+                "intervals": intervals_entry(refined),
+                "at_bound": [
+                    name for name, there in zip(refined.parameters, refined.at_bound) if there
+                ],
+            }
+        return {
+            "chosen": self.chosen,
+            "declined": self.declined or None,
+            "chi_squared": left and finite(max(left.chi_squared.values(), default=float("nan"))),
+            "whiteness": left and left.entry(),
+            "identified": identified_entries(self.start),
+            "refined": None if refined is None else parameter_entries(refined),
+            **search,
+            "simulations": [
+                {
+                    "on": run.recording.name,
+                    "fitted": self.on_fitted,
+                    "before": run.before.entry(),
+                    "after": run.after.entry(),
+                }
+                for run in self.simulations
+            ],
+        }
+
+
+class Answered(NamedTuple):
+    """The refinement of an estimate, if there is one, and the validation of what answers."""
+
+    refinement: Refinement | None
+    validation: Validations
+
+
+class Trial(NamedTuple):
+    """A refinement, and of output error whether it leaves white noise."""
+
+    refined: Estimate
+    whiteness: Whiteness | None
+
+
+def answered(problem: Problem, estimate: Estimate, refused: bool) -> Answered:
     """The refinement and the validation of an estimate, which may be no more than a start (it was
     `refused`).
 
     **Raises:** as `refine`, for a refinement that was asked for.
     """
-    settings, recordings = asked.settings, asked.unseen
+    model, settings, start = problem.model, problem.settings, estimate.values
     by = objective_of(settings)
     horizon = settings.horizon if by is None or by == "auto" else None
-    windows = horizons(asked, estimate, recordings, horizon)
-    before, failed = validated(asked.model, estimate.values, recordings, windows)
+    tracks = [track.within(horizon, model, start) for track in problem.unseen]
+    before = validated(model, start, tracks)
     if by is None:
-        return None, before, failed
+        return Answered(None, before)
     if isinstance(by, str):
         flaw = "" if refused else _left_out(estimate)
-        refinement = Refinement(declined=flaw) if flaw else _by_itself(asked, estimate)
+        refinement = Refinement(estimate, declined=flaw) if flaw else _by_itself(problem, estimate)
     else:
         # Over the estimate's windows if no others are asked for; its values are the answer.
         if isinstance(by, IntegralError) and by.criterion is None:
             by = IntegralError(estimate.criterion)
-        refined, _, left = _search(asked, estimate, by, MOST_STEPS, settings.progress)
-        refinement = Refinement(refined, whiteness=left)
-        failed += against_priors(estimate, settings.priors)
+        trial = _search(problem, estimate, by, MOST_STEPS, settings.progress)
+        refinement = Refinement(estimate, trial.refined, whiteness=trial.whiteness)
     if refinement.refined is None:
-        return refinement, before, failed
+        return Answered(refinement, before)
     values = refinement.refined.values
-    after, failed_after = validated(asked.model, values, recordings, windows)
-    pairs = _pairs(before, after)
-    if not recordings and not isinstance(by, str):
-        windows = horizons(asked, estimate, asked.seen, None)
-        runs = (validated(asked.model, v, asked.seen, windows) for v in (estimate.values, values))
-        refinement, pairs = refinement._replace(on_fitted=True), _pairs(*(run for run, _ in runs))
-    refinement = refinement._replace(simulations=pairs)
+    after = validated(model, values, tracks)
+    refinement = refinement._replace(start=estimate, simulations=_pairs(before, after))
+    if not isinstance(by, str):
+        if not tracks:
+            seen = [track.within(None, model, start) for track in problem.seen]
+            pairs = _pairs(validated(model, start, seen), validated(model, values, seen))
+            refinement = refinement._replace(on_fitted=True, simulations=pairs)
+        return Answered(refinement, after)
     # By itself not where it predicts worse what neither answer was fitted to.
-    for run in pairs if isinstance(by, str) else ():
+    for run in refinement.simulations:
         earlier, later = run.worst_fits
         if later < earlier - WORSE and refinement.chosen:
             refinement = refinement._replace(
                 declined=f"it predicts {run.recording.name} worse: a fit of {later:.1f} %, where "
                 f"the linear estimate has {earlier:.1f} %"
             )
-    if not refinement.chosen:
-        return refinement, before, failed
-    return refinement, after, [*failed_after, *(f for f in failed if f.code == "prior_disagrees")]
+    return Answered(refinement, after if refinement.chosen else before)
+
+
+def validated(model: "Model", values: Mapping[str, Array], tracks: Sequence[Track]) -> Validations:
+    """Simulations with these values that could be made, and why the others could not."""
+    runs, failures = [], []
+    for track in tracks:
+        # A fit is not lost because its model cannot be simulated.
+        try:
+            system, record = track.system(model, values), track.recording.record
+            held = validate_held_out(system, record, horizon=track.horizon)
+            runs.append(ValidationRun(track.recording, held))
+        except RiecjaxError as error:
+            failures.append(Finding("not_validated", f"{track.recording.name}: {error}"))
+    return Validations(runs, failures)
 
 
 def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | None:
@@ -135,61 +351,70 @@ def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | No
     return settings.refine  # type: ignore[return-value]
 
 
-def _pairs(before: list[ValidationRun], after: list[ValidationRun]) -> list[BeforeAfter]:
+def _pairs(before: Validations, after: Validations) -> list[BeforeAfter]:
     # By recording, not by name: files in different folders may share one.
-    pairs = ((first, then) for first in before for then in after)
-    return [BeforeAfter(*a, b.held) for a, b in pairs if a.recording is b.recording]
+    return [
+        BeforeAfter(first.recording, first.held, then.held)
+        for first in before.runs
+        for then in after.runs
+        if first.recording is then.recording
+    ]
 
 
 def _search(
-    asked: Asked,
-    estimate: AbstractEstimate,
+    problem: Problem,
+    estimate: Estimate,
     by: AbstractObjective,
-    max_steps: int,
-    progress: Progress = None,
-) -> tuple[Refined, AbstractMisfit, Whiteness | None]:
-    """A refinement, what it made small, and of output error whether it leaves white noise.
+    max_steps: int = STEPS_BY_ITSELF,
+    progress: Callable[[float], None] | None = None,
+) -> Trial:
+    """A refinement from an estimate.
 
     One that nobody asked for tells nothing of its `progress`: it takes few seconds, and a program
     that calls Python back cannot be kept for the next time.
     """
-    settings = asked.settings
-    by, start = by.suited(asked.model), within(estimate, settings.bounds)
-    specified = by.specify(asked.model, asked.records, start, key=settings.key)
-    limits: Any = settings.bounds, settings.priors
-    constraints = Constraints.of(specified.table, specified.values, *limits)
-    refined, misfit = refined_of(
-        by, specified, constraints, asked.intervals, None, max_steps, progress
+    settings = problem.settings
+    limits: Any = {"bounds": settings.bounds, "priors": settings.priors}
+    refined = refine(
+        problem.model,
+        problem.records,
+        within(estimate, settings.bounds),
+        by,
+        **limits,
+        key=settings.key,
+        intervals=problem.intervals,
+        max_steps=max_steps,
+        progress=progress,
     )
-    refined, left = on_host(refined), None
-    if isinstance(misfit, OutputMisfit):
-        left = whiteness(misfit, refined.theta, refined.initial_states, asked.records)
-    return refined, misfit, left
+    refined = on_host(refined)
+    return Trial(refined, whiteness(refined, problem.records))
 
 
-def _by_itself(asked: Asked, estimate: Estimate) -> Refinement:
+def _by_itself(problem: Problem, estimate: Estimate) -> Refinement:
     """By output error where that is possible, quick and warranted."""
-    horizon = asked.settings.horizon
+    horizon, declined = problem.settings.horizon, ""
     try:
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
-            return Refinement(declined="the estimate that it would start from is not finite")
-        by = _objective(asked, estimate, horizon)
-        specified = by.specify(asked.model, asked.records, estimate)
-        if (work := by.misfit(specified).work) > MOST_WORK:
-            return Refinement(
-                declined=f"a search would take {work:.2g} steps x states x tangents, more than "
+            declined = "the estimate that it would start from is not finite"
+            return Refinement(estimate, declined=declined)
+        by = _objective(problem, estimate, horizon)
+        if (work := by.residuals(problem.model, problem.records, estimate).work) > MOST_WORK:
+            declined = (
+                f"a search would take {work:.2g} steps x states x tangents, more than "
                 f"{MOST_WORK:.0g}; {ASK}"
             )
-        refinement = _warranted(asked, estimate, by)
+            return Refinement(estimate, declined=declined)
+        refinement = _warranted(problem, estimate, by)
         if horizon is None and refinement.refined is not None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
-            better = _objective(asked, refinement.refined, None)
+            better = _objective(problem, refinement.refined, None)
             if better.shooting != by.shooting:
-                further = _warranted(asked, refinement.refined, better)
+                further = _warranted(problem, refinement.refined, better)
                 refinement = refinement if further.refined is None else further
         return refinement
     except EXPECTED as error:
-        return Refinement(declined=f"no output error can be formed: {str(error).rstrip('.')}")
+        declined = f"no output error can be formed: {str(error).rstrip('.')}"
+        return Refinement(estimate, declined=declined)
 
 
 def _left_out(estimate: Estimate) -> str:
@@ -205,21 +430,22 @@ def _left_out(estimate: Estimate) -> str:
     return ""
 
 
-def _warranted(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> Refinement:
-    refined, misfit, left = _search(asked, estimate, by, STEPS_BY_ITSELF)
-    if flaw := _flaw(refined):
-        return Refinement(declined=flaw)
+def _warranted(problem: Problem, estimate: Estimate, by: OutputError) -> Refinement:
+    trial = _search(problem, estimate, by)
+    left = trial.whiteness
+    if flaw := _flaw(trial.refined):
+        return Refinement(estimate, declined=flaw)
     if left is None or not (left.vanishing or left.largest == left.largest):
-        return Refinement(declined="too few residuals to tell whether they are white")
-    straight = {} if left.vanishing else straight_inputs(asked, estimate)
+        return Refinement(estimate, declined="too few residuals to tell whether they are white")
+    straight = {} if left.vanishing else straight_inputs(problem, estimate)
     lines = dataclasses.replace(by, intersample=straight)
-    if straight and course_shows(asked, refined, misfit, lines):
-        other, _, left_by_other = _search(asked, estimate, lines, STEPS_BY_ITSELF)
-        likelier = surely_likelier(other, refined, asked.records)
-        if left_by_other and not _flaw(other) and likelier:
-            refined, left = other, left_by_other
+    if straight and course_shows(problem, trial.refined, lines):
+        other = _search(problem, estimate, lines)
+        likelier = surely_likelier(other.refined, trial.refined, problem.records)
+        if other.whiteness and not _flaw(other.refined) and likelier:
+            trial, left = other, other.whiteness
     if left.white:
-        return Refinement(refined, whiteness=left)
+        return Refinement(estimate, trial.refined, whiteness=left)
     name = max(left.statistics, key=lambda channel: left.statistics[channel])
     cause = (
         "so little is left by the input's noise or its course between samples, too"
@@ -231,17 +457,17 @@ def _warranted(asked: Asked, estimate: AbstractEstimate, by: OutputError) -> Ref
         f"what it leaves of {name}, {100 * left.shares[name]:.2g} % of it, is not white noise "
         f"({left.largest:.3g}, where noise stays below {left.threshold:.2g}), {cause}"
     )
-    return Refinement(refined, declined, left)
+    return Refinement(estimate, trial.refined, declined, left)
 
 
-def _flaw(refined: Refined) -> str:
+def _flaw(refined: Estimate) -> str:
     """Why a refinement is no answer, whatever it leaves; empty if it may be one."""
-    if not bool(refined.converged):
-        return f"the search did not converge: {refined.reason.rstrip('.')}"
+    if not bool(refined.search.converged):
+        return f"the search did not converge: {refined.search.reason.rstrip('.')}"
     untold = "simulated motion does not tell {} alone; --set holds one at a known value (known=)"
     for which, words in (
         (refined.at_bound, "{} would sit on a bound"),
-        (refined.coarse, "the steps of the simulation are part of its {}"),
+        (refined.search.coarse, "the steps of the simulation are part of its {}"),
         (~np.isfinite(np.asarray(refined.standard_errors)), untold),
     ):
         if names := [n for n, there in zip(refined.parameters, np.asarray(which)) if there]:
@@ -249,13 +475,14 @@ def _flaw(refined: Refined) -> str:
     return ""
 
 
-def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) -> OutputError:
+def _objective(problem: Problem, estimate: Estimate, horizon: float | None) -> OutputError:
     """Over whole recordings, or windows that an unstable motion, or the caller, asks for."""
-    lengths = [s for s in horizons(asked, estimate, asked.seen, horizon) if s is not None]
+    seen = [track.within(horizon, problem.model, estimate.values) for track in problem.seen]
+    lengths = [track.horizon for track in seen if track.horizon is not None]
     shooting = Tiles(seconds=min(lengths)) if lengths else WholeRecord()
-    specified = OutputError().specify(asked.model, asked.records, estimate)
-    system = specified.model[0].build(specified.table.values_of(specified.values, 0))
-    records = asked.records
+    records = problem.records
+    parametric = as_parametric_system(problem.model, records[0])
+    system = parametric.build(estimate.table.values_of(estimate.values, 0))
     channels, levels = _channels(system, records), {}
     for name in channels or ():
         least = LEAST_NOISE * np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
@@ -265,7 +492,7 @@ def _objective(asked: Asked, estimate: AbstractEstimate, horizon: float | None) 
     return OutputError(shooting, channels=channels, sigma=sigma)
 
 
-def _channels(system: AbstractSystem, records: list[Record]) -> tuple[str, ...] | None:
+def _channels(system: AbstractSystem, records: "list[Record]") -> tuple[str, ...] | None:
     """Recorded states, and recorded outputs through which no input reaches at once.
 
     A force F = K x tells K where x is a state. Where x is a recorded input, its noise goes straight
@@ -315,6 +542,8 @@ def _through(system: AbstractSystem, states: np.ndarray, levels: np.ndarray) -> 
 
 STRANGE = 3.0
 """Standard deviations past which a prior contradicts the data: one time in 370 by chance."""
+TELLING = 1e-9
+"""Share that is rounding: of what is known of a parameter, or of a target."""
 INSIDE = 0.1
 """Share of the way between bounds, or of the way to the only one, by which a start stands off."""
 
@@ -322,10 +551,20 @@ INSIDE = 0.1
 def against_priors(
     estimate: Estimate, priors: Mapping[str, tuple[float, float]]
 ) -> Iterator[Finding]:
-    """Priors from which what the data tell without them lies further than chance explains."""
-    for name in priors.keys() & {*estimate.parameters}:
-        (mean, std), value = priors[name], float(estimate[name])
-        error = float(estimate.standard_error(name))
+    """Priors from which what is told without them lies further than chance explains.
+
+    An estimate is the mean of both, weighted by the prior's share of what is known.
+    """
+    shares = estimate.uncertainty.prior_share
+    shares = np.zeros(len(estimate.parameters)) if shares is None else np.asarray(shares)
+    given = estimate.table.values(priors)
+    for name, share in zip(estimate.parameters, shares):
+        if name not in given or not (rest := 1 - float(share)) > TELLING:
+            continue
+        mean, std = given[name]
+        value = mean + (float(estimate[name]) - mean) / rest
+        variance = float(estimate.standard_error(name)) ** 2 - (share * std) ** 2
+        error = max(variance, 0.0) ** 0.5 / rest
         if abs(value - mean) > STRANGE * np.hypot(std, error):
             message = (
                 f"the prior of {name}, {mean:.4g} +- {std:.2g}, and the estimate without it, "
@@ -335,43 +574,19 @@ def against_priors(
             yield Finding("prior_disagrees", message, parameters=(name,), doubt=1.0)
 
 
-def outside_bounds(answer: AbstractEstimate, bounds: Mapping[str, Bounds]) -> Iterator[Finding]:
-    """Values of a linear estimate, which knows of no bounds, that lie outside of them."""
-    for name, value, nearest, (low, high) in _strays(answer, bounds):
-        side = f"below {low:g}" if value < low else f"above {high:g}"
-        message = (
-            f"{name} is {value:.4g}, {side}, its bound: bounds apply to refined values, and these "
-            f"are linear estimates. Ask for refinement (--refine output-error), hold {name} at a "
-            f"value (--set), or check the bound."
-        )
-        doubt = abs(value - nearest) / size_of(value)
-        yield Finding("outside_bound", message, parameters=(name,), doubt=doubt)
-
-
-def within(start: AbstractEstimate, bounds: Mapping[str, Bounds]) -> AbstractEstimate:
+def within(start: Estimate, bounds: Mapping[str, Bounds]) -> Estimate:
     """A start between the bounds, which a search approaches and never crosses."""
-    moved = {}
-    for name, value, nearest, (low, high) in _strays(start, bounds):
-        way = high - low if np.isfinite(high - low) else max(abs(value - nearest), abs(nearest))
-        moved[name] = nearest + INSIDE * way * (1 if nearest == low else -1)
-    theta = [moved.get(name, start[name]) for name in start.parameters]
-    return eqx.tree_at(lambda estimate: estimate.theta, start, jnp.stack(theta)) if moved else start
-
-
-def _strays(
-    estimate: AbstractEstimate, bounds: Mapping[str, Bounds]
-) -> Iterator[tuple[str, float, float, tuple[float, float]]]:
-    """Parameters out of bounds, with value, nearest bound and both."""
-    # What makes no sense is refused by the search.
-    given = {n: b for n, b in bounds.items() if is_pair(b, or_none=True)}
-    given = estimate.table.values(given)
-    for name in (name for name in estimate.parameters if name in given):
-        low, high = given[name]
-        low = -np.inf if low is None else float(low)
-        high = np.inf if high is None else float(high)
-        value = float(estimate[name])
-        if low < high and not low < value < high:
-            yield name, value, low if value <= low else high, (low, high)
+    limits = Constraints.of(start.table, bounds, refined=True)
+    theta, low, high = map(np.asarray, (start.theta, limits.lower, limits.upper))
+    nearest = np.clip(theta, low, high)
+    far = np.maximum(np.abs(theta - nearest), np.abs(nearest))
+    # On a bound of zero, the value at which its term would be the target.
+    sizes = [np.asarray(stage.relative_size) for stage in start.stages]
+    whole = 1 / np.maximum(np.concatenate(sizes), TELLING) if sizes else far
+    way = np.where(np.isfinite(high - low), high - low, np.where(far > 0, far, whole))
+    inside = nearest + INSIDE * way * np.where(nearest == low, 1, -1)
+    theta = np.where((low < theta) & (theta < high), theta, inside)
+    return eqx.tree_at(lambda estimate: estimate.theta, start, jnp.asarray(theta))
 
 
 LIKELIER = float(np.log(100))
@@ -382,14 +597,14 @@ SHOWS = 4.0
 """Squared difference of two simulations, in units of what is left, from which they compete."""
 
 
-def straight_inputs(asked: Asked, estimate: AbstractEstimate) -> dict[str, Course]:
+def straight_inputs(problem: Problem, estimate: Estimate) -> "dict[str, Course]":
     """Inputs that may be straight lines between samples: not those with a recorded derivative.
 
     Of a position x that is read as an input, lines lack h^2 / 12 of x'' in every interval. A mass
     that is too small by k h^2 / 12 makes up for that to the last digit, and nothing left shows it.
     """
-    system = system_of(asked.model, estimate.values, *asked.seen[0])
-    record = asked.records[0]
+    system = problem.seen[0].system(problem.model, estimate.values)
+    record = problem.records[0]
     rates = [n for n in (*system.state_names, *system.input_names) if n in record.arrays]
     return {
         name: "lines"
@@ -398,32 +613,33 @@ def straight_inputs(asked: Asked, estimate: AbstractEstimate) -> dict[str, Cours
     }
 
 
-def course_shows(asked: Asked, refined: Refined, misfit: AbstractMisfit, by: OutputError) -> bool:
+def course_shows(problem: Problem, refined: Estimate, by: OutputError) -> bool:
     """Whether inputs that go otherwise from one sample to the next would move the answer.
 
     What they move the simulation by, in units of what is left, is as chi-square: from a few on it
     is more than chance does to the parameters.
     """
-    other = by.misfit(by.specify(asked.model, asked.records, refined))
-    if not isinstance(misfit, OutputMisfit):
-        return False
-    at = jnp.asarray(refined.theta), jnp.asarray(refined.initial_states)
+    other, residuals = (
+        by.residuals(problem.model, problem.records, refined),
+        refined.search.residuals,
+    )
+    at = jnp.asarray(refined.theta), jnp.asarray(refined.search.initial_states)
     apart = sum(
         np.sum((np.asarray(one) - np.asarray(two)) ** 2, axis=(0, 1))
-        for one, two in zip(misfit.residuals(*at), other.residuals(*at))
+        for one, two in zip(residuals.values(*at), other.values(*at))
     )
-    left = (np.asarray(refined.rms) / np.asarray(misfit.sigma)) ** 2
+    left = (np.asarray(refined.search.rms) / np.asarray(residuals.sigma)) ** 2
     return bool(np.sum(apart / np.maximum(left, np.finfo(float).tiny)) > SHOWS)
 
 
-def surely_likelier(one: Refined, other: Refined, records: list[Record]) -> bool:
+def surely_likelier(one: Estimate, other: Estimate, records: "list[Record]") -> bool:
     """Whether what was recorded is far likelier by one refinement than by another.
 
     Of n residuals with white noise of unknown size, the largest likelihood is rms^-n.
     """
     counts = [
         sum(int(np.isfinite(record.signal(name).with_nan).sum()) for record in records)
-        for name in one.quantities
+        for name in one.search.quantities
     ]
-    gains = np.log(np.asarray(other.rms) / np.asarray(one.rms))
+    gains = np.log(np.asarray(other.search.rms) / np.asarray(one.search.rms))
     return bool(np.sum(np.array(counts) * gains) > LIKELIER)

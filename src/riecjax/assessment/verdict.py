@@ -6,28 +6,16 @@ Each estimated parameter is `good`, `caution` or `do not use`, by the size of it
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-from riecjax.assessment.doubt import TRUSTED, Doubt, doubts
-from riecjax.criteria.test_functions import AbstractSmoothTestFunction
-from riecjax.equations.expressions import constant
-from riecjax.findings import CODES, KINDS, PHRASES, Finding, code_of
+from riecjax.assessment.doubt import TRUSTED, Doubt, Evidence, doubts
+from riecjax.assessment.next_steps import Step, joined, next_step
+from riecjax.findings import CODES, KINDS, Finding
 from riecjax.shows import Shown
-from riecjax.validation.sweep import MOST
-
-if TYPE_CHECKING:
-    from riecjax.assessment.assessment import Assessment
 
 CONSTANT = "errors share a constant part, as of a sensor's offset"
-
-
-class Step(NamedTuple):
-    """Something to do next: what for, and the options of `riecjax identify` that do it."""
-
-    words: str
-    options: tuple[str, ...] = ()
 
 
 class Cause(NamedTuple):
@@ -52,129 +40,39 @@ class Cause(NamedTuple):
 
 
 def causes(
-    assessment: "Assessment", by_name: Mapping[str, Doubt], widened: Mapping[str, str]
+    evidence: Evidence, by_name: Mapping[str, Doubt], widened: Mapping[str, str]
 ) -> list[Cause]:
     """Of all findings, first what does most to the parameters."""
-    grouped, findings, tests = [], assessment.findings(), assessment.equation_residuals
+    grouped, importance = [], {code: place for place, code in enumerate(CODES)}
+    ranked = sorted(evidence.findings(), key=lambda f: importance.get(f.code, len(importance)))
     for kind in KINDS:
-        evidence = [f for code in PHRASES[kind] for f in findings if f.code == code]
-        if not evidence:
+        findings = [finding for finding in ranked if finding.about.kind == kind]
+        if not findings:
             continue
-        concerned = {name for f in evidence for name in assessment.parameters_of(f)}
+        concerned = {name for f in findings for name in evidence.parameters_of(f)}
         some = {name: doubt for name, doubt in by_name.items() if name in concerned}
         share = max((doubt.by_kind(kind) for doubt in some.values()), default=0.0)
-        first, step = evidence[0], next(_steps(assessment, evidence), None)
-        phrase = code_of(first.code).said(first.signals, first.parameters)
-        if first.code == "unmodelled_mode":
-            peaks = (test.peak for test in tests if test.peak is not None)
-            peak = max(peaks, key=lambda peak: peak.size)
-            phrase = f"the model leaves out a mode near {peak.frequency:.3g} Hz"
-        elif first.code in ("large_residual", "uneven_errors") and _with_constant_part(assessment):
+        first, step = findings[0], next_step(evidence, findings)
+        phrase = first.about.said(first.signals, first.parameters)
+        peaks = [r.peak for r in evidence.equation_residuals if r.peak is not None]
+        if first.code == "unmodelled_mode" and peaks:
+            frequency = max(peaks, key=lambda peak: peak.size).frequency
+            phrase = f"the model leaves out a mode near {frequency:.3g} Hz"
+        elif first.about.of_size and _with_constant_part(evidence):
             phrase = CONSTANT
         # A longer record mends neither a good value nor what a common error widens.
         if kind == "data" and all(
             doubt.by_kind(kind) <= TRUSTED or name in widened for name, doubt in some.items()
         ):
             step = None
-        grouped.append(Cause(kind, phrase, tuple(evidence), tuple(some), share, step))
+        grouped.append(Cause(kind, phrase, tuple(findings), tuple(some), share, step))
     return sorted(grouped, key=lambda c: (c.kind != "undetermined", not c.voids, -c.share))
 
 
-def widening(assessment: "Assessment") -> dict[str, str]:
-    """Of parameters whose intervals are wide by more than chance, what is known to make them so."""
-    common = assessment.answer.table.concerned(_with_constant_part(assessment))
-    disagreeing = [f for f in assessment.findings() if f.code == "records_disagree"]
-    names = (name for finding in disagreeing for name in finding.parameters)
-    return dict.fromkeys(common, CONSTANT) | dict.fromkeys(names, CODES["records_disagree"].phrase)
-
-
-def _with_constant_part(assessment: "Assessment") -> set[str]:
+def _with_constant_part(evidence: Evidence) -> set[str]:
     """Parameters of equations whose errors share a constant part."""
-    some = (test for test in assessment.equation_residuals if test.has_constant_part)
-    return {name for test in some for name in test.parameters}
-
-
-def _steps(assessment: "Assessment", evidence: Sequence[Finding]) -> Iterator[Step]:
-    """What might be done about findings of one kind of cause, the best first."""
-    by, tests = {f.code: f for f in reversed(evidence)}, assessment.equation_residuals
-    weight = getattr(assessment.estimate.criterion, "test_function", None)
-    smooth = isinstance(weight, AbstractSmoothTestFunction)
-    yield from (Step(f.step, f.remedy) for f in evidence if f.step)
-    if "prior_disagrees" in by or "outside_bound" in by:
-        said = ("prior_disagrees", "outside_bound")
-        names = [f.parameters[0] for f in evidence if f.code in said]
-        yield Step(f"Check what you said of {joined(names)}, its unit too, or leave it out")
-    yield from (step for code, step in STEPS.items() if code in by)
-    if "unmodelled_mode" in by:
-        peaked = [e for e in tests if e.peak is not None and e.bodies]
-        equation = max(peaked, key=lambda e: e.peak.size if e.peak else 0.0, default=None)
-        if equation is not None and not equation.carrying:
-            words = "Find the mode that the model leaves out"
-            yield Step(words, ("--add-mode", equation.bodies[-1]))
-        elif equation is not None and equation.dampers:
-            words = "Find a spring in series with a damper, which the model leaves out"
-            yield Step(words, ("--add-spring", equation.dampers[0]))
-        elif equation is not None and equation.maps:
-            added = f"model.with_series_springs(rx.SeriesSpring('{equation.maps[0]}'))"
-            words = f"Add a spring in series with a damper, in Python: {added}, then rx.refine"
-            yield Step(words)
-    if "not_its_derivative" in by and not smooth:
-        signal, derivative = by["not_its_derivative"].signals
-        yield Step(f"Identify from {signal} alone, without {derivative}", SMOOTH)
-    if "uneven_errors" in by:
-        # The zero of an input's sensor, where its equation has no constant term yet.
-        names = {e.name for e in tests if e.has_constant_part}
-        equations = (e for e in assessment.model.equations if e.name in names)
-        terms = (e.terms for e in equations if all(t.of is not constant for t in e.terms))
-        known = (t for some in terms for t in some if t.signal and not t.parameters)
-        for name in (str(term.signal) for term in known if term.derivative == 0):
-            yield Step(f"Estimate the zero of the sensor of {name}", ("--unknown-offset", name))
-    if "window_sensitive" in by and assessment.sweep is not None:
-        drifting = by["window_sensitive"].parameters
-        if assessment.sweep.noise_share(drifting[0]) > MOST and not smooth:
-            yield Step("Take smooth windows, which read positions alone", SMOOTH)
-        if (steady := assessment.sweep.steady(drifting)) is not None:
-            low, high = (f"{end:.3g}" for end in steady)
-            options = ("--alpha", low, "--beta", high)
-            yield Step("Keep to windows in which all are steady", options)
-    if "residual_follows_signal" in by:
-        signal = " and ".join(by["residual_follows_signal"].signals)
-        yield Step(
-            f"Find the term in {signal} that is missing (riecjax discover), or shift {signal} if "
-            f"it is late"
-        )
-    if "records_disagree" in by:
-        names = [f.parameters[0] for f in evidence if f.code == "records_disagree"]
-        options = [word for name in names for word in ("--per-record", name)]
-        yield Step(f"Let {joined(names)} differ between recordings", tuple(options))
-    if "coarse_sampling" in by and assessment.estimate.criterion.all_windows is not None:
-        yield Step("Integrate by a higher order", ("--quadrature", "6"))
-    weak = [by[c] for c in ("nearly_collinear", "unidentifiable", "ill_conditioned") if c in by]
-    hidden = {row.name for row in assessment.answer.table.rows if row.element is not None}
-    if any(name in hidden for finding in weak for name in finding.parameters):
-        yield Step("Leave out the hidden mode or spring (drop --add-mode, --add-spring)")
-    elif weak:
-        yield Step("Excite the machine more richly, or hold a parameter (--set NAME=VALUE)")
-
-
-SMOOTH = ("--test-function", "bump")
-FEW = ("few_blocks", "few_effective_windows", "short_record")
-"""Findings that a record is short."""
-STEPS = {
-    "time_unit_doubtful": Step(
-        "State the unit of time in its column's name, as in 'time [ms]', or scale it (--scale)"
-    ),
-    "noise_dominates": Step(
-        "Compare simulations, which need no derivative", ("--refine", "output-error")
-    ),
-    **dict.fromkeys(FEW, Step("Record for longer, or excite the machine all along")),
-}
-"""What to do about findings of a code, whatever they say."""
-
-
-def joined(names: Sequence[str]) -> str:
-    """At least one name, the last of several behind an "and"."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    residuals = (r for r in evidence.equation_residuals if r.has_constant_part)
+    return {name for residual in residuals for name in residual.parameters}
 
 
 Level = Literal["good", "caution", "do not use"]
@@ -186,15 +84,6 @@ DRIFTS = 0.3
 away from a parameter's regressor; then its value is the same at every length."""
 NAMED = 4
 """Parameters that a sentence names one by one."""
-RULED_OUT = (
-    "unidentifiable",
-    "undetermined",
-    "negative_value",
-    "interval_wider_than_estimate",
-    "mode_not_carried",
-    "series_spring_not_carried",
-)
-"""Findings that rule out the parameters that they name."""
 
 
 class ParameterVerdict(NamedTuple):
@@ -226,18 +115,26 @@ class Verdict(Shown):
     causes: Sequence[Cause]
 
 
-def verdict(assessment: "Assessment") -> Verdict:
-    """The verdict on the answer of an assessment (not under jit)."""
-    by_name, widened = doubts(assessment), widening(assessment)
-    grouped, table = causes(assessment, by_name, widened), assessment.answer.table
-    judged = {
-        name: ParameterVerdict(
-            *(name, doubt.value, table[name].unit),
-            *_judged(name, doubt, grouped, widened.get(name, "")),
-            *(doubt.ends, doubt.share(doubt.size)),
+def verdict(evidence: Evidence) -> Verdict:
+    """The verdict on an answer, by all that is known of it (not under jit)."""
+    by_name, table = doubts(evidence), evidence.answer.table
+    # Of parameters whose intervals are wide by more than chance, what is known to make them so.
+    widened = dict.fromkeys(table.concerned(_with_constant_part(evidence)), CONSTANT)
+    for finding in (finding for finding in evidence.findings() if finding.about.widens):
+        phrase = finding.about.said(finding.signals, finding.parameters)
+        widened |= dict.fromkeys(finding.parameters, phrase)
+    grouped, judged = causes(evidence, by_name, widened), {}
+    for name, doubt in by_name.items():
+        level, reason = _judged(name, doubt, grouped, widened.get(name, ""))
+        judged[name] = ParameterVerdict(
+            name=name,
+            value=doubt.value,
+            unit=table[name].unit,
+            level=level,
+            reason=reason,
+            doubt=doubt.ends,
+            share=doubt.share(doubt.size),
         )
-        for name, doubt in by_name.items()
-    }
     return Verdict(_sentence(judged), judged, grouped)
 
 
@@ -248,9 +145,9 @@ def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> 
     """
     parts = {kind: doubt.by_kind(kind) for kind in ("model", "sensors", "data")}
     for cause in grouped:
-        named = [f.code for f in cause.findings if name in (f.parameters or (name,))]
-        if ruling := {*named} & {*RULED_OUT}:
-            if ruling != {"interval_wider_than_estimate"}:
+        named = [f.about for f in cause.findings if name in (f.parameters or (name,))]
+        if ruling := [about for about in named if about.rules_out]:
+            if not all(about.symptom for about in ruling):
                 return "do not use", cause.phrase
             faulty = parts["sensors"] > TRUSTED
             known = widened or (_reason("sensors", name, grouped) if faulty else "")
@@ -269,7 +166,7 @@ def _judged(name: str, doubt: Doubt, grouped: Sequence[Cause], widened: str) -> 
 
 def _reason(kind: str, name: str, grouped: Sequence[Cause]) -> str:
     if kind == "data":
-        told = [f for cause in grouped for f in cause.findings if f.code in FEW]
+        told = [f for cause in grouped for f in cause.findings if f.about.short]
         short = any(name in (f.parameters or (name,)) for f in told)
         return "scatter; the record is short" if short else "scatter"
     for cause in grouped:

@@ -28,7 +28,7 @@ def command(given: Given) -> None:
     from riecjax.discovery.model_file import model_source
     from riecjax.models.catalogue import object_of_file
     from riecjax.reporting.discovery import (
-        discovery_document,
+        discovery_answer,
         discovery_figures,
         discovery_page,
         print_discovery,
@@ -48,10 +48,10 @@ def command(given: Given) -> None:
         source = model_source(found, given.model_name, out, candidates)
         written = str(out / MODEL_FILE)
         others[MODEL_FILE] = lambda path: path.write_text(source, encoding="utf-8")
-    document = discovery_document(found, given.arguments, written)
-    given.keep_in(document)
+    answer = discovery_answer(found, given.arguments, written)
+    given.keep_in(answer)
     reporting.emit(
-        document,
+        answer,
         as_json=given.as_json,
         out=out,
         show=print_discovery,

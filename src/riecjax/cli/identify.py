@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import msgspec
+
 from riecjax import reporting, settings
 from riecjax.cli import Given, Progress, settings_command
 from riecjax.runtime import start_jax
@@ -48,19 +50,20 @@ def command(given: Given) -> None:
         )
         assessment = assess(model, recordings, **vars(asked))
     # Not earlier: what reports are made with takes a second to import.
+    from riecjax.reporting.answer import WarningPart, answer_of, read
     from riecjax.reporting.identification import print_everything, print_identification
 
-    document = reporting.identification_document(assessment, given.arguments, given.with_options)
+    answer = answer_of(assessment, given.arguments, given.with_options)
     # Files that changed have been told of already.
-    told = list(document["warnings"]) if given.verbose or given.as_json else []
-    document["warnings"] += [finding._asdict() for finding in changed]
-    given.keep_in(document)
+    told = msgspec.to_builtins(answer.warnings) if given.verbose or given.as_json else []
+    answer.warnings += [read(WarningPart, finding._asdict()) for finding in changed]
+    given.keep_in(answer)
     reporting.emit(
-        document,
+        answer,
         as_json=given.as_json,
         out=given.out,
         show=print_everything if given.verbose else print_identification,
         charts=lambda: reporting.identification_figures(assessment),
-        page=lambda document: reporting.identification_page(document),
+        page=lambda answer: reporting.identification_page(answer, assessment.tests),
         warnings=told,
     )

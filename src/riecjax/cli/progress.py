@@ -73,11 +73,12 @@ class Progress:
             return
         from rich.console import Group
 
-        from riecjax.reporting.estimate import estimate_entries, parameter_table
+        from riecjax.reporting.answer import part_of
+        from riecjax.reporting.parameters import parameter_table
         from riecjax.reporting.tables import in_rich
 
         self._doing = "identified; now testing how far to trust it"
-        table = in_rich(parameter_table(estimate_entries("", estimate)))
+        table = in_rich(parameter_table(part_of(estimate)))
         self._live.update(Group(table, self._spinner), refresh=True)
 
     def refining(self, cost: float) -> None:

@@ -36,8 +36,6 @@ from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
 LATE = 3
 """Delays that are taken off at the most, one after the other."""
 TAKEN_OFF = "terms are of recordings with it in time"
-IN_DISORDER = ("late_signal", "low_passed", "two_clocks", "lost_rows", "not_its_derivative")
-"""What is amiss among the sensors of one motion."""
 
 
 @taking(DiscoverSettings)
@@ -103,7 +101,7 @@ def discover(model: Equation | Model, records: Records, settings: DiscoverSettin
     if settings.candidates is not None:  # these, and nothing else
         return _found(asked, whole)[0]
     answer, in_time = _in_time(asked, whole)
-    if not answer.leaves_more or any(finding.code in IN_DISORDER for finding in answer.amiss):
+    if not answer.leaves_more or any(finding.about.disorder for finding in answer.amiss):
         return answer
     return _with_mode(asked, answer, in_time)
 
@@ -180,7 +178,7 @@ def _found(asked: Question, whole: list[Recording]) -> tuple[Discovery, SignalDe
         amiss += [*recording.concerning(read).findings, *of_sensors(larger, recording, read)]
     late = None
     # Of signals that contradict each other an equation blames the wrong one.
-    if not any(finding.code in IN_DISORDER for finding in amiss):
+    if not any(finding.about.disorder for finding in amiss):
         with contextlib.suppress(RiecjaxError):  # too short to tell
             late = late_cause(larger, [recording.record for recording in last], estimate)
     amiss += [] if late is None else [finding_of(late, last[0].record)]

@@ -14,32 +14,23 @@ derivative off. With r = v / width,
 h sign(v) has a slope everywhere, unlike sign(v): at a width of several standard deviations of the
 noise on v, the correction for curved columns (`noisy_columns`) leaves next to nothing. A wrong sign
 in the middle of a rest counts h, a correct one far from it counts 1.
-
-Signals at whose zero a function jumps, as dry friction does at a velocity's.
 """
 
-import functools
 import operator
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, combined, evaluate, product
-from riecjax.equations.term import AbstractTerm
+from riecjax.equations.model import Model
+from riecjax.equations.term import AbstractTerm, reversing_states
 from riecjax.leaves import Leaf, is_concrete, is_under_trace
 from riecjax.records.faults.sampled_signal import Rest, rest_of
-from riecjax.records.record import Record, Signals
+from riecjax.records.record import Record
 from riecjax.records.signal import Signal
-
-if TYPE_CHECKING:
-    from riecjax.equations.model import Model
 
 FAR = 1e6
 """Widths beyond which a weight is 1."""
@@ -88,7 +79,7 @@ class InMotion(AbstractTerm):
         return eqx.tree_at(lambda own: own.term, self, -self.term)
 
 
-def in_motion(model: "Model", record: Record) -> "Model":
+def in_motion(model: Model, record: Record) -> Model:
     """The model with equations weighted where a velocity with dry friction rests.
 
     The same unless rests are to be masked, and under trace; and of hidden elements.
@@ -120,7 +111,7 @@ def in_motion(model: "Model", record: Record) -> "Model":
     return model if unchanged else replace(model, stages=stages)
 
 
-def rests_of(model: "Model", record: Record) -> dict[str, Rest]:
+def rests_of(model: Model, record: Record) -> dict[str, Rest]:
     """Rests of the signals at whose zero some equation jumps, by signal; none under trace."""
     is_batch = next(iter(record.arrays.values())).ndim != 1
     if is_batch or not is_concrete(model, record) or is_under_trace():
@@ -134,52 +125,3 @@ def rests_of(model: "Model", record: Record) -> dict[str, Rest]:
     return {name: rest for name, rest in found.items() if name in jumping}
 
 
-ASIDE, JUMP = 1e-9, 1e-4
-"""A velocity to either side of zero, and the share of itself that a function jumps by there."""
-
-
-def reversing_states(
-    terms: Iterable[AbstractTerm], states: Sequence[str], signals: Sequence[str]
-) -> tuple[str, ...]:
-    """States at whose zero a term jumps, as dry friction does of a velocity.
-
-    **Arguments:** terms of `signals`, the states among these.
-    """
-    jumping: set[str] = set()
-    for term in terms:
-        continuous = term.is_linear or (term.basis is not None and term.basis.is_continuous)
-        if not continuous:
-            jumping |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
-        elif callable(term.of):
-            jumping |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
-    return tuple(state for state in states if state in jumping)
-
-
-def _jumping(
-    of: Expression,
-    functions: Callable[[Array], Array] | None,
-    states: tuple[str, ...],
-    signals: tuple[str, ...],
-) -> set[str]:
-    """The states at whose zero one function jumps (none of a function that is not concrete)."""
-    # Four samples for each state: next to its zero and well away, on both sides.
-    places = np.array([ASIDE, -ASIDE, 1.0, -1.0])
-    levels = np.random.default_rng(0).uniform(0.2, 0.9, (len(signals), 1))
-    at = dict(zip(signals, np.repeat(levels, len(states) * places.size, axis=1)))
-    for i, state in enumerate(states):
-        at[state][i * places.size : (i + 1) * places.size] = places
-    try:
-        with jax.ensure_compile_time_eval():
-            probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
-            samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
-            values = np.asarray(samples if functions is None else functions(samples))
-    except Exception:  # whatever is wrong with a user's function is said where it is used
-        return set()
-    if not values.shape or values.shape[-1] != len(states) * places.size:
-        return set()
-    above, below, far, other = np.moveaxis(values.reshape(-1, len(states), places.size), -1, 0)
-    jumps = np.abs(above - below) > JUMP * np.maximum(np.abs(far), np.abs(other))
-    return {state for state, jump in zip(states, np.atleast_1d(jumps.any(axis=0))) if jump}
-
-
-_jumping_alone = functools.lru_cache(_jumping)

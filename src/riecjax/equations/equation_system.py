@@ -39,11 +39,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.equations.dry_friction import reversing_states
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, label_of, signals_read
 from riecjax.equations.hidden_elements import HiddenState, SpringElement
-from riecjax.equations.term import AbstractTerm, made_by
+from riecjax.equations.term import AbstractTerm, made_by, reversing_states
 from riecjax.errors import ModelError, users_code
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals

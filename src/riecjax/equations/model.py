@@ -464,6 +464,12 @@ class Model(Shown, eqx.Module):
         own = names == {parameter.name for parameter in self.parameters} or not self.stages
         return self.system.build is not None and own and self.is_driven_by(record)
 
+    def says_change_of(self, signal: str) -> bool:
+        """Whether a rate, or an equation among several, says how a signal changes."""
+        terms = (term for equation in self.equations for term in equation.terms if term.derivative)
+        solved = len(self.equations) > 1 and any(term.of == signal for term in terms)
+        return solved or signal in self.rates
+
     def is_driven_by(self, record: Record) -> bool:
         """Whether a record holds the inputs, of which there are some."""
         return bool(self.inputs) and all(q.name in record.signals for q in self.inputs)

@@ -5,8 +5,8 @@ a term it asks by the methods of `AbstractTerm`, which a class from elsewhere an
 """
 
 import json
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache, partial
 from typing import Any, NamedTuple, Self, TypeVar
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.expressions import Expression, combined, evaluate, source_of
 from riecjax.errors import DataError, ModelError, require, users_code
 from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number
-from riecjax.records.record import Record
+from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 
 
@@ -370,3 +370,54 @@ def written(value: object) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(written, value))}{',' * (len(value) == 1)})"
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+
+
+ASIDE, JUMP = 1e-9, 1e-4
+"""A velocity to either side of zero, and the share of itself that a function jumps by there."""
+
+
+def reversing_states(
+    terms: Iterable[AbstractTerm], states: Sequence[str], signals: Sequence[str]
+) -> tuple[str, ...]:
+    """States at whose zero a term jumps, as dry friction does of a velocity.
+
+    **Arguments:** terms of `signals`, the states among these.
+    """
+    found: set[str] = set()
+    for term in terms:
+        continuous = term.is_linear or (term.basis is not None and term.basis.is_continuous)
+        if not continuous:
+            found |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
+        elif not isinstance(term.of, str):
+            found |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
+    return tuple(state for state in states if state in found)
+
+
+def _jumping(
+    of: Expression,
+    functions: Callable[[Array], Array] | None,
+    states: tuple[str, ...],
+    signals: tuple[str, ...],
+) -> set[str]:
+    """The states at whose zero one function jumps (none of a function that is not concrete)."""
+    # Four samples for each state: next to its zero and well away, on both sides.
+    places = np.array([ASIDE, -ASIDE, 1.0, -1.0])
+    levels = np.random.default_rng(0).uniform(0.2, 0.9, (len(signals), 1))
+    at = dict(zip(signals, np.repeat(levels, len(states) * places.size, axis=1)))
+    for i, state in enumerate(states):
+        at[state][i * places.size : (i + 1) * places.size] = places
+    try:
+        with jax.ensure_compile_time_eval():
+            probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
+            samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
+            values = np.asarray(samples if functions is None else functions(samples))
+    except Exception:  # whatever is wrong with a user's function is said where it is used
+        return set()
+    if not values.shape or values.shape[-1] != len(states) * places.size:
+        return set()
+    above, below, far, other = np.moveaxis(values.reshape(-1, len(states), places.size), -1, 0)
+    jumps = np.abs(above - below) > JUMP * np.maximum(np.abs(far), np.abs(other))
+    return {state for state, jump in zip(states, np.atleast_1d(jumps.any(axis=0))) if jump}
+
+
+_jumping_alone = lru_cache(_jumping)

@@ -16,7 +16,7 @@ from riecjax.errors import IdentifiabilityError
 from riecjax.estimation.constant_target import constant_targets, wrong_zeros
 from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
-from riecjax.findings import Finding
+from riecjax.findings import CODES, Finding
 from riecjax.records.faults.derivative_pairs import check_derivatives
 from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
@@ -39,12 +39,6 @@ QUADRATURE_ERROR = 0.01
 """Share of a regressor that the integrals' error may reach."""
 KNOWN_TERMS = "the known terms"
 """What stands for them beside the names of parameters."""
-COPIED = "copied_signal"
-"""Why nothing tells regressors apart, where one signal is another."""
-OF_HELD = ("wrong_gain", "lost_rows")
-"""What a signal seems to have that is held or cut off."""
-FATAL = ("constant_target", "not_excited", "unidentifiable")
-"""Codes of findings that leave no answer, rather than a doubtful one."""
 
 
 # It prints as a table, which no named tuple can take from a base class.
@@ -61,7 +55,7 @@ class Check(Shown):
 
     @property
     def refusal(self) -> Finding | None:
-        """What rules an answer out, the first of its kind in `FATAL`; `None` if nothing does.
+        """What rules an answer out, the most important; `None` if nothing does.
 
         Where one signal is a copy of another, that is said in its place.
         """
@@ -111,18 +105,20 @@ def naming_copies(
         for one in recordings:
             names = read_of(model, one, criterion)
             found = check_signals(one.record, names, computed=one.computed)
-            for copy in (finding for finding in found if finding.code == COPIED):
-                raise IdentifiabilityError(f"{copy.message} {error}", COPIED) from None
+            for copy in (finding for finding in found if finding.about.explains_refusal):
+                raise IdentifiabilityError(f"{copy.message} {error}", copy.code) from None
         raise
 
 
 def refusal_by(findings: Iterable[Finding]) -> Finding | None:
-    """What rules an answer out, the first of its kind in `FATAL`; `None` if nothing does."""
-    found: dict[str, Finding] = {}
-    for finding in findings:
-        found.setdefault(finding.code, finding)
-    fatal = [code for code in FATAL if code in found]
-    return found[COPIED if COPIED in found else fatal[0]] if fatal else None
+    """What rules an answer out, or else why; `None` if nothing does."""
+    findings = list(findings)
+    refusals = [finding for finding in findings if finding.about.refuses]
+    if not refusals:
+        return None
+    importance = [*CODES].index
+    reasons = (finding for finding in findings if finding.about.explains_refusal)
+    return next(reasons, min(refusals, key=lambda finding: importance(finding.code)))
 
 
 @taking(CheckSettings)
@@ -215,11 +211,11 @@ def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> lis
     of_signals = check_signals(record, read, computed=computed, pairs=pairs)
     # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
     # Nor are rows lost where one signal alone jumps.
-    held = {n for f in of_signals if f.code in ("stuck_sensor", "clipped") for n in f.signals}
+    held = {n for f in of_signals if f.about.undo == "reach" for n in f.signals}
     of_pairs = [
         finding
         for finding in check_derivatives(record, [*pairs, *known])
-        if finding.code not in OF_HELD or not held & {*finding.signals}
+        if not (finding.about.feigned and held & {*finding.signals})
     ]
     return [*of_signals, *of_pairs]
 
@@ -235,21 +231,23 @@ def recording_findings(
     **Raises:** `DataError` for an absent signal or a record shorter than a window.
     """
     read, record = read_of(model, recording, criterion, summed=True), recording.record
-    equations = [(e, e.signals_read(record, criterion.smoothness)) for e in model.equations]
-
-    def concerned(finding: Finding) -> tuple[str, ...]:
-        reading = [equation for equation, names in equations if {*finding.signals} & names]
-        return tuple(dict.fromkeys(name for equation in reading for name in equation.parameters))
-
+    findings = [*recording.concerning(read).findings, *of_sensors(model, recording, read)]
     return [
         finding
-        if finding.parameters or not finding.signals
-        else finding._replace(parameters=concerned(finding))
-        for finding in (
-            *recording.concerning(read).findings,
-            *of_sensors(model, recording, read),
+        if finding.parameters
+        else finding._replace(
+            parameters=parameters_reading(model, record, criterion, finding.signals)
         )
+        for finding in findings
     ]
+
+
+def parameters_reading(
+    model: Model, record: Record, criterion: AbstractCriterion, signals: Collection[str]
+) -> tuple[str, ...]:
+    """Parameters of the equations that read some of these signals for a criterion."""
+    read = ((e, e.signals_read(record, criterion.smoothness)) for e in model.equations)
+    return tuple(dict.fromkeys(n for e, names in read if {*signals} & names for n in e.parameters))
 
 
 def _break_points(model: Model, summary: Summary) -> Iterator[Finding]:

@@ -17,7 +17,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, is_concrete, namespace, on_host
+from riecjax.leaves import Leaf, finite, is_concrete, namespace, on_host
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Saved
 from riecjax.summaries.summary import Summary
@@ -29,35 +29,189 @@ NOTABLE_INFLATION = 1.1
 """Factor on a standard error from which recordings are said to disagree."""
 NOTABLE_LEAN = 3.0
 """How many times as far as the small-sample sandwich an interval reaches before it is said why."""
+TOLD_LAG = 8
+"""Standard errors from which on a lag is told from none, and its inverse has an interval.
+
+Of c / (1 + tau s) v = c v - c tau v' + c tau^2 v'' - ... a mass beside the damper takes up the
+second term, so that tau^2 is what is told of. Its error is 2 tau times tau's: 8 of these are 4 of
+its own.
+"""
+FEWEST_BLOCKS = 7
+"""Blocks of time below which intervals are rough; ten stretches of twice the longest window may
+come out as no more."""
+FEWEST_WINDOWS = 10
+"""Independent windows below which an interval is rough."""
+ROUNDING = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-6}
+"""Share of rows that may be missing only because their number was rounded, by precision."""
+MOSTLY = 0.5
+"""Share of what is known of a parameter from which it rests on its prior."""
+MATTERING_SHARE = 0.02
+"""Share of the target that an uncertain term must reach to be worth a warning."""
+LARGE_RESIDUAL = 0.5
+"""Share of the target past which a model is called wrong."""
+NOTABLE_SHRINKAGE = 0.01
+"""Share by which an equation without a known term may shrink its coefficients; less is notable too
+if it is more than a standard error."""
+LEAST_SHRINKAGE = 0.001
+"""Share of shrinkage that is never notable."""
 
 
-class AbstractEstimate(Saved, eqx.Module):
-    """Estimated and known parameters, read one by one as from a mapping: `estimate["M_s"]`.
+class RefinementStatus(eqx.Enumeration):
+    """How a refinement ended."""
 
-    Of `jax.vmap` it is a batch: every array has the batch's axes first, whatever is read by name
-    has the batch's shape, and `member` takes one estimate out.
+    converged = "converged"
+    out_of_steps = (
+        "it used up its steps before it converged. Allow more (max_steps), start nearer, or use "
+        "shorter windows first."
+    )
+    not_finite = (
+        "the model has no finite residual at the start. Check the start's signs and sizes, or "
+        "simulate over shorter windows. If the model is stiff, the steps may be too long for it: "
+        "take more (OutputError(method=FixedStep(n))) or an implicit solver "
+        "(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()))."
+    )
+    failed = (
+        "no step took it further, and it is not at an optimum. Start nearer, or use shorter "
+        "windows first."
+    )
+
+
+class Search(eqx.Module):
+    """How a refinement went.
+
+    **Fields:**
+
+    - `status`: how the search ended; `steps` that it took.
+    - `rms_before`, `rms`: root mean square of what is left of each of `quantities` (channels, or
+      equations), with the start's parameters and now, in `quantity_units`. Both over the same
+      windows, in the same steps, and from initial states that were estimated for each.
+    - `cost_before`, `cost`: sums of squared residuals, likewise.
+    - `initial_states` that were estimated, one row for each window, columns `initial_state_names`.
+    - `step_change`: change of `theta`, to first order, if the steps of the simulation are halved;
+      `coarse`, where that matters beside the standard error; `steps_label`, the method.
+    - `by`: what was made small, in plain data.
+    - `residuals` of the last search, in whose units and steps what is left can be asked for;
+      `None` under `jax.jit` and `jax.vmap`, and of a file.
+    """
+
+    status: RefinementStatus
+    steps: Int[Array, "*batch"]
+    rms_before: Float[Array, "*batch quantities"]
+    rms: Float[Array, "*batch quantities"]
+    cost_before: Float[Array, "*batch"]
+    cost: Float[Array, "*batch"]
+    initial_states: Float[Array, "*batch windows s"]
+    step_change: Float[Leaf, "*batch p"]
+    coarse: Bool[Leaf, "*batch p"]
+    steps_label: str = eqx.field(static=True)
+    quantities: tuple[str, ...] = eqx.field(static=True)
+    quantity_units: tuple[str, ...] = eqx.field(static=True)
+    initial_state_names: tuple[str, ...] = eqx.field(static=True)
+    by: tuple[tuple[str, Any], ...] = eqx.field(static=True)
+    residuals: Any = None
+
+    @property
+    def converged(self) -> Bool[Array, "*batch"]:
+        """Whether the search ended at an optimum."""
+        return self.status == RefinementStatus.converged
+
+    @property
+    def basis(self) -> str:
+        """What `rms_before` and `rms` are of, in words: windows, initial states, steps."""
+        by = dict(self.by)
+        if "starts" not in by:
+            return "impulses over the same windows"
+        windows = "the whole record" if by.get("windows") == "whole record" else "the same windows"
+        starts = {
+            "estimated": "initial states estimated for each",
+            "measured": "initial states as recorded",
+        }
+        return f"{windows}, {starts.get(by['starts'], 'known initial states')}, {self.steps_label}"
+
+    @property
+    def reason(self) -> str:
+        """How the search ended, in words, of a batch with numbers of members (not under jit)."""
+
+        def words_at(*place: int) -> str:
+            return RefinementStatus[jax.tree.map(lambda leaf: np.asarray(leaf[place]), self.status)]
+
+        if not np.ndim(self.steps):
+            return words_at()
+        ended = Counter(words_at(*place) for place in np.ndindex(np.shape(self.steps)))
+        return ", ".join(f"{number} x {words}" for words, number in ended.items())
+
+
+def told_by_data(
+    table: ParameterTable, theta: Leaf, at_bound: Leaf, uncertainty: Uncertainty
+) -> ParameterTable:
+    """The table in which what sits on a bound, or rests on priors, is known (not under jit)."""
+    share = uncertainty.prior_share
+    held = np.asarray(at_bound) | (share is not None and np.asarray(share) > MOSTLY)
+    return table.settled({n: jnp.asarray(theta[j]) for j, n in enumerate(table.free) if held[j]})
+
+
+class Estimate(Saved, eqx.Module):
+    """Parameters with units and uncertainty, and how they were obtained.
+
+    Read one by one as from a mapping: `estimate["M_s"]`. A pytree: `theta` and the covariance
+    differentiate and vmap. Of `jax.vmap` it is a batch: every array has the batch's axes first,
+    whatever is read by name has the batch's shape, printing shows the distribution over the batch,
+    and `estimate.member(3)` is one of its estimates.
 
     **Fields:**
 
     - `theta`: estimated values, in the order of `parameters`, shape `(..., p)`.
-    - `uncertainty`: covariance of theta and what makes intervals.
+    - `uncertainty`: covariance of theta and what makes intervals, valid under overlapping windows
+      and autocorrelated equation errors (see [`BlockBootstrap`][]). It speaks of scatter about the
+      value that the criterion converges to, not of that value's distance from the truth.
     - `table`: what each parameter is, and the values of those that were not estimated.
     - `inflation`: factor on each standard error because recordings disagree, 1 where they agree.
-    - `block_count`, `block_length`: independent blocks of time behind the covariance, and the
-      seconds that each lasts.
+    - `at_bound`: which parameters sit on a bound; nothing is said of their uncertainty.
+    - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
+      length in seconds (rule: `block_length` in `uncertainty.covariances`).
+    - `doubts`: findings of the recordings that it was identified from, such as a wrong unit.
+    - `search`: how a refinement went, `None` where windows were fitted.
+
+    Of windows, empty or `None` of a refinement:
+
+    - `naive`: least squares' own standard errors, as if all windows were independent: far too
+      small, and kept to tell the effective number of windows.
+    - `stages`: solution, conditioning and residual of each stage.
+    - `criterion`: what was made small.
+    - `stage_names`, `equation_names`: of each stage, and of each equation in it.
+    - `rows_offered`: for each stage, how many rows there would be without gaps and masks; NaN
+      where that is not known.
+    - `summary`: the sums behind it, from which others can be estimated; `None` under `jax.jit` and
+      `jax.vmap`, where each member of a batch would carry its own.
     """
 
     theta: Float[Array, "*batch p"]
     uncertainty: Uncertainty
     table: ParameterTable
     inflation: Float[Array, "*batch p"]
+    at_bound: Bool[Leaf, "*batch p"]
     block_count: Int[Array, "*batch"]
     block_length: Float[Array, "*batch"]
+    # What only one way of estimating has is typed as if it were there, for those who know the way.
+    search: Search = None  # pyright: ignore[reportAssignmentType]
+    naive: Float[Array, "*batch p"] = None  # pyright: ignore[reportAssignmentType]
+    stages: tuple[StageSolution, ...] = ()
+    criterion: AbstractCriterion = None  # pyright: ignore[reportAssignmentType]
+    rows_offered: Float[Leaf, "*batch stages"] = None  # pyright: ignore[reportAssignmentType]
+    summary: Summary | None = None
+    stage_names: tuple[str, ...] = eqx.field(static=True, default=())
+    equation_names: tuple[tuple[str, ...], ...] = eqx.field(static=True, default=())
+    doubts: tuple[Finding, ...] = eqx.field(static=True, default=())
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of those that were estimated."""
         return self.table.free
+
+    @property
+    def told_by_data(self) -> ParameterTable:
+        """The table in which all that bounds or priors tell rather than data is known."""
+        return told_by_data(self.table, self.theta, self.at_bound, self.uncertainty)
 
     @property
     def known(self) -> dict[str, Any]:
@@ -86,8 +240,14 @@ class AbstractEstimate(Saved, eqx.Module):
 
     @property
     def determined(self) -> Bool[Array, "*batch"]:
-        """Whether theta is an answer at all, as far as ranks tell."""
-        return namespace(self.theta).ones(self.batch_shape, bool)
+        """Whether theta is an answer at all, as far as ranks tell.
+
+        Of windows, it is finite and every stage tells its parameters apart.
+        """
+        if not self.stages:
+            return namespace(self.theta).ones(self.batch_shape, bool)
+        finite = namespace(self.theta).isfinite(self.theta).all(axis=-1)
+        return finite & (self.rank == len(self.parameters))
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -119,6 +279,49 @@ class AbstractEstimate(Saved, eqx.Module):
                 f"by member(0), or go over all of them by jax.vmap."
             )
         return self
+
+    @property
+    def equations(self) -> dict[str, EquationFit]:
+        """What is left of each equation, by name: a stage of several may hide that one fails."""
+        return {
+            name: fit
+            for names, stage in zip(self.equation_names, self.stages)
+            for name, fit in zip(names, stage.equations)
+        }
+
+    @property
+    def _fitted(self) -> tuple[StageSolution, ...]:
+        """Fits of the stages, where there are some."""
+        if not self.stages:
+            raise ModelError("a refined estimate fits no windows: ask the estimate it began from.")
+        return self.stages
+
+    @property
+    def effective_windows(self) -> Float[Array, "*batch p"]:
+        """How many independent windows would tell each parameter as well as all of them do.
+
+        Least squares' own variance holds if all n rows are independent, and goes with 1 / n: of m
+        independent ones it would be n / m times as large. Setting that equal to the actual variance
+        gives m = n naive^2 / error^2.
+        """
+        stages, xp = self._fitted, namespace(self.theta)
+        counts = [stage.count[..., None] for stage in stages for _ in stage.parameters]
+        rows = xp.concatenate(counts, axis=-1)
+        variance = self.standard_errors**2
+        ratio = xp.square(self.naive) / xp.where(variance > 0, variance, 1.0)
+        return xp.where(variance > 0, rows * ratio, rows)
+
+    @property
+    def condition_number(self) -> Float[Array, "*batch"]:
+        """The largest among the stages, of the regressors with columns scaled to unit length."""
+        xp = namespace(self.theta)
+        return xp.max(xp.stack([stage.solution.condition_number for stage in self._fitted]), axis=0)
+
+    @property
+    def rank(self) -> Int[Array, "*batch"]:
+        """Sum of the stages' ranks; the number of parameters when all can be told apart."""
+        xp = namespace(self.theta)
+        return xp.sum(xp.stack([stage.solution.rank for stage in self._fitted]), axis=0)
 
     @property
     def covariance(self) -> Float[Array, "*batch p p"]:
@@ -193,225 +396,11 @@ class AbstractEstimate(Saved, eqx.Module):
         ]
 
     def _findings(self) -> Iterator[Finding]:
-        """Of one estimate."""
-        raise NotImplementedError
-
-    def negative_values(self) -> Iterator[Finding]:
-        """Masses and dampers whose whole interval lies below zero (not under jit)."""
-        ends = self.interval_by_name()
-        for name, (low, high) in ends.items():
-            row = self.table[name]
-            if row.sign and high < 0:
-                yield Finding(
-                    "negative_value",
-                    f"{name} is below zero, from {low:.4g} to {high:.4g} {row.unit}: {row.sign}. "
-                    f"Check the signs of the signals against the equation's, and the direction of "
-                    f"time.",
-                    parameters=(name,),
-                )
-
-    def few_blocks(self) -> Iterator[Finding]:
-        """Intervals by a small-sample sandwich, and those that lean (not under jit)."""
-        freedom = self.uncertainty.degrees_of_freedom
-        names, listed = self._where(self.uncertainty.few_blocks, freedom)
-        if names:
-            yield Finding(
-                "few_blocks",
-                f"few independent stretches of the record tell of {listed} (degrees of "
-                f"freedom of the variance): these intervals come from a small-sample sandwich with "
-                f"Student's t and are the wider the fewer there are. Record for longer, or excite "
-                f"them all along.",
-                parameters=names,
-            )
-        # Intervals that reach much farther than errors alike all along call for.
-        times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
-        names, listed = self._where(times > NOTABLE_LEAN, times)
-        if names:
-            yield Finding(
-                "uneven_errors",
-                f"a few stretches of the record err so much more than the rest that the intervals "
-                f"of {listed} reach so many times as far as they otherwise would. Look at "
-                f"those stretches, or record for longer.",
-                parameters=names,
-            )
-
-    def rarely_excited(self) -> Iterator[Finding]:
-        """Parameters that many of the bootstrap's replicates leave undetermined (not under jit)."""
-        replicates = self.uncertainty.studentized
-        if replicates is None:
-            return
-        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
-        lost = np.where(self.uncertainty.few_blocks, 0.0, lost)
-        names, listed = self._where(lost > LOST_SHARE, 100 * lost, " %")
-        if names:
-            yield Finding(
-                "rarely_excited",
-                f"so few stretches of the record tell of {listed} that so large a share "
-                f"of the bootstrap's replicates held none of them: their intervals are rough. "
-                f"Record for longer, or excite them more often.",
-                parameters=names,
-            )
-
-    def disagreement(self) -> Iterator[Finding]:
-        """Parameters on which recordings disagree by more than chance (not under jit)."""
-        for name, factor in zip(self.parameters, self.inflation):
-            if float(factor) > NOTABLE_INFLATION:
-                yield Finding(
-                    "records_disagree",
-                    f"the recordings do not agree on {name}: they differ by more than the "
-                    f"scatter within each explains, so its interval is {float(factor):.2g} times "
-                    f"as wide. The model leaves out something that differs between them; a "
-                    f"parameter that may differ, such as an offset, can have a value in each "
-                    f"(per_record=, --per-record).",
-                    parameters=(name,),
-                )
-
-    def _where(
-        self, which: ArrayLike, numbers: ArrayLike, unit: str = ""
-    ) -> tuple[tuple[str, ...], str]:
-        """Names of some parameters, and a list of them with a number beside each."""
-        chosen = np.flatnonzero(which)
-        names, values = [self.parameters[i] for i in chosen], np.asarray(numbers)[chosen]
-        listed = ", ".join(f"{n} ({x:.2g}{unit})" for n, x in zip(names, values))
-        return tuple(names), listed
-
-    def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
-        index = self._index(name)
-        return values[..., index] if self.batch_shape else _single(values, index)
-
-    def _index(self, name: str) -> int:
-        try:
-            return self.parameters.index(name)
-        except ValueError:
-            raise ModelError(
-                f"no estimated parameter '{name}'; there are: {', '.join(self.parameters)}."
-            ) from None
-
-
-def _single(values: Any, *index: int) -> Any:
-    """One of the numbers, as a NumPy scalar unless it is traced: that formats as a float does."""
-    return np.asarray(values)[index] if is_concrete(values) else values[index]
-
-
-def span(values: ArrayLike, form: str = ".3g") -> str:
-    """A number in words, or of a batch its least and largest."""
-    numbers = np.ravel(np.asarray(values))
-    finite = numbers[np.isfinite(numbers)]
-    ends = (finite.min(), finite.max()) if finite.size else (numbers[0], numbers[0])
-    low, high = (f"{end:{form}}" for end in ends)
-    return low if low == high else f"{low} .. {high}"
-
-
-# What an identification found, and how far it can be trusted.
-
-TOLD_LAG = 8
-"""Standard errors from which on a lag is told from none, and its inverse has an interval.
-
-Of c / (1 + tau s) v = c v - c tau v' + c tau^2 v'' - ... a mass beside the damper takes up the
-second term, so that tau^2 is what is told of. Its error is 2 tau times tau's: 8 of these are 4 of
-its own.
-"""
-FEWEST_BLOCKS = 7
-"""Blocks of time below which intervals are rough; ten stretches of twice the longest window may
-come out as no more."""
-FEWEST_WINDOWS = 10
-"""Independent windows below which an interval is rough."""
-ROUNDING = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-6}
-"""Share of rows that may be missing only because their number was rounded, by precision."""
-MATTERING_SHARE = 0.02
-"""Share of the target that an uncertain term must reach to be worth a warning."""
-LARGE_RESIDUAL = 0.5
-"""Share of the target past which a model is called wrong."""
-NOTABLE_SHRINKAGE = 0.01
-"""Share by which an equation without a known term may shrink its coefficients; less is notable too
-if it is more than a standard error."""
-LEAST_SHRINKAGE = 0.001
-"""Share of shrinkage that is never notable."""
-
-
-class Estimate(AbstractEstimate):
-    """Parameters with units and uncertainty, and how they were obtained.
-
-    A pytree: `theta` and `covariance` differentiate and vmap. Reading values one by one works as
-    with a mapping: `estimate["M_s"]`. Under `jax.vmap` it becomes a batch, whose axes come first:
-    `estimate["M_s"]` then has the batch's shape, printing shows the distribution over the batch,
-    and `estimate.member(3)` is one of its estimates.
-
-    **Fields:**
-
-    - `theta`: estimated values, in the order of `parameters`.
-    - `uncertainty`: covariance of theta and what makes intervals, valid under overlapping windows
-      and autocorrelated equation errors (see [`BlockBootstrap`][]). It speaks of scatter about the
-      value that the criterion converges to, not of that value's distance from the truth.
-    - `naive`: least squares' own standard errors, as if all windows were independent: far too
-      small, and kept to tell the effective number of windows.
-    - `inflation`: factor on each standard error because recordings disagree, 1 where they agree.
-    - `stages`: solution, conditioning and residual of each stage.
-    - `table`: what each parameter is, and the values of those that were not estimated.
-    - `criterion`: what was made small.
-    - `block_count`, `block_length`: independent blocks of time behind the covariance, and their
-      length in seconds (rule: `block_length` in `uncertainty.covariances`).
-    - `stage_names`, `equation_names`: of each stage, and of each equation in it.
-    - `rows_offered`: for each stage, how many rows there would be without gaps and masks; NaN
-      where that is not known.
-    - `doubts`: findings of the recordings that it was identified from, such as a wrong unit.
-    - `summary`: the sums behind it, from which others can be estimated; `None` under `jax.jit` and
-      `jax.vmap`, where each member of a batch would carry its own.
-    """
-
-    naive: Float[Array, "*batch p"]
-    stages: tuple[StageSolution, ...]
-    criterion: AbstractCriterion
-    rows_offered: Float[Leaf, "*batch stages"]
-    summary: Summary | None
-    stage_names: tuple[str, ...] = eqx.field(static=True)
-    equation_names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
-    doubts: tuple[Finding, ...] = eqx.field(static=True, default=())
-
-    @property
-    def equations(self) -> dict[str, EquationFit]:
-        """What is left of each equation, by name: a stage of several may hide that one fails."""
-        return {
-            name: fit
-            for names, stage in zip(self.equation_names, self.stages)
-            for name, fit in zip(names, stage.equations)
-        }
-
-    @property
-    def effective_windows(self) -> Float[Array, "*batch p"]:
-        """How many independent windows would tell each parameter as well as all of them do.
-
-        Least squares' own variance holds if all n rows are independent, and goes with 1 / n: of m
-        independent ones it would be n / m times as large. Setting that equal to the actual variance
-        gives m = n naive^2 / error^2.
-        """
-        xp = namespace(self.naive)
-        counts = [stage.count[..., None] for stage in self.stages for _ in stage.parameters]
-        rows = xp.concatenate(counts, axis=-1)
-        variance = self.standard_errors**2
-        ratio = xp.square(self.naive) / xp.where(variance > 0, variance, 1.0)
-        return xp.where(variance > 0, rows * ratio, rows)
-
-    @property
-    def condition_number(self) -> Float[Array, "*batch"]:
-        """The largest among the stages, of the regressors with columns scaled to unit length."""
-        xp = namespace(self.theta)
-        return xp.max(xp.stack([stage.solution.condition_number for stage in self.stages]), axis=0)
-
-    @property
-    def rank(self) -> Int[Array, "*batch"]:
-        """Sum of the stages' ranks; the number of parameters when all can be told apart."""
-        xp = namespace(self.theta)
-        return xp.sum(xp.stack([stage.solution.rank for stage in self.stages]), axis=0)
-
-    @property
-    def determined(self) -> Bool[Array, "*batch"]:
-        """Whether theta is finite and every stage tells its parameters apart: an answer at all."""
-        finite = namespace(self.theta).isfinite(self.theta).all(axis=-1)
-        return finite & (self.rank == len(self.parameters))
-
-    def _findings(self) -> Iterator[Finding]:
+        """Of one estimate: of its recordings, and of windows or of a search."""
         yield from self.doubts
+        yield from self._of_windows() if self.search is None else self._of_search()
+
+    def _of_windows(self) -> Iterator[Finding]:
         if lost := list(self._without_answer()):
             yield from (*lost, *self._coverage(), *self._precision())
             return
@@ -424,7 +413,7 @@ class Estimate(AbstractEstimate):
                 f"{float(self.condition_number):.2g}); the least certain combination is "
                 f"{weakest}.",
             )
-        yield from self.few_blocks()
+        yield from (*self.constrained(), *self.few_blocks())
         sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
         ends = self.interval_by_name()
         for name, size in zip(self.parameters, sizes):
@@ -479,15 +468,14 @@ class Estimate(AbstractEstimate):
         rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
         told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
         few = np.asarray(self.effective_windows) < FEWEST_WINDOWS
-        names, listed = self._where(few & told, self.effective_windows)
-        if names:
-            yield Finding(
-                "few_effective_windows",
-                f"errors of overlapping windows are correlated: all of them tell as much as so "
-                f"many independent ones of {listed}. With fewer than {FEWEST_WINDOWS} an interval "
-                f"is rough. Record for longer.",
-                parameters=names,
-            )
+        yield from self._of_some(
+            "few_effective_windows",
+            few & told,
+            self.effective_windows,
+            f"errors of overlapping windows are correlated: all of them tell as much as so many "
+            f"independent ones of {{}}. With fewer than {FEWEST_WINDOWS} an interval is rough. "
+            f"Record for longer.",
+        )
         if self.summary is not None and self.summary.asked is not None:
             alpha, beta = self.summary.asked
             low, high = self.summary.lengths_of(self.summary.band)
@@ -550,6 +538,182 @@ class Estimate(AbstractEstimate):
                 f"Enable 64-bit by jax.config.update('jax_enable_x64', True).",
             )
 
+    def _of_search(self) -> Iterator[Finding]:
+        if not bool(self.search.converged):
+            yield Finding(
+                "refinement_not_converged", f"the refinement did not converge: {self.search.reason}"
+            )
+        shares = self.search.step_change / self.standard_errors
+        changes = {
+            name: f"{name} by {float(change):.3g} ({abs(float(share)):.2g} standard errors)"
+            for name, change, share, coarse in zip(
+                self.parameters, self.search.step_change, shares, self.search.coarse
+            )
+            if bool(coarse)
+        }
+        if changes:
+            yield Finding(
+                "coarse_steps",
+                f"the steps of the simulation, {self.search.steps_label}, are part of the answer: "
+                f"halving them changes {', '.join(changes.values())}. Take shorter ones "
+                f"(OutputError(method=FixedStep(n))) or record faster; a stiff model needs "
+                f"Adaptive with an implicit solver, a force that jumps as sign(v) a width.",
+                parameters=tuple(changes),
+            )
+        yield from self.constrained()
+        # What the data hardly determine, or not at all.
+        silent = []
+        ends = self.interval_by_name()
+        for name, reached in zip(self.parameters, self.at_bound):
+            low, high = ends[name]
+            if bool(reached):
+                continue
+            if not (np.isfinite(low) and np.isfinite(high)):
+                silent.append(name)
+            elif high - low > 2 * abs(float(self[name])):
+                yield Finding(
+                    "interval_wider_than_estimate",
+                    f"the refined interval of {name} reaches from {low:.4g} to {high:.4g}: these "
+                    f"data hardly determine it.",
+                    parameters=(name,),
+                )
+        if len(silent) == 1:
+            message = f"these data say nothing about {silent[0]}."
+            yield Finding("undetermined", message, parameters=(silent[0],))
+        elif silent:
+            yield Finding(
+                "undetermined",
+                f"what is compared stays as it is when {', '.join(silent)} change together, so it "
+                f"tells none of them alone, as motion without a force does not tell how heavy a "
+                f"machine is. Hold one at a known value (on the command line: --set "
+                f"{silent[0]}=VALUE), or compare another signal.",
+                parameters=tuple(silent),
+            )
+        yield from (*self.negative_values(), *self.few_blocks())
+        yield from (*self.rarely_excited(), *self.disagreement())
+
+    def constrained(self) -> Iterator[Finding]:
+        """Parameters that bounds or priors tell, and not data (not under jit)."""
+        if names := [n for n, reached in zip(self.parameters, self.at_bound) if bool(reached)]:
+            yield Finding(
+                "at_bound",
+                f"{', '.join(names)} sit(s) on a bound: the data would go further. The intervals "
+                f"of the others take it for known.",
+                parameters=tuple(names),
+            )
+        rest = [name for name in self.told_by_data.known if name not in (*self.known, *names)]
+        if rest:
+            yield Finding(
+                "rests_on_prior",
+                f"the recordings tell less of {', '.join(rest)} than priors do, whose values and "
+                f"intervals these are more than a measurement's. Excite the system more richly, "
+                f"or make sure of the priors.",
+                parameters=tuple(rest),
+            )
+
+    def negative_values(self) -> Iterator[Finding]:
+        """Masses and dampers whose whole interval lies below zero (not under jit)."""
+        ends = self.interval_by_name()
+        for name, (low, high) in ends.items():
+            row = self.table[name]
+            if row.sign and high < 0:
+                yield Finding(
+                    "negative_value",
+                    f"{name} is below zero, from {low:.4g} to {high:.4g} {row.unit}: {row.sign}. "
+                    f"Check the signs of the signals against the equation's, and the direction of "
+                    f"time.",
+                    parameters=(name,),
+                )
+
+    def few_blocks(self) -> Iterator[Finding]:
+        """Intervals by a small-sample sandwich, and those that lean (not under jit)."""
+        freedom, told = self.uncertainty.degrees_of_freedom, self.told_by_data.free
+        yield from self._of_some(
+            "few_blocks",
+            self.uncertainty.few_blocks & np.array([name in told for name in self.parameters]),
+            freedom,
+            "few independent stretches of the record tell of {} (degrees of freedom of the "
+            "variance): these intervals come from a small-sample sandwich with Student's t and are "
+            "the wider the fewer there are. Record for longer, or excite them all along.",
+        )
+        # Intervals that reach much farther than errors alike all along call for.
+        times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
+        yield from self._of_some(
+            "uneven_errors",
+            times > NOTABLE_LEAN,
+            times,
+            "a few stretches of the record err so much more than the rest that the intervals of {} "
+            "reach so many times as far as they otherwise would. Look at those stretches, or "
+            "record for longer.",
+        )
+
+    def rarely_excited(self) -> Iterator[Finding]:
+        """Parameters that many of the bootstrap's replicates leave undetermined (not under jit)."""
+        replicates = self.uncertainty.studentized
+        if replicates is None:
+            return
+        lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
+        lost = np.where(self.uncertainty.few_blocks, 0.0, lost)
+        yield from self._of_some(
+            "rarely_excited",
+            lost > LOST_SHARE,
+            100 * lost,
+            "so few stretches of the record tell of {} that so large a share of the bootstrap's "
+            "replicates held none of them: their intervals are rough. Record for longer, or excite "
+            "them more often.",
+            " %",
+        )
+
+    def disagreement(self) -> Iterator[Finding]:
+        """Parameters on which recordings disagree by more than chance (not under jit)."""
+        for name, factor in zip(self.parameters, self.inflation):
+            if float(factor) > NOTABLE_INFLATION:
+                yield Finding(
+                    "records_disagree",
+                    f"the recordings do not agree on {name}: they differ by more than the "
+                    f"scatter within each explains, so its interval is {float(factor):.2g} times "
+                    f"as wide. The model leaves out something that differs between them; a "
+                    f"parameter that may differ, such as an offset, can have a value in each "
+                    f"(per_record=, --per-record).",
+                    parameters=(name,),
+                )
+
+    def _of_some(
+        self, code: str, which: ArrayLike, numbers: ArrayLike, message: str, unit: str = ""
+    ) -> Iterator[Finding]:
+        """A finding on some parameters, if there are any, that lists each with its number."""
+        names = [self.parameters[i] for i in np.flatnonzero(which)]
+        values = np.asarray(numbers)[np.flatnonzero(which)]
+        listed = ", ".join(f"{n} ({x:.2g}{unit})" for n, x in zip(names, values))
+        if names:
+            yield Finding(code, message.format(listed), parameters=tuple(names))
+
+    def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
+        index = self._index(name)
+        return values[..., index] if self.batch_shape else _single(values, index)
+
+    def _index(self, name: str) -> int:
+        try:
+            return self.parameters.index(name)
+        except ValueError:
+            raise ModelError(
+                f"no estimated parameter '{name}'; there are: {', '.join(self.parameters)}."
+            ) from None
+
+
+def _single(values: Any, *index: int) -> Any:
+    """One of the numbers, as a NumPy scalar unless it is traced: that formats as a float does."""
+    return np.asarray(values)[index] if is_concrete(values) else values[index]
+
+
+def span(values: ArrayLike, form: str = ".3g") -> str:
+    """A number in words, or of a batch its least and largest."""
+    numbers = np.ravel(np.asarray(values))
+    finite = numbers[np.isfinite(numbers)]
+    ends = (finite.min(), finite.max()) if finite.size else (numbers[0], numbers[0])
+    low, high = (f"{end:{form}}" for end in ends)
+    return low if low == high else f"{low} .. {high}"
+
 
 def weighing(names: Sequence[str], direction: Float[np.ndarray, " p"]) -> tuple[str, ...]:
     """Parameters that weigh more than a tenth of the largest part of a direction."""
@@ -565,3 +729,42 @@ def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> s
         parts = [(-c, n) for c, n in parts]
     words = [f"{'-' if c < 0 else '+'} {abs(c):.2f} {n}" for c, n in parts]
     return " ".join(words).removeprefix("+ ")
+
+
+def known_entries(estimate: Estimate) -> dict[str, Any]:
+    """Value and unit of each parameter that was not estimated; lists of a batch."""
+    table = estimate.table
+    return {n: {"value": finite(estimate[n]), "unit": table[n].unit} for n in estimate.known}
+
+
+def intervals_entry(estimate: Estimate) -> dict[str, Any]:
+    """Where the intervals of one estimate come from."""
+    return {
+        "method": estimate.uncertainty.label,
+        "blocks": int(estimate.block_count),
+        "block_seconds": float(estimate.block_length),
+    }
+
+
+def parameter_entries(estimate: Estimate) -> dict[str, Any]:
+    """Value, unit, standard error and interval of each estimated parameter; lists of a batch."""
+    return {
+        name: {
+            "value": finite(estimate[name]),
+            "unit": estimate.table[name].unit,
+            "std_error": finite(estimate.standard_error(name)),
+            "interval95": finite(ends),
+        }
+        for name, ends in estimate.interval_by_name().items()
+    }
+
+
+def identified_entries(estimate: Estimate) -> dict[str, Any]:
+    """The same of a linear estimate, with what it says of each parameter's windows."""
+    entries = parameter_entries(estimate)
+    for i, name in enumerate(estimate.parameters):
+        entries[name] |= {
+            "naive_std_error": finite(estimate.naive[..., i]),
+            "effective_windows": finite(estimate.effective_windows[..., i]),
+        }
+    return entries

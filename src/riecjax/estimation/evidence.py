@@ -6,7 +6,9 @@ noise. A mode that is not there explains nothing of a fold but by chance, wherev
 put it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +32,7 @@ from riecjax.estimation.hidden_modes import (
     search_band,
 )
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, on_host
+from riecjax.leaves import Leaf, finite, on_host, told
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import NormalEquations
 
@@ -135,6 +137,49 @@ class ModeEvidence(Drawn):
                 f"out; something else is missing, such as a delay of one signal."
             )
         return [Finding("mode_not_carried", message, parameters=tuple(names)), *elsewhere]
+
+    def entry(self) -> dict[str, Any]:
+        """All of it, as plain data for JSON."""
+        return {
+            "on": self.on,
+            "equation": self.stage,
+            "parameters": list(self.parameters),
+            "frequency_hz": finite(self.frequency[0]),
+            "frequency_std_error_hz": finite(self.frequency[1]),
+            "damping_ratio": finite(self.damping_ratio[0]),
+            "damping_ratio_std_error": finite(self.damping_ratio[1]),
+            "window_s": list(self.lengths),
+            "strays": [
+                {"parameters": list(names), "asked_hz": asked, "found_hz": finite(found)}
+                for names, asked, found in self.strays
+            ],
+            **told(self, "carried", "oscillates", "explained"),
+            "held_out": {
+                "with": finite(self.unexplained),
+                **told(self, "without", "gain"),
+                "gain_std_error": finite(self.gain_error),
+            },
+            "map": {
+                "frequency_hz": finite(self.map.frequency),
+                **told(self.map, "unexplained", "without"),
+                "damping_ratio": finite(self.map.damping),
+            },
+        }
+
+
+class ModeTests(NamedTuple):
+    """What speaks for the last hidden mode of each stage, as a test of an answer."""
+
+    modes: Sequence[ModeEvidence]
+    name = "modes"
+
+    def findings(self) -> list[Finding]:
+        """Findings of all modes."""
+        return [finding for mode in self.modes for finding in mode.findings()]
+
+    def entry(self) -> list[dict[str, Any]]:
+        """Of each mode, plain data for JSON."""
+        return [mode.entry() for mode in self.modes]
 
 
 def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvidence]:

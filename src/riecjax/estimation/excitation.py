@@ -53,7 +53,7 @@ def not_excited(stage_name: str, row: Parameter) -> Finding:
     )
 
 
-def raise_if_unidentifiable(solutions: list[StageSolution], table: ParameterTable) -> None:
+def raise_if_unidentifiable(solutions: Sequence[StageSolution], table: ParameterTable) -> None:
     """Raise `IdentifiabilityError` for a stage whose regressors are collinear."""
     for stage in solutions:
         if int(stage.solution.rank) == len(stage.parameters):

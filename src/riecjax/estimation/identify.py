@@ -4,9 +4,10 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
@@ -14,12 +15,12 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.constraints import Bounds, Constraints, Prior, scatter_of_priors
+from riecjax.estimation.estimate import Estimate, told_by_data
 from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
-    StageSolution,
     borne_out,
     level_covariance,
     solve_stages,
@@ -27,6 +28,7 @@ from riecjax.estimation.stages import (
 )
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
+from riecjax.records.faults.rows import duplicates
 from riecjax.records.record import Records
 from riecjax.records.recording import explaining_errors
 from riecjax.settings import Identify, taking
@@ -34,10 +36,9 @@ from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
 from riecjax.summaries.task import ready, signals_read, task
-from riecjax.uncertainty.covariances import naive_covariance
+from riecjax.uncertainty.covariances import naive_covariance, slope
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
-    Uncertainty,
     estimate_uncertainty,
     intervals_of,
 )
@@ -61,6 +62,10 @@ def identify(model: Equation | Model, records: Records, settings: Identify) -> E
       `quadrature` say; see [`Fit`][riecjax.settings.Fit].
     - `key`: for random windows, `jax.random.key(seed)`. All equations share its windows.
     - `known`: parameters held at these values instead of being estimated.
+    - `bounds`: (lower, upper) by name, `None` where there is none. What least squares would take
+      beyond one is held there.
+    - `priors`: normal distributions (mean, standard deviation) by name, each one more observation,
+      weighed against what blocks of time tell of the parameter.
     - `per_record`: parameters with a separate value in each record, such as a sensor's offset;
       in the result `offset` becomes `offset[1]`, `offset[2]`, ...
     - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default, or `"sandwich"`,
@@ -83,13 +88,15 @@ def identify(model: Equation | Model, records: Records, settings: Identify) -> E
     asked = task(model, recordings, settings, settings.key, settings.at_rest)
     table = plan_parameters(asked.model, len(asked.records), settings.known, settings.per_record)
     intervals = intervals_of(settings.intervals)
-    with explaining_errors(recordings):
-        found = estimated(asked.model, summed(asked), table, intervals)
+    constraints = Constraints.of(table, settings.bounds, settings.priors)
+    with explaining_errors(recordings, asked.model.says_change_of):
+        found = estimated(asked.model, summed(asked), table, intervals, constraints)
 
     def otherwise(model: Model) -> Estimate:
         other = summed(asked._replace(model=model))
-        return estimated(model, other, table, intervals)
+        return estimated(model, other, table, intervals, constraints)
 
+    copies = duplicates(recordings) if is_concrete([each.record for each in recordings]) else []
     resting = at_rest_findings(asked.model, asked.records, found, otherwise)
     # What recordings say of signals that are read; bare records say nothing.
     doubts = [
@@ -100,7 +107,7 @@ def identify(model: Equation | Model, records: Records, settings: Identify) -> E
             signals_read(asked.model, one.record, asked.criterion)
         ).findings
     ]
-    doubts = (*doubts, *resting)
+    doubts = (*copies, *doubts, *resting)
     return dataclasses.replace(found, doubts=doubts) if doubts else found
 
 
@@ -109,19 +116,23 @@ def estimate(
     summaries: Summary | Sequence[Summary],
     *,
     known: Mapping[str, float | Array] | None = None,
+    bounds: Mapping[str, Bounds] | None = None,
+    priors: Mapping[str, Prior] | None = None,
     per_record: Sequence[str] = (),
     intervals: Literal["bootstrap", "sandwich", "naive"] | AbstractIntervals | None = None,
 ) -> Estimate:
     """Estimate the parameters of a model from what recordings say to it; no sample is read.
 
-    Known values, intervals, which recordings and which band of window lengths count can change
-    from call to call; see [`Summary`][]. Results are those of [`identify`][] of the recordings.
+    Known values, bounds, priors, intervals, which recordings and which band of window lengths count
+    can change from call to call; see [`Summary`][]. Results are those of [`identify`][] of the
+    recordings.
 
     **Arguments:**
 
     - `model`: the one that the Summary was made for.
     - `summaries`: one, or several, of which each recording counts once.
     - `known`: parameters held at these values instead of being estimated.
+    - `bounds`, `priors`: as of [`identify`][].
     - `per_record`: parameters with a separate value in each recording, such as a sensor's
       offset; `offset` becomes `offset[1]`, `offset[2]`, ... in the order of `summary.recordings`.
     - `intervals`: how uncertainty is estimated, [`BlockBootstrap`][] by default.
@@ -134,7 +145,8 @@ def estimate(
     model, summary = as_model(model), as_summary(summaries)
     summary.require_model(model)
     table = plan_parameters(model, len(summary.recordings), known, per_record)
-    return estimated(model, summary, table, intervals_of(intervals))
+    constraints = Constraints.of(table, bounds, priors)
+    return estimated(model, summary, table, intervals_of(intervals), constraints)
 
 
 def estimated(
@@ -142,22 +154,27 @@ def estimated(
     summary: Summary,
     table: ParameterTable,
     intervals: AbstractIntervals,
+    constraints: Constraints | None = None,
 ) -> Estimate:
     """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
     equations, short = summary.equations(), summary.short_blocks
     window = jnp.asarray(summary.criterion.block_length)
+    if constraints is not None and not constraints.bounded and not constraints.with_prior:
+        constraints = None
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = intervals.drawn(short.number.shape[0])
-    given, modes = (summary.noise_freedom, short, window, table, drawn), None
+    data = _Data(equations, summary.noise_freedom, short, window)
+    given, modes = (table, drawn, constraints), None
     if not model.has_hidden:
-        fit = _solve(equations, *given)
+        fit, totals = _solve(data, *given)
     elif table.per_record:
         raise ModelError("per_record has no meaning yet for a model with hidden elements.")
     else:
         from riecjax.estimation.hidden_modes import find_modes
 
         modes, other = (find_modes(model, summary, table.known, rank) for rank in (0, 1))
-        fit, beside = (_solve(found.equations, *given) for found in (modes, other))
+        each = (data._replace(equations=found.equations) for found in (modes, other))
+        (fit, totals), (beside, _) = (_solve(of_shapes, *given) for of_shapes in each)
         # Which lengths tell most of hidden elements is a choice among nearly equals, and what the
         # model and its integrals leave out weighs differently in each. As in an average over models
         # (Buckland, Burnham and Augustin 1997), what the choice moves is part of the variance. It
@@ -168,19 +185,21 @@ def estimated(
         weight = jnp.minimum(mine / jnp.where(its > 0, its, jnp.inf), 1.0)
         apart = jnp.sqrt(weight) * (jnp.asarray(beside.theta) - fit.theta)
         apart = jnp.where(other.shown & jnp.all(jnp.isfinite(apart)), apart, 0.0)
-        fit = fit._replace(uncertainty=fit.uncertainty.widened(apart[:, None] * apart[None, :]))
+        uncertainty = fit.uncertainty.widened(apart[:, None] * apart[None, :])
+        fit = dataclasses.replace(fit, uncertainty=uncertainty)
     if is_concrete(fit.stages):
-        raise_if_nothing_to_fit(table, fit.totals)
+        raise_if_nothing_to_fit(table, totals)
         # Sums that were made under jit have no constant to tell means from motion by.
         with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
         if with_constant and modes is None:
-            for finding in constant_targets(model, table, summary):
+            told = told_by_data(table, fit.theta, fit.at_bound, fit.uncertainty)
+            for finding in constant_targets(model, told, summary):
                 raise IdentifiabilityError(finding.message, finding.code)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         condition = max(float(stage.solution.condition_number) for stage in fit.stages)
         poor = modes is None and condition > gram_condition_limit(window.dtype)
         if poor and (rows := _rows(summary, equations, table)):
-            fit = _solve(equations, *given, rows)
+            fit, _ = _solve(data._replace(rows=rows), *given)
         raise_if_unidentifiable(fit.stages, table)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
@@ -188,74 +207,85 @@ def estimated(
     if modes is not None:
         whole = [band is None and all_of_law for band, all_of_law in zip(modes.bands, whole)]
     each = [len(of) if known else np.nan for of, known in zip(model.stages, whole)]
-    return Estimate(
-        theta=fit.theta,
-        uncertainty=fit.uncertainty,
-        naive=fit.naive,
-        inflation=fit.inflation,
-        stages=tuple(fit.stages),
+    return dataclasses.replace(
+        fit,
         table=table,
         criterion=summary.criterion,
         stage_names=tuple(table.stages[stage.stage][0] for stage in fit.stages),
         equation_names=tuple(model.equation_names[stage.stage] for stage in fit.stages),
-        block_count=fit.block_count,
-        block_length=fit.block_length,
         rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
         summary=summary if is_concrete(fit.stages, summary) else None,
     )
 
 
-class _Fit(NamedTuple):
-    """What `Estimate` takes from a fit; and of each stage of the model, those that find nothing
-    included, the `totals` to refuse it by."""
+class _Data(NamedTuple):
+    """What recordings say: sums of each stage's `equations`, or `rows` in their place; `freedom` of
+    the variances of the noise's sources; `short` blocks of time, and the longest window in seconds.
+    """
 
-    theta: Float[Array, " p"]
-    stages: list[StageSolution]
-    uncertainty: Uncertainty
-    naive: Float[Array, " p"]
-    inflation: Float[Array, " p"]
-    block_count: Int[Array, ""]
-    block_length: Float[Array, ""]
-    totals: list[NormalEquations]
+    equations: list[list[NormalEquations]]
+    freedom: Float[Leaf, "records sources"]
+    short: ShortBlocks
+    longest_window: Float[Array, ""]
+    rows: list[Rows] | None = None
 
 
 @kept_jit
 def _solve(
-    equations: list[list[NormalEquations]],
-    freedom: Float[Leaf, "records sources"],
-    short: ShortBlocks,
-    longest_window: Float[Array, ""],
+    data: _Data,
     table: ParameterTable,
     intervals: AbstractIntervals,
-    rows: list[Rows] | None = None,
-) -> _Fit:
-    """The fit of sums of each stage's equations.
-
-    **Arguments:** `freedom` of the variances of the noise's sources; `short` blocks of time, and
-    the longest window in seconds.
-    """
-    equations = [[borne_out(equation) for equation in stage] for stage in equations]
-    known = table.known
+    constraints: Constraints | None,
+) -> tuple[Estimate, list[NormalEquations]]:
+    """What recordings tell by themselves; and of each stage of the model, those that find nothing
+    included, the totals to refuse it by."""
+    equations = [[borne_out(equation) for equation in stage] for stage in data.equations]
+    known, short, longest_window = table.known, data.short, data.longest_window
     stages, shared = stages_over_records(equations, table)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
-    solutions, values = solve_stages([stage.flattened() for stage in stages], known, rows, apart)
+    flat = [stage.flattened() for stage in stages]
+    weighing = constraints, short, longest_window
+    solutions, values = solve_stages(flat, known, data.rows, apart, *weighing)
+    totals = [stage.total() for stage in flat]
+    for solution in solutions:
+        stages[solution.stage] = solution.constrain(stages[solution.stage], values)
     # What belongs to one recording cannot differ between recordings.
     common = np.array([table[n].recording is None for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
         stages, known, values, short, longest_window, common, intervals
     )
-    uncertainty = uncertainty.widened(level_covariance(statistics, freedom))
+    uncertainty = uncertainty.widened(level_covariance(statistics, data.freedom))
+    naive = jnp.sqrt(jnp.diagonal(naive_covariance(statistics)))
+    theta = jnp.concatenate([stage.solution.theta for stage in solutions])
+    at_bound: Leaf = jnp.zeros(theta.shape, bool)
+    if constraints is not None:
+        information, at_bound = (
+            jnp.concatenate([jnp.asarray(getattr(stage, field)) for stage in solutions])
+            for field in ("information", "at_bound")
+        )
+        if constraints.with_prior:
+            whole = slope([stage.total() for stage in statistics.blocks], statistics.unknowns)
+            names = [name for stage in solutions for name in stage.parameters]
+            weight = constraints.on(names).prior_weight
+            uncertainty = uncertainty.with_priors(*scatter_of_priors(whole, information, weight))
+        # Nothing is said of the uncertainty of what is held.
+        naive = jnp.where(at_bound, jnp.nan, naive)
+        held = at_bound[:, None] | at_bound[None, :]
+        covariance = jnp.where(held, jnp.nan, uncertainty.covariance)
+        uncertainty = eqx.tree_at(lambda u: u.covariance, uncertainty, covariance)
     block_count = jnp.sum(statistics.used)
-    return _Fit(
-        jnp.concatenate([stage.solution.theta for stage in solutions]),
-        solutions,
-        uncertainty,
-        jnp.sqrt(jnp.diagonal(naive_covariance(statistics))),
-        inflation,
-        block_count,
-        jnp.sum(short.durations) / block_count,
-        [stage.flattened().total() for stage in stages],
+    fit = Estimate(
+        theta=theta,
+        uncertainty=uncertainty,
+        table=table,
+        inflation=inflation,
+        at_bound=at_bound,
+        block_count=block_count,
+        block_length=jnp.sum(short.durations) / block_count,
+        naive=naive,
+        stages=tuple(solutions),
     )
+    return fit, totals
 
 
 def _rows(

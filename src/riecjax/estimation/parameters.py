@@ -69,8 +69,8 @@ class Parameter(NamedTuple):
 class ParameterTable(eqx.Module):
     """The parameters of a model over several recordings.
 
-    Bounds and priors are of one search among its free parameters, arrays that may be traced and in
-    its order: they stand in `Constraints` of `refinement`, made of this table.
+    Bounds and priors of its free parameters are arrays that may be traced, in their order: they
+    stand in [`Constraints`][riecjax.estimation.constraints.Constraints], made of this table.
 
     **Fields:** `rows`, one for each; `known` values of those that are held, by name; `stages`, the
     name of each and the parameters that it finds.
@@ -151,6 +151,14 @@ class ParameterTable(eqx.Module):
         """The table with these values known, and no others."""
         return ParameterTable(self.rows, dict(known), self.stages)
 
+    def settled(self, values: Mapping[str, Any]) -> "ParameterTable":
+        """The table with these values known as well, which no stage finds."""
+        stages = tuple(
+            (label, tuple(name for name in names if name not in values))
+            for label, names in self.stages
+        )
+        return ParameterTable(self.rows, {**self.known, **values}, stages)
+
     def concerned(self, names: Iterable[str]) -> set[str]:
         """Names of the free parameters that are among some, by name or by what the model calls
         them: `offset[1]` is offset's, and named by it."""
@@ -188,6 +196,10 @@ class ParameterTable(eqx.Module):
     def values_of(self, values: Mapping[str, Value], index: int) -> dict[str, Value]:
         """Of values by name over all recordings, those of one as it calls them."""
         return {row.local: values[row.name] for row in self.of_recording(index)}
+
+    def values_at(self, theta: Sequence[Any] | Leaf, index: int) -> dict[str, Any]:
+        """Every parameter's value with these of the free ones, as one recording calls it."""
+        return self.values_of({**self.known, **dict(zip(self.free, theta))}, index)
 
 
 def values_in_recording(

@@ -9,16 +9,24 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.model import Model
+from riecjax.estimation.constraints import (
+    Constraints,
+    diagonal_block,
+    prior_curvature,
+    sides_of_bounds,
+    spread,
+)
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, namespace
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import (
     NormalEquations,
+    ShortBlocks,
     stack_normal_equations,
     sum_of_equations,
 )
@@ -135,7 +143,8 @@ class StageSolution(eqx.Module):
     **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
     the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
     per unit of its parameter, and where it acts if that is in bursts; `equations`, what is left of
-    each; `parameters` found here; `stage` its place in the model.
+    each; `parameters` found here; `stage` its place in the model; of constraints, `information`,
+    what priors add to the curvature, and which are `at_bound`, `None` where there are none.
     """
 
     solution: Solution
@@ -146,6 +155,70 @@ class StageSolution(eqx.Module):
     equations: tuple[EquationFit, ...]
     parameters: tuple[str, ...] = eqx.field(static=True)
     stage: int = eqx.field(static=True)
+    information: Float[Array, " p"] | None = eqx.field(default=None, kw_only=True)
+    at_bound: Bool[Array, " p"] | None = eqx.field(default=None, kw_only=True)
+
+    def constrain(self, blocks: NormalEquations, values: Mapping[str, Array]) -> NormalEquations:
+        """Blocks of the stage with what priors and bounds add, so that scores add up to zero.
+
+        Of what is held nothing is left but its value.
+        """
+        if self.information is None or self.at_bound is None:
+            return blocks
+        names = blocks.parameters
+        place = np.array([names.index(name) for name in self.parameters])
+        at = jnp.stack([jnp.asarray(values[name]) for name in names])
+        held = jnp.zeros(len(names), bool).at[place].set(self.at_bound)
+        curvature = jnp.zeros_like(at).at[place].set(self.information)
+        mix = _holding(held, at)
+        blocks = blocks.in_columns(lambda matrix: mix @ matrix @ mix.T, names)
+        total = blocks.flattened().total()
+        curvature = jnp.where(held, 1.0, curvature)
+        pull = jnp.where(curvature > 0, curvature * at - (total.moment - total.gram @ at), 0.0)
+        energy = 2 * pull @ at - curvature @ at**2
+        return spread(blocks, diagonal_block(names, curvature, pull, energy))
+
+
+def _holding(
+    held: Bool[Array, " p"], values: Float[Array, " p"]
+) -> Float[Array, "columns columns"]:
+    """What makes columns of what is held zero, and joins them at these values to the target."""
+    target = jnp.concatenate([jnp.ones(1, values.dtype), -jnp.where(held, values, 0.0)])
+    return jnp.diag(jnp.pad(jnp.where(held, 0.0, 1.0), (1, 0))).at[0].set(target)
+
+
+def _constrained(
+    equations: NormalEquations,
+    rows: Rows | None,
+    limits: Constraints,
+    information: Float[Array, " p"],
+) -> tuple[Solution, Bool[Array, " p"]]:
+    """The solution with priors and within bounds, and which parameters are held at one.
+
+    Rank and conditioning are those without bounds, which tell nothing apart.
+    """
+    names = equations.parameters
+
+    def solved(held: Array, values: Array, curvature: Array, moment: Array) -> Solution:
+        mix, block = _holding(held, values), diagonal_block(names, curvature, moment)
+        if rows is None:
+            return solve(equations.in_columns(lambda m: mix @ m @ mix.T, names) + block)
+        root = jnp.sqrt(curvature)
+        further = jnp.where(root > 0, moment / jnp.where(root > 0, root, 1.0), 0.0)
+        further = jnp.concatenate([further[None], jnp.diag(root)])
+        columns = jnp.concatenate([mix @ rows.columns, further], axis=1)
+        return solve_rows(Rows(columns, jnp.arange(columns.shape[1]), names))
+
+    held, moment = jnp.zeros(len(names), bool), information * limits.prior_mean
+    solution = solved(held, moment, information, moment)
+    if limits.bounded:
+        side = sides_of_bounds(equations + diagonal_block(names, information, moment), limits)
+        held, bound = side != 0, jnp.where(side < 0, limits.lower, limits.upper)
+        curvature, moment = jnp.where(held, 1.0, information), jnp.where(held, bound, moment)
+        theta = jnp.where(held, bound, solved(held, bound, curvature, moment).theta)
+        theta = jnp.clip(theta, limits.lower, limits.upper)
+        solution = dataclasses.replace(solution, theta=theta)
+    return solution, held
 
 
 def solve_stages(
@@ -153,26 +226,53 @@ def solve_stages(
     known: Mapping[str, Array],
     rows: list[Rows] | None = None,
     apart: list[list[NormalEquations]] | None = None,
+    constraints: Constraints | None = None,
+    short: ShortBlocks | None = None,
+    longest_window: Float[Array, ""] | float = 0.0,
 ) -> tuple[list[StageSolution], dict[str, Array]]:
     """Solve each stage's normal equations (blocks along the leading axis) in turn.
 
     Given `rows`, they are solved instead of the Gram matrices, which is slower and more accurate.
-    Of a stage of several equations what each leaves is told if they are given `apart`.
+    Of a stage of several equations what each leaves is told if they are given `apart`. Priors of
+    `constraints` are weighed by `short` blocks of all records, which are then the leading axis.
 
     **Returns:** what each finds, and every parameter by name, what is known among them.
     """
     found = dict(known)
-    solutions = []
+    solutions: list[StageSolution] = []
+    informed: list[NormalEquations] = []
     for i, blocks in enumerate(stages):
         equations = blocks.total().fix(found)
+        informed.append(blocks)
         if not equations.parameters:
             continue
-        solution = solve(equations) if rows is None else solve_rows(rows[i].fix(found))
-        before = found
+        of_stage = None if rows is None else rows[i].fix(found)
+        solution = solve(equations) if of_stage is None else solve_rows(of_stage)
+        before, information, held = found, None, None
+        if constraints is not None:
+            limits = constraints.on(equations.parameters)
+            information = jnp.zeros_like(solution.theta)
+            if limits.with_prior:
+                assert short is not None
+                earlier = [s.information for s in solutions if s.information is not None]
+                every = [name for s in solutions for name in s.parameters]
+                information = prior_curvature(
+                    informed,
+                    known,
+                    found | dict(zip(limits.names, solution.theta)),
+                    jnp.asarray(constraints.on([*every, *limits.names]).prior_weight),
+                    jnp.concatenate([*earlier, jnp.zeros(0)]),
+                    short,
+                    longest_window,
+                )
+            solution, held = _constrained(equations, of_stage, limits, information)
+            information = jnp.where(held, 0.0, information)
         found = found | dict(zip(equations.parameters, solution.theta))
         whole = _fit(equations, solution.theta, equations.energy)
         several = apart[i] if apart else []
         fits = [_fit_of_part(part.total(), equations, before, found) for part in several]
+        curvature = jnp.diagonal(equations.gram)
+        curvature = curvature if information is None else curvature + information
         reference = jnp.where(equations.energy > 0, equations.energy, 1.0)
         solutions.append(
             StageSolution(
@@ -180,12 +280,15 @@ def solve_stages(
                 whole.relative_rms,
                 whole.residual_rms,
                 equations.count,
-                jnp.sqrt(jnp.diagonal(equations.gram) / reference),
+                jnp.sqrt(curvature / reference),
                 tuple(fits) or (whole,),
                 equations.parameters,
                 i,
+                information=information,
+                at_bound=held,
             )
         )
+        informed[-1] = solutions[-1].constrain(blocks, found)
     return solutions, found
 
 

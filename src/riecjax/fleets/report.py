@@ -16,6 +16,7 @@ from riecjax.extensions import require_packages
 from riecjax.fleets.groups import Entry
 from riecjax.fleets.order import DONE, Row
 from riecjax.fleets.spread import ALARMS, RATE, Change, Spread, changes, spreads
+from riecjax.leaves import told
 from riecjax.reporting import (
     SCHEMA,
     Document,
@@ -29,7 +30,6 @@ from riecjax.reporting import (
     print_table,
     probability,
     say,
-    told,
     versions,
 )
 from riecjax.reporting.charts import Axis, Chart, Dots, Level, Line, Panel, in_rows, labelled

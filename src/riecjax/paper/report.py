@@ -7,6 +7,7 @@ import numpy as np
 from rich.console import Console
 
 from riecjax.findings import Finding
+from riecjax.leaves import finite, told
 from riecjax.models.quarter_car import SPRING_RATE, quarter_car_source, reconstructed
 from riecjax.paper.claims import Claim
 from riecjax.paper.published import CRITERIA, TABLE_2, TABLE_6, VARIANTS, PublishedMode
@@ -18,12 +19,10 @@ from riecjax.reporting import (
     Page,
     Section,
     Table,
-    finite,
     in_rich,
     number,
     print_table,
     say,
-    told,
     versions,
 )
 

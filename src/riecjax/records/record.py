@@ -5,7 +5,7 @@ import functools
 import os
 from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import equinox as eqx
 import jax
@@ -18,10 +18,15 @@ from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.signal import Noise, Signal, SignalNoise, both
 from riecjax.records.time_base import time_base
-from riecjax.shows import Drawn, reported
+from riecjax.shows import Drawn
 
-if TYPE_CHECKING:
-    from riecjax.records.linear_op import LinearOp
+
+class Operation(Protocol):
+    """What makes signals of a record's: a [`LinearOp`][riecjax.records.LinearOp]."""
+
+    def carry_out(self, ops: Mapping[str, Any], record: "Record") -> "Record":
+        """The record with what operations of one time base make, by the signal that each makes."""
+        ...
 
 
 class Signals(UserDict[str, Array]):
@@ -237,7 +242,11 @@ class Record(Drawn, eqx.Module):
 
         **Raises:** `DataError` if pandas is not installed.
         """
-        return reported("exports", "to_frame", self)
+        require_packages("frame")
+        import pandas
+
+        columns = {name: signal.with_nan for name, signal in self.by_name.items()}
+        return pandas.DataFrame(columns, index=pandas.Index(np.asarray(self.time), name="t"))
 
     def present(self, names: Iterable[str]) -> Bool[Array, " n"] | None:
         """True where none of these signals lacks its sample; `None` where none ever does."""
@@ -255,7 +264,7 @@ class Record(Drawn, eqx.Module):
         given = {n: _signal(n, samples, units.get(n, "")) for n, samples in signals.items()}
         return dataclasses.replace(self, by_name={**self.by_name, **given})
 
-    def through(self, op: "LinearOp | Mapping[str, LinearOp]", *names: str) -> "Record":
+    def through(self, op: Operation | Mapping[str, Operation], *names: str) -> "Record":
         """A record with what operations make of its signals: values, gaps, noise and unit.
 
         Not under jit.

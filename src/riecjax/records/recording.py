@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -85,14 +85,17 @@ class Recording(Drawn):
 
 
 @contextlib.contextmanager
-def explaining_errors(recordings: Sequence[Recording]) -> Iterator[None]:
-    """Say of an absent signal which recording lacks it, and why."""
+def explaining_errors(
+    recordings: Sequence[Recording], is_state: Callable[[str], bool] = lambda name: False
+) -> Iterator[None]:
+    """Say of an absent signal which recording lacks it, and why; and whether it is a state."""
     try:
         yield
     except MissingSignalError as error:
         lacking = [one for one in recordings if error.signal not in one.record.arrays]
         with lacking[0].explaining_errors() if lacking else contextlib.nullcontext():
-            raise
+            told = error.signal, error.available, error.derivative_of
+            raise MissingSignalError(*told, is_state(error.signal)) from None
 
 
 def as_recordings(records: Records) -> list[Recording]:

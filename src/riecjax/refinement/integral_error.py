@@ -28,6 +28,7 @@ by the parameters as signals. So every criterion, all windows in closed form amo
 equations that are not linear: refinement expands, solves, and expands again.
 """
 
+import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
@@ -46,24 +47,21 @@ from riecjax.equations.term import Term, combined, samples_of
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import all_normal_equations
+from riecjax.leaves import as_leaf
 from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
-    AbstractMisfit,
     AbstractObjective,
     AbstractParametric,
-    ByFields,
+    AbstractResiduals,
     ByFunction,
     Energies,
     Expansion,
     Initial,
-    Specification,
     Theta,
     Values,
+    by_fields,
 )
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
-
-Levels = dict[int, Signal]
-"""Samples of what is left to be differentiated so many times."""
 
 
 class AbstractBalance(eqx.Module):
@@ -117,103 +115,56 @@ class AbstractBalance(eqx.Module):
         return None
 
 
-class ParametricBalance(eqx.Module):
-    """An equation of motion for every value of its parameters.
+def expanded(
+    model: AbstractParametric, record: Record, values: Values, free: Sequence[str], smoothness: int
+) -> tuple[Equation, Record]:
+    """First-order expansion about `values` of an equation of motion, for a criterion that takes so
+    many derivatives off.
 
-    **Fields:** `model`, an `Equation`, or something that builds one or an `AbstractBalance`.
+    **Returns:** an equation whose coefficients are the changes of the `free` parameters, and the
+    record with the signals that it reads, whose names begin with `~`.
+
+    **Raises:** `DataError` for a missing signal, or a derivative that is neither recorded nor taken
+    off; `ModelError` for a balance that holds nothing or fails.
     """
+    held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in model.parameters}
+    levels = _levels(model, record, held, smoothness)
+    name, unit, where = _label(model, held)
+    # The error is the equation's target, so that its rows are those of [r, dr/dtheta].
+    parts: list[tuple[float | str, str, int, Any]] = [
+        (-1.0, f"~:{order}", order, level.values) for order, level in levels.items()
+    ]
+    for parameter in (name for name in model.parameters if name in free):
+        along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
+        _, slopes = jax.jvp(
+            lambda at: {
+                k: level.values for k, level in _levels(model, record, at, smoothness).items()
+            },
+            (held,),
+            (along,),
+        )
+        parts += [(parameter, f"~:{k}/{parameter}", k, slope) for k, slope in slopes.items()]
+    present = combined(lambda *values: values[0], *levels.values()).present
+    signals = {name: Signal(values, present) for _, name, _, values in parts}
+    terms = [Term(coefficient, name, derivative=k) for coefficient, name, k, _ in parts]
+    equation = Equation(*terms, name=name, unit=unit, where=where)
+    return equation, record.with_signals(signals)
 
-    model: Equation | AbstractParametric
 
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of its parameters."""
-        return self.model.parameters
+def _label(model: AbstractParametric, values: Values) -> tuple[str, str, Any]:
+    """Name and unit of an equation, and where it is to be trusted."""
+    built = model.build(values)
+    where = built.where if isinstance(built, Equation) else type(built).where
+    return built.name, built.unit, where
 
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of its parameters."""
-        return self.model.units
 
-    @property
-    def defaults(self) -> Values:
-        """Values that it carries already."""
-        if isinstance(self.model, Equation):
-            return {name: jnp.asarray(value) for name, value in self.model.known.items()}
-        return self.model.defaults
-
-    def expanded(
-        self, record: Record, values: Values, free: Sequence[str], smoothness: int
-    ) -> tuple[Equation, Record]:
-        """First-order expansion about `values`, for a criterion that takes derivatives off.
-
-        **Returns:** an equation whose coefficients are the changes of the `free` parameters, and
-        the record with the signals that it reads, whose names begin with `~`.
-
-        **Raises:** `DataError` for a missing signal, or a derivative that is neither recorded nor
-        taken off; `ModelError` for a balance that holds nothing or fails.
-        """
-        held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in self.parameters}
-        levels = self._levels(record, held, smoothness)
-        name, unit, where = self.label(held)
-        # The error is the equation's target, so that its rows are those of [r, dr/dtheta].
-        parts: list[tuple[float | str, str, int, Any]] = [
-            (-1.0, f"~:{order}", order, level.values) for order, level in levels.items()
-        ]
-        for parameter in (name for name in self.parameters if name in free):
-            along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
-            _, slopes = jax.jvp(
-                lambda at: {k: v.values for k, v in self._levels(record, at, smoothness).items()},
-                (held,),
-                (along,),
-            )
-            parts += [(parameter, f"~:{k}/{parameter}", k, slope) for k, slope in slopes.items()]
-        present = combined(lambda *values: values[0], *levels.values()).present
-        signals = {name: Signal(values, present) for _, name, _, values in parts}
-        terms = [Term(coefficient, name, derivative=k) for coefficient, name, k, _ in parts]
-        equation = Equation(*terms, name=name, unit=unit, where=where)
-        return equation, record.with_signals(signals)
-
-    def label(self, values: Values) -> tuple[str, str, Callable[[Signals], Array] | None]:
-        """Name and unit of the equation, and where it is to be trusted."""
-        built = self._built(values)
-        where = built.where if isinstance(built, Equation) else type(built).where
-        return built.name, built.unit, where
-
-    def _built(self, values: Values) -> Equation | AbstractBalance:
-        return self.model if isinstance(self.model, Equation) else self.model.build(values)
-
-    def _levels(self, record: Record, values: Values, smoothness: int) -> Levels:
-        levels: Levels = {}
-        balance = self._built(values)
-        if not isinstance(balance, Equation):
-            timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
-            signals = timed.signals
-            for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
-                with users_code(f"{balance.name}.{part.__name__}"):
-                    level = part(signals)
-                if level is None:
-                    continue
-                level = jnp.asarray(level, record.time_step.dtype)
-                if level.shape not in ((), (record.sample_count,)):
-                    raise ModelError(
-                        f"{balance.name}.{part.__name__} must return one number for each of the "
-                        f"{record.sample_count} samples; it returned shape {level.shape}."
-                    )
-                levels[order] = Signal(jnp.broadcast_to(level, (record.sample_count,)))
-            if not levels:
-                raise ModelError(
-                    f"{balance.name}: a balance needs a force, a momentum or a first moment."
-                )
-            if max(levels) > smoothness:
-                raise DataError(
-                    f"{balance.name}: this criterion takes {smoothness} time derivative(s) off the "
-                    f"motion, and the balance needs {max(levels)}. Use windows that need no "
-                    f"derivative, rx.Hat(), or write its inertia as a momentum of a recorded "
-                    f"velocity."
-                )
-            present = record.present(signals.read)
-            return {order: Signal(level.values, present) for order, level in levels.items()}
+def _levels(
+    model: AbstractParametric, record: Record, values: Values, smoothness: int
+) -> dict[int, Signal]:
+    """Samples of what is left to be differentiated so many times."""
+    levels: dict[int, Signal] = {}
+    balance = model.build(values)
+    if isinstance(balance, Equation):
         for term in balance.terms:
             # As criteria read it: derivatives that the test function cannot take off are recorded.
             read = max(term.derivative - smoothness, 0)
@@ -226,13 +177,37 @@ class ParametricBalance(eqx.Module):
             before = levels.get(order)
             levels[order] = level if before is None else combined(operator.add, before, level)
         return levels
+    timed = record if "t" in record.arrays else record.with_signals({"t": record.time})
+    signals = timed.signals
+    for order, part in enumerate((balance.force, balance.momentum, balance.first_moment)):
+        with users_code(f"{balance.name}.{part.__name__}"):
+            level = part(signals)
+        if level is None:
+            continue
+        level = jnp.asarray(level, record.time_step.dtype)
+        if level.shape not in ((), (record.sample_count,)):
+            raise ModelError(
+                f"{balance.name}.{part.__name__} must return one number for each of the "
+                f"{record.sample_count} samples; it returned shape {level.shape}."
+            )
+        levels[order] = Signal(jnp.broadcast_to(level, (record.sample_count,)))
+    if not levels:
+        raise ModelError(f"{balance.name}: a balance needs a force, a momentum or a first moment.")
+    if max(levels) > smoothness:
+        raise DataError(
+            f"{balance.name}: this criterion takes {smoothness} time derivative(s) off the motion, "
+            f"and the balance needs {max(levels)}. Use windows that need no derivative, rx.Hat(), "
+            f"or write its inertia as a momentum of a recorded velocity."
+        )
+    present = record.present(signals.read)
+    return {order: Signal(level.values, present) for order, level in levels.items()}
 
 
 Balances = Equation | Model | AbstractBalance | AbstractParametric | Sequence["Balances"]
 """What equation errors can be formed of: one equation of motion or several."""
 
 
-def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
+def as_balances(model: Balances) -> tuple[AbstractParametric, ...]:
     """Every equation of motion behind a model, for every value of its parameters.
 
     **Raises:** `ModelError` for something that holds none, or hidden elements.
@@ -240,16 +215,18 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
     if not isinstance(model, list | tuple):
         require_no_slip(model)
     if isinstance(model, AbstractBalance):
-        return (ParametricBalance(ByFields(model)),)
-    if isinstance(model, Equation | AbstractParametric):
-        return (ParametricBalance(model),)
+        return (by_fields(model),)
+    if isinstance(model, AbstractParametric):
+        return (model,)
+    if isinstance(model, Equation):
+        return (_by_terms(model),)
     if isinstance(model, Model):
         if model.has_hidden:
             raise ModelError(
                 "hidden modes and springs have states of their own, which no integral of the "
                 "equations shows: refine by rx.OutputError()."
             )
-        return tuple(map(ParametricBalance, model.equations))
+        return tuple(map(_by_terms, model.equations))
     if isinstance(model, Sequence):
         return tuple(balance for part in model for balance in as_balances(part))
     raise ModelError(
@@ -258,17 +235,29 @@ def as_balances(model: Balances) -> tuple[ParametricBalance, ...]:
     )
 
 
-class IntegralMisfit(AbstractMisfit):
+def _by_terms(equation: Equation) -> ByFunction:
+    """An equation that is linear in its parameters: the same whatever these are."""
+    units, known = tuple(equation.units.items()), map(as_leaf, equation.known.values())
+    defaults = dict(zip(equation.known, known))
+    return ByFunction(_itself, equation.parameters, units, defaults, equation)
+
+
+def _itself(equation: Equation, values: Values) -> Equation:
+    return equation
+
+
+class IntegralResiduals(AbstractResiduals):
     """Impulses of the equation error over all windows of all records.
 
     `labels` are the equations; `units` theirs, times seconds for each integration.
     """
 
-    balances: tuple[ParametricBalance, ...]
+    models: tuple[AbstractParametric, ...]
     records: list[Record]
     criterion: AbstractCriterion
     keys: list[Key[Array, ""] | None]
     table: ParameterTable
+    start: Theta
     count: Float[Array, " equations"]
     longest_window: Float[Array, ""]
     labels: tuple[str, ...] = eqx.field(static=True)
@@ -293,41 +282,39 @@ class IntegralMisfit(AbstractMisfit):
         """As many as disjoint windows of the greatest length."""
         short = short_blocks(self.records, self.criterion)
         window = jnp.maximum(self.longest_window, jnp.min(short.seconds))
-        return len(self.balances) * jnp.sum(short.durations) / window
+        return len(self.models) * jnp.sum(short.durations) / window
 
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """By blocks of the windows' starts."""
-        short = short_blocks(self.records, self.criterion)
-        most = expansion.pieces[0].shape[1] // len(self.records)
         (pieces,) = expansion.pieces
         # A change of the parameters is to take the error off.
         moments = pieces.at[..., 0, 1:].multiply(-1.0).at[..., 1:, 0].multiply(-1.0)
-        moments = moments.reshape(len(self.records), most, *pieces.shape[2:])
-        share = jnp.sum(self.count) / (len(self.records) * most)
-        count = jnp.full(moments.shape[:2], share)
-        return NormalEquations(moments, count, self.names), short
+        moments = moments.reshape(len(self.records), -1, *pieces.shape[2:])
+        count = jnp.full(moments.shape[:2], jnp.sum(self.count) / math.prod(moments.shape[:2]))
+        short = short_blocks(self.records, self.criterion)
+        return NormalEquations(moments, count, self.table.free), short
 
     def _equations(self, theta: Theta) -> list[NormalEquations]:
         """Of each equation, in the changes of the parameters."""
-        of_record = [self.of_record(theta, i) for i in range(len(self.records))]
-        free = self.table.free_somewhere
-        found = []
-        for balance in self.balances:
-            expanded = [
-                balance.expanded(record, own, free, self.criterion.smoothness)
-                for record, own in zip(self.records, of_record)
+        known = [self.table.values_at(theta, i) for i in range(len(self.records))]
+        names, free = self.table.free, self.table.free_somewhere
+        every = []
+        for model in self.models:
+            expansions = [
+                expanded(model, record, values, free, self.criterion.smoothness)
+                for record, values in zip(self.records, known)
             ]
             (equations,) = all_normal_equations(
-                Model(stages=((expanded[0][0],),)),
+                Model(stages=((expansions[0][0],),)),
                 self.table,
-                [record for _, record in expanded],
+                [record for _, record in expansions],
                 self.criterion,
                 self.keys,
             )
             # What is free in some record may be fixed in another: it does not change.
-            fixed = {n: jnp.zeros(()) for n in equations.parameters if n not in self.names}
-            found.append(equations.fix(fixed).embed(self.names))
-        return found
+            fixed = {name: jnp.zeros(()) for name in equations.parameters if name not in names}
+            every.append(equations.fix(fixed).embed(names))
+        return every
 
 
 class IntegralError(AbstractObjective):
@@ -341,51 +328,52 @@ class IntegralError(AbstractObjective):
 
     criterion: AbstractCriterion | None = None
 
-    @property
-    def _criterion(self) -> AbstractCriterion:
-        return RIEC.of_band(DEFAULT_BAND) if self.criterion is None else self.criterion
-
-    @property
-    def needs_key(self) -> bool:
-        """Whether windows are drawn at random."""
-        return self._criterion.needs_key
-
     def suited(self, model: Any) -> "IntegralError":
         """With windows for the model's band, unless others were asked for."""
         band = getattr(model, "band", None) or DEFAULT_BAND
         return IntegralError(RIEC.of_band(band)) if self.criterion is None else self
 
-    def parametric(self, model: Any, record: Record) -> tuple[ParametricBalance, ...]:
+    def models(self, model: Any, record: Record) -> tuple[AbstractParametric, ...]:
         """The equations of motion.
 
         **Raises:** `ModelError` for a function that does not name its parameters.
         """
-        balances = as_balances(model)
-        if any(isinstance(b.model, ByFunction) and not b.parameters for b in balances):
+        models = as_balances(model)
+        if any(isinstance(m, ByFunction) and m.held is None and not m.names for m in models):
             raise ModelError(
                 "a function that builds a balance needs the names of its parameters, by which its "
                 "equation is expanded: rx.refinement.ByFunction(function, names=('M', 'K'))."
             )
-        return balances
+        return models
 
-    def misfit(self, specified: Specification) -> IntegralMisfit:
+    def over(
+        self,
+        models: Sequence[AbstractParametric],
+        records: list[Record],
+        table: ParameterTable,
+        start: Theta,
+        keys: list[Key[Array, ""] | None],
+    ) -> IntegralResiduals:
         """Over all windows of the criterion."""
-        for record in specified.records:
-            self._criterion.check(record)
-        criterion = self._criterion.fitted(specified.records)
-        free = set(specified.table.free_somewhere)
+        criterion = self._criterion
+        if criterion.needs_key and keys[0] is None:
+            raise ModelError("random windows need a key: key=jax.random.key(seed).")
+        for record in records:
+            criterion.check(record)
+        criterion = criterion.fitted(records)
+        free = {*table.free_somewhere}
         # An equation without free parameters would only add a constant.
-        chosen = tuple(balance for balance in specified.model if free & {*balance.parameters})
-        labels = [balance.label(specified.values) for balance in chosen]
-        rows = [
-            [criterion.row_count(record) or 0.0 for record in specified.records] for _ in chosen
-        ]
-        return IntegralMisfit(
-            balances=chosen,
-            records=specified.records,
+        models = tuple(model for model in models if free & {*model.parameters})
+        values = table.values_at(start, 0)
+        labels = [_label(model, values) for model in models]
+        rows = [[criterion.row_count(record) or 0.0 for record in records] for _ in models]
+        return IntegralResiduals(
+            models=models,
+            records=records,
             criterion=criterion,
-            keys=specified.keys,
-            table=specified.table,
+            keys=keys,
+            table=table,
+            start=start,
             count=np.array(rows).sum(axis=1),
             longest_window=jnp.asarray(criterion.block_length),
             labels=told_apart([name for name, *_ in labels]),
@@ -395,3 +383,7 @@ class IntegralError(AbstractObjective):
     def describe(self) -> dict[str, object]:
         """Name and settings."""
         return {"refine": "integral", **self._criterion.describe()}
+
+    @property
+    def _criterion(self) -> AbstractCriterion:
+        return RIEC.of_band(DEFAULT_BAND) if self.criterion is None else self.criterion

@@ -1,4 +1,4 @@
-"""What a refinement makes small: a sum of squares over windows, as it was asked for and at a point.
+"""Models for every value of their parameters, and the residuals that a refinement makes small.
 
 A refinement varies parameters theta and, where a model is simulated, the initial states s of each
 window. Whatever it compares, it is minimised through the same few quantities: the residuals r in
@@ -6,13 +6,11 @@ units of their errors, and their derivatives, as moments [r r_theta r_s]^T [r r_
 pieces of time. Summed over a window they give a Gauss-Newton step (see `optimum`); summed over
 blocks of time, the scores whose scatter is the uncertainty of theta. They are of the size of the
 unknowns, however long the record.
-
-Models for every value of their parameters: what refinement varies.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -25,9 +23,9 @@ from riecjax.equations.equation_system import EquationSystem
 from riecjax.equations.model import Model, as_model, equation_system, require_no_slip
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError
-from riecjax.estimation.estimate import AbstractEstimate
+from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
-from riecjax.leaves import Leaf, as_leaf, is_concrete
+from riecjax.leaves import Leaf, as_leaf, namespace
 from riecjax.records.record import Record
 from riecjax.simulation.system import AbstractSystem
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
@@ -66,12 +64,18 @@ class AbstractParametric(eqx.Module):
 
 
 class ByFunction(AbstractParametric):
-    """A function of the parameters by name that returns the model."""
+    """A function of the parameters by name that returns the model.
 
-    function: Callable[[Values], Any] = eqx.field(static=True)
+    **Fields:** `function`; `names` of the parameters, if they are known, pairs of name and unit,
+    and `default_values`; `held`, what the function takes before the values, if it is not `None`:
+    arrays that a closure would compile in.
+    """
+
+    function: Callable[..., Any] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True, default=())
     unit_pairs: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
-    default_values: dict[str, float] = eqx.field(default_factory=dict)
+    default_values: Mapping[str, Leaf | float] = eqx.field(default_factory=dict)
+    held: Any = None
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -90,88 +94,46 @@ class ByFunction(AbstractParametric):
 
     def build(self, values: Values) -> Any:
         """What the function returns."""
-        return self.function(values)
+        return self.function(values) if self.held is None else self.function(self.held, values)
 
 
-class ByFields(AbstractParametric):
+def by_fields(module: eqx.Module) -> ByFunction:
     """A module whose scalar fields are its parameters, by their path: `mount.rate`.
 
     Of an array, every entry is one: `F[0]`, `F[1]`. A class may give units by path in `units`.
     """
+    leaves = jax.tree.leaves(module)
+    defaults = {
+        name: jnp.asarray(leaves[place] if entry is None else leaves[place][entry])
+        for name, place, entry in _entries(module)
+    }
+    units = tuple(getattr(module, "units", {}).items())
+    return ByFunction(_with_fields, tuple(defaults), units, defaults, module)
 
-    module: eqx.Module
 
-    @property
-    def _paths(self) -> dict[str, tuple[int, tuple[int, ...] | None]]:
-        """Name to the place of the leaf, and the entry of an array."""
-        found: dict[str, tuple[int, tuple[int, ...] | None]] = {}
-        leaves = jax.tree_util.tree_leaves_with_path(self.module)
-        for place, (path, leaf) in enumerate(leaves):
-            name = jax.tree_util.keystr(path, simple=True, separator=".")
-            if not (eqx.is_inexact_array(leaf) or isinstance(leaf, float)):
-                continue
+def _entries(module: eqx.Module) -> Iterator[tuple[str, int, tuple[int, ...] | None]]:
+    """Paths of all numbers in a module, with the place of the leaf and the entry of an array."""
+    leaves = jax.tree_util.tree_leaves_with_path(module)
+    for place, (path, leaf) in enumerate(leaves):
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        if eqx.is_inexact_array(leaf) or isinstance(leaf, float):
             for entry in np.ndindex(np.shape(leaf)):
-                label = "".join(f"[{i}]" for i in entry)
-                found[name + label] = (place, entry or None)
-        return found
+                yield name + "".join(f"[{i}]" for i in entry), place, entry or None
 
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Paths of all numbers in the module."""
-        return tuple(self._paths)
 
-    @property
-    def defaults(self) -> Values:
-        """The module's own values."""
-        leaves = jax.tree.leaves(self.module)
-        return {
-            name: jnp.asarray(leaves[place] if entry is None else leaves[place][entry])
-            for name, (place, entry) in self._paths.items()
-        }
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """The class's `units`, if it has any."""
-        return getattr(self.module, "units", {})
-
-    def build(self, values: Values) -> Any:
-        """The module with these values in their fields."""
-        leaves, structure = jax.tree.flatten(self.module)
-        for name, (place, entry) in self._paths.items():
-            if name not in values:
-                continue
+def _with_fields(module: eqx.Module, values: Values) -> Any:
+    leaves, structure = jax.tree.flatten(module)
+    for name, place, entry in _entries(module):
+        if name in values:
             leaf = jnp.asarray(leaves[place], jnp.result_type(float))
             value = jnp.asarray(values[name], leaf.dtype)
             leaves[place] = value if entry is None else leaf.at[entry].set(value)
-        return jax.tree.unflatten(structure, leaves)
+    return jax.tree.unflatten(structure, leaves)
 
 
-class ByCoefficients(AbstractParametric):
-    """The system of equations that are linear in their coefficients, see [`equation_system`][]."""
-
-    system: EquationSystem
-    unit_pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    known: tuple[str, ...] = eqx.field(static=True)
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """The coefficients."""
-        return tuple(self.system.values)
-
-    @property
-    def defaults(self) -> Values:
-        """Values that the equations call known, and those to simulate with."""
-        return {name: self.system.values[name] for name in self.known}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Unit of each coefficient."""
-        return dict(self.unit_pairs)
-
-    def build(self, values: Values) -> Any:
-        """The system with these coefficients."""
-        given = {name: jnp.asarray(values[name]) for name in self.system.values if name in values}
-        return eqx.tree_at(lambda s: s.values, self.system, {**self.system.values, **given})
+def _with_coefficients(system: EquationSystem, values: Values) -> EquationSystem:
+    given = {name: jnp.asarray(values[name]) for name in system.values if name in values}
+    return eqx.tree_at(lambda s: s.values, system, {**system.values, **given})
 
 
 Simulated = (
@@ -190,9 +152,10 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
         return model
     if isinstance(model, EquationSystem):
         units = {name: unit for e in model.equations for name, unit in e.units.items()}
-        return ByCoefficients(model, tuple(units.items()), tuple(model.values))
+        pairs, names = tuple(units.items()), tuple(model.values)
+        return ByFunction(_with_coefficients, names, pairs, model.values, model)
     if isinstance(model, AbstractSystem):
-        return ByFields(model)
+        return by_fields(model)
     if isinstance(model, Equation | Model):
         model = as_model(model)
         quantities = model.simulation_parameters
@@ -209,7 +172,9 @@ def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric
         generic = np.random.default_rng(0).uniform(0.5, 1.5, len(model.parameter_names))
         values = {**dict(zip(model.parameter_names, generic)), **known}
         system = equation_system(model, values, rates=None if is_driven else {})
-        return ByCoefficients(system, tuple(model.units.items()), tuple(known))
+        settled = {name: system.values[name] for name in known}
+        units = tuple(model.units.items())
+        return ByFunction(_with_coefficients, tuple(system.values), units, settled, system)
     if callable(model):
         return ByFunction(model)
     raise ModelError(
@@ -226,7 +191,7 @@ class Expansion(NamedTuple):
     - `pieces`: for each record the Gram matrices of residual, its derivatives by the parameters
       and by the window's initial states, of each window cut into pieces of time; shape
       `(windows, pieces, 1 + p + s, 1 + p + s)`.
-    - `energy`: sum of squared residuals of each quantity in the misfit's `labels`.
+    - `energy`: sum of squared residuals of each of the `labels`.
     """
 
     pieces: list[Float[Array, "windows pieces columns columns"]]
@@ -237,27 +202,22 @@ class Expansion(NamedTuple):
         return jnp.concatenate([jnp.sum(record, axis=1) for record in self.pieces])
 
 
-class AbstractMisfit(eqx.Module):
-    """A sum of squared residuals, of parameters and of the initial states of windows."""
+class AbstractResiduals(eqx.Module):
+    """Residuals of all records, of parameters and of the initial states of windows.
+
+    Where nothing is simulated, no initial states are estimated and there are no steps.
+    """
 
     table: eqx.AbstractVar[ParameterTable]
     """The parameters over all records, and the values of those that are not free."""
+    start: eqx.AbstractVar[Theta]
+    """Values of the free parameters at which a search begins."""
     labels: eqx.AbstractVar[tuple[str, ...]]
     """Quantities whose residuals are told one by one: channels, or equations."""
     units: eqx.AbstractVar[tuple[str, ...]]
     """Units of `labels`."""
     longest_window: eqx.AbstractVar[Float[Array, ""]]
     """Seconds after which two residuals share no data."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters that are free, over all records."""
-        return self.table.free
-
-    def of_record(self, theta: Theta, index: int) -> dict[str, Leaf]:
-        """Every parameter's value with these free ones, as one record knows it."""
-        values = {**self.table.known, **dict(zip(self.names, theta))}
-        return self.table.values_of(values, index)
 
     @property
     def initial_state_names(self) -> tuple[str, ...]:
@@ -272,38 +232,35 @@ class AbstractMisfit(eqx.Module):
         """Size of these states."""
         return jnp.ones(0)
 
-    def profiled_energy(self, theta: Theta, initial: Initial) -> Energies:
-        """`energy` at the initial states that leave least with these parameters."""
-        return self.energy(theta, initial)
-
     @property
     def steps_label(self) -> str:
         """How finely it is simulated; empty where nothing is."""
         return ""
-
-    def finer(self, factor: int) -> "AbstractMisfit | None":
-        """This misfit simulated in steps so many times as short; None where there are no steps."""
-        return None
 
     @property
     def step_factor_limit(self) -> int:
         """How many times as short its steps may be made without being asked; 1 for not at all."""
         return 1
 
+    def finer(self, factor: int) -> Self | None:
+        """These simulated in steps so many times as short; `None` where there are no steps."""
+        return None
+
     def energy(self, theta: Theta, initial: Initial) -> Energies:
-        """Sum of squared residuals of each of `labels`, without derivatives."""
+        """Sum of squared residuals of each of `labels`, at the initial states that leave least;
+        `initial` is a guess of these."""
         raise NotImplementedError
 
     def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """The residuals at a point, to first order."""
         raise NotImplementedError
 
-    def curved(self, theta: Theta, initial: Initial, found: Expansion) -> Expansion:
-        """What was `found` at an optimum, with the curvature of what is made small.
+    def curved(self, theta: Theta, initial: Initial, expansion: Expansion) -> Expansion:
+        """An expansion at an optimum, with the curvature of what is made small.
 
         Other than what the search needs where that is no sum of squares.
         """
-        return found
+        return expansion
 
     def rms(self, energy: Energies) -> Energies:
         """Root mean square of what is left of each of `labels`, in its unit."""
@@ -321,94 +278,46 @@ class AbstractMisfit(eqx.Module):
         raise NotImplementedError
 
 
-class Specification(NamedTuple):
-    """A refinement as it was asked for.
-
-    **Fields:**
-
-    - `model`: what the objective made of it, for every value of its parameters.
-    - `records` and `keys`, one for each.
-    - `values`: of every parameter over all records, free or not.
-    - `table` of the parameters, in which those that are not free are known.
-    """
-
-    model: tuple[Any, ...]
-    records: list[Record]
-    keys: list[Key[Array, ""] | None]
-    values: dict[str, Leaf]
-    table: ParameterTable
-
-    @property
-    def theta(self) -> Float[Array, " p"]:
-        """Values of the free parameters, at which the search begins."""
-        free = [self.values[name] for name in self.table.free]
-        # In NumPy where nothing is traced: JAX would compile each small step.
-        return jnp.asarray(np.stack(free)) if is_concrete(free) else jnp.stack(free)
-
-
 class AbstractObjective(eqx.Module):
-    """A sum of squares over windows: of equation errors, or of output errors."""
-
-    @property
-    def needs_key(self) -> bool:
-        """Whether windows are drawn at random."""
-        return False
+    """What is made small: squares of equation errors, or of output errors, over windows."""
 
     def suited(self, model: Any) -> "AbstractObjective":
         """This objective with what the model says where nothing was asked for."""
         return self
 
-    def parametric(self, model: Any, record: Record) -> "tuple[Any, ...]":
-        """What the model consists of, each with `parameters`, their `defaults` and `units`: its
-        system, or its equations of motion, for every value of the parameters.
-
-        **Raises:** `ModelError` for a model that this objective cannot use.
-        """
-        raise NotImplementedError
-
-    def misfit(self, specified: Specification) -> AbstractMisfit:
-        """The sum of squares itself.
-
-        **Raises:** `DataError` for what the records lack; `ModelError` for settings that do not
-        suit the model.
-        """
-        raise NotImplementedError
-
-    def describe(self) -> dict[str, object]:
-        """Name and settings, for tables and JSON."""
-        raise NotImplementedError
-
-    def specify(
+    def residuals(
         self,
         model: Any,
         records: list[Record],
-        start: AbstractEstimate | Mapping[str, float | Array],
+        start: Estimate | Mapping[str, float | Array],
         known: Mapping[str, float | Array] = MappingProxyType({}),
         per_record: Collection[str] = (),
         key: Key[Array, ""] | None = None,
-    ) -> Specification:
-        """Every parameter's value, and which are free; see [`refine`][].
+    ) -> Any:
+        """The residuals of a model along records; see [`refine`][] for the arguments.
 
         What is known goes before what an estimate carries along, that before the start, and that
         before the model's own values. Of an estimate, what each record has its own of is that of
         the estimate unless `per_record` says otherwise.
+
+        **Raises:** `ModelError` for a model that this objective cannot use, and for values or
+        settings that do not suit it; `DataError` for what the records lack.
         """
-        parametric = self.parametric(model, records[0])
-        if self.needs_key and key is None:
-            raise ModelError("random windows need a key: key=jax.random.key(seed).")
+        models = self.models(model, records[0])
         # No names where any may be given.
-        names = tuple(dict.fromkeys(name for part in parametric for name in part.parameters))
+        names = tuple(dict.fromkeys(name for model in models for name in model.parameters))
         defaults: dict[str, Leaf] = {}
         units: dict[str, str] = {}
-        for part in parametric:
-            units |= {n: u for n, u in part.units.items() if u or n not in units}
-            defaults |= part.defaults
+        for model in models:
+            units |= {name: unit for name, unit in model.units.items() if unit or name not in units}
+            defaults |= model.defaults
         carried: Mapping[str, float | Array] = {}
         elements: list[Any] = []
-        if isinstance(start, AbstractEstimate):
-            own = {name_of: row for row in start.table.rows for name_of in (row.name, row.local)}
-            units = units if names else {**units, **{name: row.unit for name, row in own.items()}}
-            elements = [row.element for row in start.table.rows if row.element is not None]
+        if isinstance(start, Estimate):
+            rows = start.table.rows
+            if not names:
+                units |= {name: row.unit for row in rows for name in (row.name, row.local)}
+            elements = [row.element for row in rows if row.element is not None]
             carried, per_record = start.known, per_record or start.table.per_record
             start = {name: start.single()[name] for name in start.parameters}
         numbered = {name_in_recording(n, i): n for n in per_record for i in range(len(records))}
@@ -427,10 +336,31 @@ class AbstractObjective(eqx.Module):
             )
         dtype = records[0].time_step.dtype
         numbers = {
-            name: (np if is_concrete(values[name]) else jnp).asarray(values[name], dtype)
-            for name in table.names
+            name: namespace(values[name]).asarray(values[name], dtype) for name in table.names
         }
         table = table.holding({n: v for n, v in numbers.items() if n not in begun or n in fixed})
         if not table.free:
             raise ModelError("every parameter is known; nothing is left to refine.")
-        return Specification(parametric, records, record_keys(key, len(records)), numbers, table)
+        free = [numbers[name] for name in table.free]
+        # In NumPy where nothing is traced: JAX would compile each small step.
+        theta = namespace(free).stack(free)
+        return self.over(models, records, table, theta, record_keys(key, len(records)))
+
+    def models(self, model: Any, record: Record) -> Sequence[AbstractParametric]:
+        """What a model consists of: its system, or its equations of motion."""
+        raise NotImplementedError
+
+    def over(
+        self,
+        models: Sequence[AbstractParametric],
+        records: list[Record],
+        table: ParameterTable,
+        start: Theta,
+        keys: list[Key[Array, ""] | None],
+    ) -> AbstractResiduals:
+        """The residuals of `models` along records, whose parameters are those of a table."""
+        raise NotImplementedError
+
+    def describe(self) -> dict[str, object]:
+        """Name and settings, for tables and JSON."""
+        raise NotImplementedError

@@ -1,4 +1,4 @@
-"""The optimum of a misfit: how it is found, its derivatives, and how uncertain it is.
+"""The optimum of residuals: how it is found, its derivatives, and how uncertain it is.
 
 **Priors** are residuals. With v the variance of a residual, minus twice the log posterior is
 E / v + ((theta - mean) / std)^2: to E, a prior adds the square of (theta - mean) sqrt(v) / std.
@@ -17,8 +17,7 @@ came there does not matter.
 **Uncertainty** is that of least squares linearised at the optimum, in the parameters' units. Normal
 equations by blocks of time carry gradients (scores) g_b, which add up to zero; their scatter makes
 the sandwich H^-1 (sum_b g_b g_b^T) H^-1, and blocks drawn anew make a bootstrap. A prior counts as
-one more observation. Its information v / std^2 is spread over all blocks, so that resampling never
-takes it away, and the variance of its own score, v^2 / std^2, is added between H^-1 and H^-1.
+one more observation, as in [`riecjax.estimation.constraints`][].
 
 Levenberg-Marquardt for many windows that share parameters, each with initial states of its own.
 
@@ -99,7 +98,7 @@ parameter from its bound.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -111,13 +110,17 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.compilation import kept_jit
-from riecjax.errors import ModelError
-from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, held_still, is_concrete, is_number
+from riecjax.estimation.constraints import (
+    Constraints,
+    diagonal_block,
+    scatter_of_priors,
+    spread,
+)
+from riecjax.estimation.estimate import RefinementStatus
+from riecjax.leaves import Leaf, held_still
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
-from riecjax.refinement.objective import AbstractMisfit, Energies, Initial, Theta
-from riecjax.summaries.normal_equations import NormalEquations
-from riecjax.uncertainty.intervals import AbstractIntervals, Uncertainty, estimate_uncertainty
+from riecjax.refinement.objective import AbstractResiduals, Energies, Initial, Theta
+from riecjax.uncertainty.intervals import AbstractIntervals, estimate_uncertainty
 
 FIRST_DAMPING = 1e-2
 """Damping of the first step, relative to the curvature."""
@@ -325,15 +328,6 @@ AT_BOUND = 1e-6
 FARTHEST = 16.0
 """Coordinate at which a bound is that near: further out its slope would be nothing."""
 
-Bounds = tuple[float | None, float | None]
-
-
-class Prior(NamedTuple):
-    """What is known of a parameter beforehand: a normal distribution, in its unit."""
-
-    mean: float
-    std: float
-
 
 class Coordinates(eqx.Module):
     """Smooth maps between parameters and coordinates that may take any value; see the module.
@@ -386,80 +380,6 @@ class Coordinates(eqx.Module):
         return (values - self.lower < near) | (self.upper - values < near)
 
 
-class Constraints(eqx.Module):
-    """Bounds and priors of the free parameters.
-
-    **Fields:** `lower` and `upper`, infinite where there is no bound; `prior_mean`, and
-    `prior_weight`, one over the prior's standard deviation, 0 where there is no prior;
-    `has_priors`, whether there is any.
-    """
-
-    lower: Leaf
-    upper: Leaf
-    prior_mean: Leaf
-    prior_weight: Leaf
-    has_priors: bool = eqx.field(static=True)
-
-    @classmethod
-    def of(
-        cls,
-        table: ParameterTable,
-        start: Mapping[str, Leaf],
-        bounds: Mapping[str, Bounds],
-        priors: Mapping[str, Prior],
-    ) -> "Constraints":
-        """Checked.
-
-        **Raises:** `ModelError` for a parameter that is not free, what is no pair of numbers,
-        bounds in the wrong order or that the start does not lie between, a prior without a finite
-        mean and a positive standard deviation.
-        """
-        names = table.free
-
-        def of_free(what: str, given: Mapping[str, Any]) -> dict[str, Any]:
-            if unknown := [name for name in given if not {*names} & {*table.everywhere([name])}]:
-                raise ModelError(f"{what} given for '{unknown[0]}'; free are: {', '.join(names)}.")
-            return {name: value for name, value in table.values(given).items() if name in names}
-
-        bounds, priors = of_free("bounds are", bounds), of_free("a prior is", priors)
-        for name, given in bounds.items():
-            if not is_pair(given, or_none=True):
-                raise ModelError(
-                    f"the bounds of {name} are {given!r}. Write (lower, upper), None where there "
-                    f"is none."
-                )
-        ends = [bounds.get(name, (None, None)) for name in names]
-        lower = np.array([-np.inf if low is None else low for low, _ in ends], float)
-        upper = np.array([np.inf if high is None else high for _, high in ends], float)
-        for name, low, high in zip(names, lower, upper):
-            if not low < high:
-                raise ModelError(
-                    f"the bounds of {name} are equal or in the wrong order: {low:g} to {high:g}."
-                )
-            if is_concrete(start[name]) and not low < float(start[name]) < high:
-                raise ModelError(
-                    f"{name} starts at {float(start[name]):g}, which is not between its bounds "
-                    f"{low:g} and {high:g}. Widen them, or start strictly between them."
-                )
-        for name, prior in priors.items():
-            if not (is_pair(prior) and np.isfinite(float(prior[0]))):
-                raise ModelError(
-                    f"the prior of {name} is {prior!r}. Write (mean, standard deviation), a finite "
-                    f"mean."
-                )
-            if not prior[1] > 0:
-                raise ModelError(f"the prior of {name} needs a positive standard deviation.")
-        mean, std = np.array([priors.get(name, (0.0, np.inf)) for name in names], float).T
-        return cls(lower, upper, mean, 1 / std, bool(priors))
-
-
-def is_pair(given: Any, or_none: bool = False) -> bool:
-    """Whether this is two numbers, or `None` in place of one if that is allowed."""
-    if not isinstance(given, Sequence | np.ndarray | jax.Array) or len(given) != 2:
-        return False
-    return all(is_number(end) or (or_none and end is None) for end in given)
-
-
 SILENT = 1e-20
 """Share of what is left that a parameter must be able to move by its own size to count at all."""
 COLLINEAR = 1e-12
@@ -470,76 +390,71 @@ TAKES_PART = 0.1
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
 
-class RefinementStatus(eqx.Enumeration):
-    """How a refinement ended."""
+class SearchResult(NamedTuple):
+    """Where a search stands, and what is known there.
 
-    converged = "converged"
-    out_of_steps = (
-        "it used up its steps before it converged. Allow more (max_steps), start nearer, or use "
-        "shorter windows first."
-    )
-    not_finite = (
-        "the model has no finite residual at the start. Check the start's signs and sizes, or "
-        "simulate over shorter windows. If the model is stiff, the steps may be too long for it: "
-        "take more (OutputError(method=FixedStep(n))) or an implicit solver "
-        "(method=Adaptive(1e-7, 1e-9, diffrax.Kvaerno5()))."
-    )
-    failed = (
-        "no step took it further, and it is not at an optimum. Start nearer, or use shorter "
-        "windows first."
-    )
-
-
-class Reached(NamedTuple):
-    """Where a search ended: parameters, initial states, what these leave, and in how many steps."""
+    **Fields:** parameters and initial states; the sum of squares and the r.m.s. of each quantity
+    that these leave; how it ended, and in how many steps. Once it has ended, uncertainty,
+    inflation, bounds and blocks as of an [`Estimate`][]; `moment`, half the slope of the sum of
+    squares, negated; `information`, what priors and parameters that are held add to its curvature.
+    Once its steps were halved, `step_change` of each parameter, what of that is `allowed`, and
+    where it is more, so that steps are too `coarse`.
+    """
 
     theta: Theta
     initial: Initial
     energy: Energies
+    rms: Energies
     status: RefinementStatus
     steps: Int[Array, ""]
+    uncertainty: Any = None
+    inflation: Any = None
+    at_bound: Any = None
+    block_count: Any = None
+    block_length: Any = None
+    moment: Any = None
+    information: Any = None
+    step_change: Any = None
+    allowed: Any = None
+    coarse: Any = None
+
+    @property
+    def place(self) -> "SearchResult":
+        """Where it stands alone, from which a search may go on."""
+        return SearchResult(*self[:6])
 
 
-class Optimum(NamedTuple):
-    """An optimum and what is said of it.
-
-    **Fields:** where it was `reached`, and whether the search `converged`; uncertainty, inflation,
-    rms, bounds and blocks as of `Refined`; `moment`, half the slope of the misfit, negated;
-    `information`, what priors and parameters that are held add to its curvature.
-    """
-
-    reached: Reached
-    converged: Bool[Array, ""]
-    uncertainty: Uncertainty
-    inflation: Float[Array, " p"]
-    rms: Float[Array, " quantities"]
-    at_bound: Bool[Array, " p"]
-    block_count: Int[Array, ""]
-    block_length: Float[Array, ""]
-    moment: Float[Array, " p"]
-    information: Float[Array, "p p"]
+@kept_jit
+def begun(residuals: AbstractResiduals, initial: Initial) -> SearchResult:
+    """The start, with what it leaves at the initial states that suit it best."""
+    energy = residuals.energy(residuals.start, initial)
+    status = RefinementStatus.where(
+        jnp.isfinite(jnp.sum(energy)), RefinementStatus.converged, RefinementStatus.not_finite
+    )
+    rms = residuals.rms(energy)
+    return SearchResult(residuals.start, initial, energy, rms, status, jnp.array(0))
 
 
 class Problem(eqx.Module):
-    """A misfit in coordinates without bounds, with priors.
+    """Residuals in coordinates without bounds, with priors.
 
-    **Fields:** `misfit`; `coordinates`; `constraints`; `variance` of a residual.
+    **Fields:** `residuals`; `coordinates`; `constraints`; `variance` of a residual.
     """
 
-    misfit: AbstractMisfit
+    residuals: AbstractResiduals
     coordinates: Coordinates
     constraints: Constraints
     variance: Float[Array, ""]
 
     def values(self, point: Point) -> tuple[Float[Array, " p"], Float[Array, "windows s"]]:
         """Parameters and initial states in their units."""
-        initial = point.initial * self.misfit.initial_scale()[None, :]
+        initial = point.initial * self.residuals.initial_scale()[None, :]
         return self.coordinates.values(point.parameters), initial
 
     def point(self, theta: Theta, initial: Initial) -> Point:
         """The point of parameters and initial states in their units."""
         return Point(
-            self.coordinates.inverse(theta), initial / self.misfit.initial_scale()[None, :]
+            self.coordinates.inverse(theta), initial / self.residuals.initial_scale()[None, :]
         )
 
     def linearised(self, point: Point) -> Linearised:
@@ -548,9 +463,9 @@ class Problem(eqx.Module):
         ones = jnp.ones_like(point.parameters)
         _, slope = jax.jvp(self.coordinates.values, (point.parameters,), (ones,))
         scale = jnp.concatenate(
-            [jnp.ones(1, slope.dtype), slope, self.misfit.initial_scale().astype(slope.dtype)]
+            [jnp.ones(1, slope.dtype), slope, self.residuals.initial_scale().astype(slope.dtype)]
         )
-        expansion = self.misfit.expansion(theta, initial)
+        expansion = self.residuals.expansion(theta, initial)
         moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
         # A trial point that the model cannot stand is a poor one, and nothing else.
         finite = jnp.all(jnp.isfinite(moments), axis=(1, 2), keepdims=True)
@@ -633,22 +548,20 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
 
 @kept_jit
 def search(
-    misfit: AbstractMisfit,
+    residuals: AbstractResiduals,
     constraints: Constraints,
-    start: Theta,
-    begun: Reached,
+    before: SearchResult,
     intervals: AbstractIntervals,
     solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
-) -> Optimum:
-    """The optimum, searched from what was reached before; `start` gives the parameters' scale."""
-    scale = jnp.where(start != 0, jnp.abs(start), 1.0)
-    variance = residual_variance(misfit, begun.energy, start.shape[0])
-    problem = Problem(
-        misfit, Coordinates(scale, constraints.lower, constraints.upper), constraints, variance
-    )
-    still, first = held_still((problem, problem.point(begun.theta, begun.initial)))
+) -> SearchResult:
+    """The optimum, searched from a place that was reached before."""
+    scale = jnp.where(residuals.start != 0, jnp.abs(residuals.start), 1.0)
+    variance = residual_variance(residuals, before.energy)
+    coordinates = Coordinates(scale, constraints.lower, constraints.upper)
+    problem = Problem(residuals, coordinates, constraints, variance)
+    still, first = held_still((problem, problem.point(before.theta, before.initial)))
     if solver is None:  # at the tolerance that the precision allows
         rtol = 1e-6 if first.parameters.dtype == jnp.float64 else 1e-4
         solver = LevenbergMarquardt(rtol, report=progress)
@@ -669,14 +582,13 @@ def search(
     for ended, reason in (
         (spent, RefinementStatus.out_of_steps),
         (solution.result == optx.RESULTS.successful, RefinementStatus.converged),
-        (begun.status == lost, lost),
+        (before.status == lost, lost),
     ):
         status = RefinementStatus.where(ended, reason, status)
-    expansion, steps = solution.aux.aside, begun.steps + solution.stats["num_steps"]
-    reached = Reached(theta, initial, expansion.energy, status, steps)
+    expansion = solution.aux.aside
     at_bound = problem.coordinates.at_bound(theta)
-    blocks, short = misfit.blocks(misfit.curved(theta, initial, expansion))
-    variance = residual_variance(misfit, expansion.energy, at_bound.shape[0])
+    blocks, short = residuals.blocks(residuals.curved(theta, initial, expansion))
+    variance = residual_variance(residuals, expansion.energy)
     # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
     # one that nothing depends on must not take the others with it.
     total = blocks.flattened().total()
@@ -695,28 +607,30 @@ def search(
     weak = sizes < COLLINEAR * gram.shape[0]
     held = held | jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)
     information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
-    share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
-    spread = jnp.diag(jnp.concatenate([jnp.zeros(1), information]))
-    moments = blocks.moments + share[..., None, None] * spread[None, None]
-    blocks = NormalEquations(moments, blocks.count, blocks.parameters)
-    zero = {name: jnp.zeros(()) for name in misfit.names}
-    shared = np.array([misfit.table[name].recording is None for name in misfit.names])
+    # Scores add up to zero with the priors' own.
+    pull = known * (jnp.asarray(constraints.prior_mean) - theta)
+    blocks = spread(blocks, diagonal_block(blocks.parameters, information, pull))
+    names = residuals.table.free
+    zero = {name: jnp.zeros(()) for name in names}
+    shared = np.array([residuals.table[name].recording is None for name in names])
     uncertainty, inflation, statistics = estimate_uncertainty(
-        [blocks], {}, zero, short, misfit.longest_window, shared, intervals
+        [blocks], {}, zero, short, residuals.longest_window, shared, intervals
     )
     used = jnp.sum(statistics.used)
-    covariance = uncertainty.covariance
-    if constraints.has_priors:
-        informed = gram + jnp.diag(information)
-        moved = solve_scaled(informed, jnp.diag(jnp.sqrt(variance) * constraints.prior_weight))
-        covariance = covariance + variance * (moved @ moved.T)
-    covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, covariance)
-    return Optimum(
-        reached,
-        reached.status == RefinementStatus.converged,
+    if constraints.with_prior:
+        weight = constraints.prior_weight
+        priors = scatter_of_priors(gram + jnp.diag(information), known, weight)
+        uncertainty = uncertainty.with_priors(*priors)
+    covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, uncertainty.covariance)
+    return SearchResult(
+        theta,
+        initial,
+        expansion.energy,
+        residuals.rms(expansion.energy),
+        status,
+        before.steps + solution.stats["num_steps"],
         eqx.tree_at(lambda u: u.covariance, uncertainty, covariance),
         inflation,
-        misfit.rms(expansion.energy),
         at_bound,
         used,
         jnp.sum(short.durations) / used,
@@ -725,6 +639,7 @@ def search(
     )
 
 
-def residual_variance(misfit: AbstractMisfit, energy: Energies, unknown: int) -> Float[Array, ""]:
+def residual_variance(residuals: AbstractResiduals, energy: Energies) -> Float[Array, ""]:
     """Variance of a residual, of those that may be taken as independent."""
-    return jnp.sum(energy) / jnp.maximum(misfit.independent_rows() - unknown, 1)
+    free = len(residuals.table.free)
+    return jnp.sum(energy) / jnp.maximum(residuals.independent_rows() - free, 1)

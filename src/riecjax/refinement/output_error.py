@@ -55,7 +55,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
@@ -66,13 +66,12 @@ from riecjax.linear_algebra import solve_scaled
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, Signal, both, filled_up, shared_length
 from riecjax.refinement.objective import (
-    AbstractMisfit,
     AbstractObjective,
     AbstractParametric,
+    AbstractResiduals,
     Energies,
     Expansion,
     Initial,
-    Specification,
     Theta,
     as_parametric_system,
 )
@@ -397,7 +396,7 @@ MOST_TRIALS = 8
 """Initial states that are tried for each window."""
 
 
-class OutputMisfit(AbstractMisfit):
+class OutputResiduals(AbstractResiduals):
     """Simulated minus recorded channels, in units of `sigma`, over all windows of all records.
 
     `labels` are the channels.
@@ -409,6 +408,7 @@ class OutputMisfit(AbstractMisfit):
     system: AbstractParametric
     recorded: list[Recorded]
     table: ParameterTable
+    start: Theta
     sigma: Float[Array, " channels"]
     scale: Float[Array, " s"]
     longest_window: Float[Array, ""]
@@ -433,7 +433,7 @@ class OutputMisfit(AbstractMisfit):
         """
         fixed = self.method if isinstance(self.method, FixedStep) else FixedStep()
         samples = sum(math.prod(part.levels.shape[:2]) for part in self.recorded)
-        tangents = 1 + len(self.names) + len(self.estimated)
+        tangents = 1 + len(self.table.free) + len(self.estimated)
         return samples * fixed.steps_per_sample * len(self.state_names) * tangents
 
     def first_initial(self) -> Initial:
@@ -446,11 +446,35 @@ class OutputMisfit(AbstractMisfit):
         """Size of each estimated state."""
         return self.scale
 
-    def profiled_energy(self, theta: Theta, initial: Initial) -> Energies:
-        """Profiled over initial states by Gauss and Newton, while that makes the sum smaller."""
+    @property
+    def steps_label(self) -> str:
+        """The method."""
+        return self.method.label
+
+    def finer(self, factor: int) -> "OutputResiduals | None":
+        """By the method in shorter steps."""
+        method = self.method.finer(factor)
+        return None if method is None else eqx.tree_at(lambda m: m.method, self, method)
+
+    @property
+    def step_factor_limit(self) -> int:
+        """As many as `most_steps` leaves."""
+        steps = self.method.steps_per_sample if isinstance(self.method, FixedStep) else 1
+        return max(self.most_steps // steps, 1)
+
+    def energy(self, theta: Theta, initial: Initial) -> Energies:
+        """Of each channel, in units of sigma, profiled over initial states by Gauss and Newton,
+        while that makes the sum smaller."""
+        zero = jnp.zeros(len(self.labels), theta.dtype)
         if not self.estimated:
-            return self.energy(theta, initial)
-        table = self.table.holding({**self.table.known, **dict(zip(self.names, theta))})
+            squares = self._by_window(
+                lambda at, window, index: jnp.sum(
+                    as_square(self._error(theta, at, window, index), self.threshold) ** 2, axis=0
+                ),
+                initial,
+            )
+            return sum((jnp.sum(each, axis=0) for each in squares), start=zero)
+        table = self.table.holding({**self.table.known, **dict(zip(self.table.free, theta))})
         held, initial = held_still((dataclasses.replace(self, table=table), initial))
         none = jnp.zeros(0, initial.dtype)
 
@@ -466,43 +490,16 @@ class OutputMisfit(AbstractMisfit):
             going = better & (-jnp.sum(gradient * step) > PROFILED * jnp.sum(energy))
             return trial + step[:, :, 0], energy, trials - 1, going & (trials > 0)
 
-        infinite = jnp.full(len(self.labels), jnp.inf, initial.dtype)
-        first: Any = (initial, infinite, jnp.asarray(MOST_TRIALS), jnp.asarray(True))
+        first: Any = (initial, zero + jnp.inf, jnp.asarray(MOST_TRIALS), jnp.asarray(True))
         return jax.lax.while_loop(lambda state: state[3], tried, first)[1]
-
-    @property
-    def steps_label(self) -> str:
-        """The method."""
-        return self.method.label
-
-    def finer(self, factor: int) -> "OutputMisfit | None":
-        """By the method in shorter steps."""
-        method = self.method.finer(factor)
-        return None if method is None else eqx.tree_at(lambda m: m.method, self, method)
-
-    @property
-    def step_factor_limit(self) -> int:
-        """As many as `most_steps` leaves."""
-        steps = self.method.steps_per_sample if isinstance(self.method, FixedStep) else 1
-        return max(self.most_steps // steps, 1)
-
-    def energy(self, theta: Theta, initial: Initial) -> Energies:
-        """Of each channel, in units of sigma."""
-
-        def of_window(initial: Array, window: Recorded, index: int) -> Array:
-            error = self._error(theta, initial, window, index)
-            return jnp.sum(as_square(error, self.threshold) ** 2, axis=0)
-
-        zero = jnp.zeros(len(self.labels), theta.dtype)
-        return sum((jnp.sum(e, axis=0) for e in self._by_window(of_window, initial)), start=zero)
 
     def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """Of each window of each record, in pieces of time."""
         return self._expansion(theta, initial, False)
 
-    def curved(self, theta: Theta, initial: Initial, found: Expansion) -> Expansion:
+    def curved(self, theta: Theta, initial: Initial, expansion: Expansion) -> Expansion:
         """With the curvature of Huber's loss itself, none past its threshold."""
-        return found if self.threshold is None else self._expansion(theta, initial, True)
+        return expansion if self.threshold is None else self._expansion(theta, initial, True)
 
     def _expansion(self, theta: Theta, initial: Initial, curved: bool) -> Expansion:
 
@@ -530,7 +527,7 @@ class OutputMisfit(AbstractMisfit):
         return Expansion(list(pieces), sum((jnp.sum(s, axis=0) for s in squares), start=zero))
 
     @kept_jit
-    def residuals(
+    def values(
         self, theta: Theta, initial: Initial
     ) -> list[Float[Array, "windows compared channels"]]:
         """Simulated minus recorded in units of sigma; 0 where nothing is compared."""
@@ -540,7 +537,7 @@ class OutputMisfit(AbstractMisfit):
     def slopes_by_initial(
         self, theta: Theta, initial: Initial
     ) -> list[Float[Array, "windows compared channels s"]]:
-        """Derivatives of `residuals` by the initial states of their window."""
+        """Derivatives of `values` by the initial states of their window."""
         return self._by_window(jax.jacfwd(partial(self._error, theta)), initial)
 
     def _by_window(self, of: Callable[[Array, Recorded, int], Any], initial: Initial) -> list[Any]:
@@ -562,7 +559,7 @@ class OutputMisfit(AbstractMisfit):
 
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """By blocks of time."""
-        p = len(self.names)
+        p = len(self.table.free)
         parts, numbers, seconds = [], [], []
         for part, pieces in zip(self.recorded, expansion.pieces):
             samples, most = part.short, part.short_blocks
@@ -573,7 +570,7 @@ class OutputMisfit(AbstractMisfit):
             held = jax.vmap(partial(_in_pieces, length=part.piece))(part.present).sum(axis=(2, 3))
             flat, held = moments.reshape(-1, *moments.shape[2:]), held.reshape(-1)
             flat, held = (jax.ops.segment_sum(v, index, num_segments=most) for v in (flat, held))
-            parts.append(NormalEquations(flat, held.astype(flat.dtype), self.names))
+            parts.append(NormalEquations(flat, held.astype(flat.dtype), self.table.free))
             numbers.append(number)
             seconds.append(samples * part.time_step)
         return stack_normal_equations(parts), ShortBlocks(jnp.stack(numbers), jnp.stack(seconds))
@@ -582,7 +579,7 @@ class OutputMisfit(AbstractMisfit):
         self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
     ) -> Float[Array, "compared channels"]:
         """Of one window of record number `index`."""
-        system = self.system.build(self.of_record(theta, index))
+        system = self.system.build(self.table.values_at(theta, index))
         first = window.initial
         if self.estimated:
             first = first.at[np.array(self.estimated)].set(initial)
@@ -690,16 +687,23 @@ class OutputError(AbstractObjective):
                 f"differentiate the result in reverse."
             )
 
-    def parametric(self, model: Any, record: Record) -> tuple[AbstractParametric]:
+    def models(self, model: Any, record: Record) -> tuple[AbstractParametric]:
         """The system to simulate."""
         return (as_parametric_system(model, record),)
 
-    def misfit(self, specified: Specification) -> OutputMisfit:
+    def over(
+        self,
+        models: Sequence[AbstractParametric],
+        records: list[Record],
+        table: ParameterTable,
+        start: Theta,
+        keys: list[Key[Array, ""] | None],
+    ) -> OutputResiduals:
         """Over the windows of all records."""
-        (model,) = specified.model
-        system: AbstractSystem = model.build(specified.table.values_of(specified.values, 0))
-        channels = _channels(system, specified.records, self.channels)
-        for record in specified.records:
+        (model,) = models
+        system: AbstractSystem = model.build(table.values_at(start, 0))
+        channels = _channels(system, records, self.channels)
+        for record in records:
             for name in system.input_names:
                 _ = record.signals[name]
         for name, value in (self.sigma or {}).items():
@@ -713,31 +717,29 @@ class OutputError(AbstractObjective):
                     f"sigma of {name} is {value!r}: a standard deviation is a positive number, in "
                     f"the unit of {name}."
                 )
-        sources = [state_sources(system, record) for record in specified.records]
+        sources = [state_sources(system, record) for record in records]
         given = self.initial_states if isinstance(self.initial_states, Mapping) else {}
         system.require_states(given)
-        known = {*given}
+        fixed = {*given}
         if self.initial_states == "measured":
             names = system.state_names
-            known = {name for name in names if all(s[name] == "measured" for s in sources)}
+            fixed = {name for name in names if all(s[name] == "measured" for s in sources)}
         # Places of the states whose initial values are estimated.
-        estimated = tuple(i for i, name in enumerate(system.state_names) if name not in known)
+        estimated = tuple(i for i, name in enumerate(system.state_names) if name not in fixed)
         joined = not estimated
         # A missing sample of an input breaks the motion; of a free motion, one of any signal.
-        inputs = [system.input_names or tuple(record.arrays) for record in specified.records]
+        inputs = [system.input_names or tuple(record.arrays) for record in records]
         shots = [
             self.shooting.shots(record, unbroken, joined=joined)
-            for record, unbroken in zip(specified.records, inputs)
+            for record, unbroken in zip(records, inputs)
         ]
         smooth = smooth_inputs(self.intersample, system.input_names)
         # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
         bent = smooth if any(smooth) or (smooth and self.method is None) else None
         cut = Compared(channels, dict(given), self.every, joined, bent)
-        counts = [jnp.asarray(record.sample_count) for record in specified.records]
-        records = specified.records
-        if is_concrete(records):
-            records = [_filled(record) for record in records]
-        recorded, along, squares = _cut(system, records, counts, shots, cut)
+        counts = [jnp.asarray(record.sample_count) for record in records]
+        longer = [_filled(record) for record in records] if is_concrete(records) else records
+        recorded, along, squares = _cut(system, longer, counts, shots, cut)
         told = not any("zero" in by_state.values() for by_state in sources)
         method, simulated = _method(system, recorded, along, told, self.method)
         units = dict(system.states) | dict(system.outputs)
@@ -748,12 +750,13 @@ class OutputError(AbstractObjective):
         )
         threshold = None
         if self.loss == "huber":
-            noise = noise_levels(specified.records, channels)
+            noise = noise_levels(records, channels)
             threshold = THRESHOLD * (jnp.maximum(noise, LEAST_NOISE * deviation) / sigma)[None, :]
-        return OutputMisfit(
+        return OutputResiduals(
             system=model,
             recorded=recorded,
-            table=specified.table,
+            table=table,
+            start=start,
             sigma=sigma,
             scale=scale,
             longest_window=jnp.zeros_like(scale, shape=()),

@@ -8,11 +8,10 @@ import numpy as np
 
 from riecjax.errors import ModelError
 from riecjax.extensions import require_packages
+from riecjax.reporting.answer import Answer, Fit, part_of
 from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.document import Document
-from riecjax.reporting.exports import document_of, to_dict, to_frame
 from riecjax.reporting.plots import relative_figure
-from riecjax.reporting.tables import Table, View, in_latex, in_markdown, with_error
+from riecjax.reporting.tables import Table, View, with_error
 from riecjax.shows import Drawn
 
 SAME = 1e-6
@@ -27,19 +26,19 @@ SAME = 1e-6
 class Comparison(Drawn):
     """Results side by side; made by [`compare`][].
 
-    **Fields:** `names` of the results; `documents`, what each says in plain data;
+    **Fields:** `names` of the results; `answers`, what each says;
     `information`: of each, Akaike's criterion above the least, of so many independent rows as
     windows are effective, or `None` where `why_not` says why they do not compare.
     """
 
-    def __init__(self, documents: Mapping[str, Document]):
-        self.documents = dict(documents)
-        self.names = tuple(documents)
-        self.why_not = _why_not_comparable([*documents.values()])
-        self.information = None if self.why_not else _information([*documents.values()])
+    def __init__(self, answers: Mapping[str, Answer]):
+        self.answers = dict(answers)
+        self.names = tuple(answers)
+        self.why_not = _why_not_comparable([*answers.values()])
+        self.information = None if self.why_not else _information([*answers.values()])
 
     def __iter__(self) -> Iterator[str]:
-        every = (e for d in self.documents.values() for e in (*d["parameters"], *d["known"]))
+        every = (e for a in self.answers.values() for e in (*a.parameters, *a.known))
         return iter(dict.fromkeys(every))
 
     def to_frame(self) -> Any:
@@ -50,51 +49,55 @@ class Comparison(Drawn):
         require_packages("frame")
         import pandas
 
-        return pandas.concat(
-            {name: to_frame(of) for name, of in self.documents.items()}, names=["result"]
-        ).swaplevel()
+        frames = {name: answer.to_frame() for name, answer in self.answers.items()}
+        return pandas.concat(frames, names=["result"]).swaplevel()
 
     def to_markdown(self) -> str:
         """A table of Markdown: a column for each result."""
-        return in_markdown(self._table())
+        return self.table().markdown()
 
     def to_latex(self) -> str:
         """A `tabular` of LaTeX: a column for each result."""
-        return in_latex(self._table())
+        return self.table().latex()
 
     def view(self) -> View:
         """What is printed of it."""
         line = "ΔAIC: above the least, of as many rows as windows are effective; 0 is best"
         if self.why_not:
             line = f"no information criterion: {self.why_not}"
-        return View("", [self._table()], [line])
+        return View("", [self.table()], [line])
 
     def chart(self) -> Chart:
         """Intervals relative to the first result's values."""
-        return relative_figure(self.documents)
+        return relative_figure(self.answers)
 
-    def _table(self) -> Table:
-        documents = list(self.documents.values())
-        every = [to_dict(document) for document in documents]
-        rows = []
-        for name in self:
-            row = [entries.get(name) for entries in every]
-            numbers = [e and with_error(e["value"], e["std_error"]) for e in row]
-            known = [" known" if e and e["known"] else "" for e in row]
-            unit = next(entry["unit"] for entry in row if entry)
-            rows.append([name, *(f"{x or ''}{k}" for x, k in zip(numbers, known)), unit])
-        # What is left of each equation, and of each signal on each recording that was held out.
+    def table(self) -> Table:
+        """Values and errors of parameters, what is left of each equation, and how well each signal
+        is predicted on each recording that was held out: a column for each result."""
+        answers = list(self.answers.values())
+
+        def of(name: str, answer: Answer) -> str:
+            if name in answer.known:
+                return f"{with_error(answer.known[name].value, None)} known"
+            entry = answer.parameters.get(name)
+            return "" if entry is None else with_error(entry.value, entry.std_error)
+
+        def unit(name: str) -> str:
+            every = (a.known.get(name) or a.parameters.get(name) for a in answers)
+            return next(entry.unit for entry in every if entry)
+
+        rows = [[name, *(of(name, answer) for answer in answers), unit(name)] for name in self]
         residuals = [
-            {f"left of {name}": fit["relative_rms"] for name, fit in _residuals(document).items()}
-            for document in documents
+            {f"left of {name}": fit.relative_rms for name, fit in _residuals(answer).items()}
+            for answer in answers
         ]
         fits = [
             {
-                f"fit of {name}, {run['on']}": signal["fit_percent"]
-                for run in document.get("validation", [])
-                for name, signal in run["signals"].items()
+                f"fit of {name}, {run.on}": signal.fit_percent
+                for run in answer.validation
+                for name, signal in run.signals.items()
             }
-            for document in documents
+            for answer in answers
         ]
         rows += _percents(residuals, 100, ".3g")
         if self.information is not None:
@@ -115,14 +118,14 @@ def compare(results: Sequence[Any], names: Sequence[str] | None = None) -> Compa
         raise ModelError("give results as a list: rx.compare([first, second]).")
     if any(getattr(one, "batch_shape", ()) for one in results):
         raise ModelError("a batch does not compare: take one estimate out of it by member(0).")
-    documents = [document_of(one) for one in results]
-    called = [document.get("model") or "result" for document in documents]
+    answers = [part_of(result) for result in results]
+    called = [answer.model or "result" for answer in answers]
     if len(set(called)) < len(called):
         called = [f"{name} {i + 1}" for i, name in enumerate(called)]
     chosen = called if names is None else list(names)
-    if len(set(chosen)) != len(documents):
-        raise ModelError(f"names must be {len(documents)} different ones; got {len(chosen)}.")
-    return Comparison(dict(zip(chosen, documents)))
+    if len(set(chosen)) != len(answers):
+        raise ModelError(f"names must be {len(answers)} different ones; got {len(chosen)}.")
+    return Comparison(dict(zip(chosen, answers)))
 
 
 def _percents(
@@ -134,40 +137,39 @@ def _percents(
         yield [name, *("" if v is None else f"{scale * v:{form}}" for v in values), "%"]
 
 
-def _residuals(document: Document) -> Mapping[str, Any]:
+def _residuals(answer: Answer) -> Mapping[str, Fit]:
     """What each equation leaves, of values that are the linear estimate's."""
-    if (document.get("refinement") or {}).get("chosen"):
-        return {}
-    return document.get("residual", {}).get("equations", {})
+    refined = answer.refinement is not None and answer.refinement.chosen
+    return {} if refined else answer.residual.equations
 
 
-def _why_not_comparable(documents: Sequence[Document]) -> str:
+def _why_not_comparable(answers: Sequence[Answer]) -> str:
     """Why residuals are not of the same rows of the same target; empty where they are."""
-    residuals = [_residuals(document) for document in documents]
+    residuals = [_residuals(answer) for answer in answers]
     if not all(residuals):
         return "refined values leave nothing in windows to count; compare held-out fits instead."
-    if any(document["criterion"] != documents[0]["criterion"] for document in documents):
+    if any(answer.criterion != answers[0].criterion for answer in answers):
         return "the criteria differ, and so do their rows."
-    if any(set(one) != set(residuals[0]) for one in residuals):
+    if any(set(equations) != set(residuals[0]) for equations in residuals):
         return "the equations differ."
     for name, first in residuals[0].items():
         for fit in (equations[name] for equations in residuals):
-            if None in (fit["relative_rms"], fit["rms"]) or not fit["rms"] > 0:
+            if not (fit.relative_rms and fit.rms and first.relative_rms and first.rms):
                 return f"{name} leaves nothing, or no number."
-            targets = [each["rms"] / each["relative_rms"] for each in (first, fit)]
-            if first["rows"] != fit["rows"] or not np.isclose(*targets, rtol=SAME, atol=0):
+            targets = first.rms / first.relative_rms, fit.rms / fit.relative_rms
+            if first.rows != fit.rows or not np.isclose(*targets, rtol=SAME, atol=0):
                 return f"they rest on other data, or another known part of {name}."
     return ""
 
 
-def _information(documents: Sequence[Document]) -> list[float]:
+def _information(answers: Sequence[Answer]) -> list[float]:
     """Akaike's criterion of each, above the least."""
-    counts = ([e["effective_windows"] for e in d["parameters"].values()] for d in documents)
+    counts = ([p.effective_windows for p in a.parameters.values()] for a in answers)
     shares = ([1 / count for count in some if count] for some in counts)
     windows = min(len(some) / sum(some) if some else math.inf for some in shares)
     criteria = [
-        windows * sum(math.log(of["rms"] ** 2) for of in _residuals(document).values())
-        + 2 * len(document["parameters"])
-        for document in documents
+        windows * sum(math.log((fit.rms or 0.0) ** 2) for fit in _residuals(answer).values())
+        + 2 * len(answer.parameters)
+        for answer in answers
     ]
     return [value - min(criteria) for value in criteria]

@@ -3,20 +3,32 @@
 import functools
 import shlex
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from msgspec import UNSET, UnsetType
 from rich.console import Console
 
-from riecjax.assessment.verdict import joined
+from riecjax.assessment.next_steps import joined
 from riecjax.discovery import Discovery, Step
 from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
+from riecjax.estimation.estimate import known_entries, parameter_entries
 from riecjax.findings import option_for
+from riecjax.reporting.answer import (
+    FilePart,
+    Known,
+    Number,
+    Parameter,
+    Part,
+    Settings,
+    WarningPart,
+    read,
+)
 from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
-from riecjax.reporting.checking import share_in_words
-from riecjax.reporting.document import SCHEMA, Document, finite, number, probability, told, versions
+from riecjax.reporting.document import SCHEMA, number, probability, share_in_words, versions
 from riecjax.reporting.equations import equation_in_words
-from riecjax.reporting.estimate import known_entries, parameter_entries, parameter_table
 from riecjax.reporting.page import Page, Section
+from riecjax.reporting.parameters import parameter_table
 from riecjax.reporting.tables import Table, in_rich, print_table, say
 
 NOTABLE = 0.05
@@ -24,76 +36,130 @@ NOTABLE = 0.05
 percent = functools.partial(share_in_words, digits=2)
 
 
-def discovery_document(
+class TermPart(Part):
+    """A candidate that was taken, or a hidden mode."""
+
+    meaning: str
+    equation: str
+    parameters: list[str]
+    width: Number = None
+    width_unit: str = ""
+    width_std_error: Number = None
+    chosen_again: Number = None
+
+
+class PathStep(Part):
+    """A line of the path: a term more, and what is unexplained with it."""
+
+    equation: str
+    added: str
+    unexplained: Number
+    of_motion: Number
+    std_error: Number
+    chance: Number
+
+
+class RejectedPart(Part):
+    """A candidate that was not taken."""
+
+    name: str
+    gain: Number
+    chance: Number
+
+
+class DiscoveryProvenance(Part):
+    """What a discovery was made by and from."""
+
+    versions: dict[str, str]
+    command: list[str]
+    files: list[FilePart] | UnsetType = UNSET
+
+
+class DiscoveryAnswer(Part, kw_only=True):
+    """The document that `riecjax discover --json` prints and results.json holds."""
+
+    schema: int = SCHEMA
+    model: str
+    criterion: Settings
+    sentence: str
+    chosen: list[str]
+    terms: dict[str, TermPart]
+    path: list[PathStep]
+    rejected: list[RejectedPart]
+    offered: int
+    held_out: Number
+    delays: dict[str, Number]
+    parameters: dict[str, Parameter]
+    known: dict[str, Known]
+    equation: str
+    model_file: str | None
+    warnings: list[WarningPart]
+    provenance: DiscoveryProvenance
+    job: dict[str, Any] | UnsetType = UNSET
+
+
+def discovery_answer(
     found: Discovery, command: Sequence[str] = (), model_file: str | None = None
-) -> Document:
-    """The document that `--json` prints and results.json holds.
+) -> DiscoveryAnswer:
+    """The document of a discovery.
 
     **Arguments:** `command`: the arguments of `riecjax` that made it; `model_file`, where the model
     was written to.
     """
-    equations = found.model.equations
     terms = {
-        one.candidate.name: {
-            **told(one.candidate, "meaning", "equation"),
-            "parameters": list(one.candidate.columns),
-            **told(one, "width", "width_unit"),
-            "width_std_error": finite(one.width_error),
-            "chosen_again": finite(one.share),
+        chosen.candidate.name: {
+            "meaning": chosen.candidate.meaning,
+            "equation": chosen.candidate.equation,
+            "parameters": chosen.candidate.columns,
+            "width": chosen.width,
+            "width_unit": chosen.width_unit,
+            "width_std_error": chosen.width_error,
+            "chosen_again": chosen.share,
         }
-        for one in found.chosen
+        for chosen in found.chosen
     }
+    words = [*map(equation_in_words, found.model.equations)]
     if found.mode is not None:  # as one of the terms that were found
-        (equation,) = found.paths
-        terms["mode"] = {
-            "meaning": _mode_in_words(found.mode),
-            "equation": equation,
-            "parameters": list(ModeParameters.of(len(found.start.modes))),
-            "width": None,
-            "width_unit": "",
-            "width_std_error": None,
-            "chosen_again": None,
-        }
-    words = [*map(equation_in_words, equations)]
-    words += [f"with {_mode_in_words(found.mode)}"] if found.mode else []
-    return {
-        "schema": SCHEMA,
-        "model": found.start.name,
-        "criterion": found.estimate.criterion.describe(),
-        "sentence": sentence(found),
-        "chosen": list(found.names),
-        "terms": terms,
-        "path": [
-            {"equation": name, **told(step, *Step._fields)}
-            for name, steps in found.paths.items()
-            for step in steps
-        ],
-        "rejected": [one._asdict() for one in found.rejected],
-        "offered": found.offered,
-        "held_out": found.held_out,
-        "delays": {name: finite(late) for name, late in found.delays.items()},
-        "parameters": _parameters(found),
-        "known": known_entries(found.estimate),
-        "equation": "; ".join(words),
-        "model_file": model_file,
-        "warnings": [f._asdict() for f in (*found.findings, *found.estimate.findings())],
-        "provenance": {"versions": versions(), "command": list(command)},
-    }
-
-
-def _parameters(found: Discovery) -> Document:
-    """As of any estimate, with what the choice of terms adds to its errors."""
-    entries = parameter_entries(found.estimate)
-    for name, entry in entries.items():
+        (equation,), meaning = found.paths, _mode_in_words(found.mode)
+        names = list(ModeParameters.of(len(found.start.modes)))
+        terms["mode"] = {"meaning": meaning, "equation": equation, "parameters": names}
+        words.append(f"with {meaning}")
+    parameters = parameter_entries(found.estimate)
+    for name, entry in parameters.items():
+        # As of any estimate, with what the choice of terms adds to its errors.
         own, whole = entry["std_error"], found.errors.get(name)
         if own and whole is not None and whole > own:
             value, ratio = entry["value"], whole / own
-            entry["std_error"] = finite(whole)
+            entry["std_error"] = whole
             entry["interval95"] = [
                 None if end is None else value + ratio * (end - value)
                 for end in entry["interval95"]
             ]
-    return entries
+    return read(
+        DiscoveryAnswer,
+        {
+            "model": found.start.name,
+            "criterion": found.estimate.criterion.describe(),
+            "sentence": sentence(found),
+            "chosen": found.names,
+            "terms": terms,
+            "path": [
+                {"equation": name, **step._asdict()}
+                for name, steps in found.paths.items()
+                for step in steps
+            ],
+            "rejected": [rejected._asdict() for rejected in found.rejected],
+            "offered": found.offered,
+            "held_out": found.held_out,
+            "delays": found.delays,
+            "parameters": parameters,
+            "known": known_entries(found.estimate),
+            "equation": "; ".join(words),
+            "model_file": model_file,
+            "warnings": [f._asdict() for f in (*found.findings, *found.estimate.findings())],
+            "provenance": {"versions": versions(), "command": list(command)},
+        },
+    )
 
 
 def sentence(found: Discovery) -> str:
@@ -176,97 +242,99 @@ def _noise(step: Step) -> str:
     return f", {'nearly all' if share > 1 - NOTABLE else f'{100 * share:.0f} %'} of it noise"
 
 
-def path_table(document: Document) -> Table:
+def path_table(answer: DiscoveryAnswer) -> Table:
     """What is unexplained, with one term more on each line."""
-    several = len({one["equation"] for one in document["path"]}) > 1
-    rows = [
-        [
-            *([one["equation"]] if several else []),
-            f"+ {one['added']}" if one["added"] else document["model"],
-            percent(one["unexplained"]),
-            percent(max(one["of_motion"], 0.0)),
-            percent(one["std_error"]) if one["added"] and one["std_error"] is not None else "",
-            probability(one["chance"]) if one["added"] and one["chance"] is not None else "",
-        ]
-        for one in document["path"]
-    ]
-    header = ("terms", "unexplained", "without noise", "std error of the step", "chance")
+    cells = {
+        "equation": lambda step: step.equation,
+        "terms": lambda step: f"+ {step.added}" if step.added else answer.model,
+        "unexplained": lambda step: percent(step.unexplained),
+        "without noise": lambda step: percent(max(step.of_motion, 0.0)),
+        "std error of the step": lambda step: (
+            percent(step.std_error) if step.added and step.std_error is not None else ""
+        ),
+        "chance": lambda step: (
+            probability(step.chance) if step.added and step.chance is not None else ""
+        ),
+    }
+    if len({step.equation for step in answer.path}) <= 1:
+        del cells["equation"]
     note = (
         "Share of the target's energy, by the windows of each fit."
-        if "mode" in document["terms"]
+        if "mode" in answer.terms
         else "Share of the target's energy in blocks of time that coefficients were not fitted to; "
         "chance: that any one of all candidates stands out as much and explains nothing."
     )
-    return Table(("equation", *header) if several else header, rows, "Terms one by one", note)
+    rows = [[cell(step) for cell in cells.values()] for step in answer.path]
+    return Table(tuple(cells), rows, "Terms one by one", note)
 
 
-def rejected_table(document: Document) -> Table:
+def rejected_table(answer: DiscoveryAnswer) -> Table:
     """What came nearest of all that was not taken."""
     cells = {
-        "would explain, of what is left": lambda one: percent(one["gain"]),
-        "chance": lambda one: probability(one["chance"]),
+        "would explain, of what is left": lambda rejected: percent(rejected.gain),
+        "chance": lambda rejected: probability(rejected.chance),
     }
-    rejected = [(one["name"], one) for one in document["rejected"]]
+    rejected = [(rejected.name, rejected) for rejected in answer.rejected]
     return Table.of("candidate", rejected, cells, "Not taken")
 
 
-def choice_in_words(document: Document) -> str:
+def choice_in_words(answer: DiscoveryAnswer) -> str:
     """What intervals say of the choice of terms."""
-    if document["held_out"]:
+    if answer.held_out:
         return (
-            f"Terms were chosen without the last {100 * document['held_out']:.0f} % of each "
+            f"Terms were chosen without the last {100 * answer.held_out:.0f} % of each "
             f"recording, from which alone values and intervals are."
         )
-    if not document["terms"]:
+    if not answer.terms:
         return ""
     again = ", ".join(
-        f"{name} {100 * one['chosen_again']:.0f} %"
-        for name, one in document["terms"].items()
-        if one["chosen_again"] is not None
+        f"{name} {100 * term.chosen_again:.0f} %"
+        for name, term in answer.terms.items()
+        if term.chosen_again is not None
     )
-    if not again or "mode" in document["terms"]:
+    if not again or "mode" in answer.terms:
         return "Intervals take the choice of terms for given."
     return f"Standard errors include the choice; in data drawn again it fell on {again}."
 
 
-def choice_lines(document: Document) -> list[str]:
+def choice_lines(answer: DiscoveryAnswer) -> list[str]:
     """Widths of laws that have one, and what intervals say of the choice."""
     widths = []
-    for name, term in document["terms"].items():
-        if term["width"] is not None:
-            error = term["width_std_error"]
-            width = number(term["width"], 4) + (f" +- {number(error, 2)}" if error else "")
-            widths.append(f"{name} has the width {width} {term['width_unit']}".rstrip())
-    return [*filter(None, (f"{'; '.join(widths)}." if widths else "", choice_in_words(document)))]
+    for name, term in answer.terms.items():
+        if term.width is not None:
+            error = f" +- {number(term.width_std_error, 2)}" if term.width_std_error else ""
+            width = f"{number(term.width, 4)}{error} {term.width_unit}"
+            widths.append(f"{name} has the width {width}".rstrip())
+    return [*filter(None, (f"{'; '.join(widths)}." if widths else "", choice_in_words(answer)))]
 
 
-def print_discovery(document: Document, console: Console) -> None:
+def print_discovery(answer: DiscoveryAnswer, console: Console) -> None:
     """The sentence, the path, the parameters and the equation."""
-    say(console, document["sentence"], wrapped=False)
-    for table in (path_table(document), rejected_table(document)):
+    say(console, answer.sentence, wrapped=False)
+    for table in (path_table(answer), rejected_table(answer)):
         if table.rows:
             say(console, "")
             say(console, table.caption, style="bold", wrapped=False)
             print_table(in_rich(table), console)
     say(console, "")
-    print_table(in_rich(parameter_table(document)), console)
-    lines = [*choice_lines(document), "", document["equation"]]
-    if document["model_file"]:
-        lines.append(f"model: {document['model_file']}, for riecjax identify and simulate")
+    print_table(in_rich(parameter_table(answer)), console)
+    lines = [*choice_lines(answer), "", answer.equation]
+    if answer.model_file:
+        lines.append(f"model: {answer.model_file}, for riecjax identify and simulate")
     say(console, *lines, wrapped=False)
 
 
-def discovery_page(document: Document) -> Page:
-    """The page of a discovery's document."""
-    terms = [path_table(document), rejected_table(document)]
+def discovery_page(answer: DiscoveryAnswer) -> Page:
+    """The page of a discovery."""
+    terms = [path_table(answer), rejected_table(answer)]
     return Page(
-        f"What {document['model']} lacks",
-        f"{document['offered']} candidates; {document['equation']}",
+        f"What {answer.model} lacks",
+        f"{answer.offered} candidates; {answer.equation}",
         (
             Section("Terms", tables=terms, charts=("path",)),
-            Section("Parameters", choice_lines(document), tables=[parameter_table(document)]),
+            Section("Parameters", choice_lines(answer), tables=[parameter_table(answer)]),
         ),
-        Section("Answer", [document["sentence"]]),
+        Section("Answer", [answer.sentence]),
     )
 
 

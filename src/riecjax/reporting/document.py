@@ -8,9 +8,6 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 Document = dict[str, Any]
 """Keys and values that JSON can express."""
 
@@ -66,6 +63,16 @@ def number(value: float | None, digits: int = 6) -> str:
     return f"{float(said):.0f}" if "e+" in said and abs(value) < LONGEST else said
 
 
+def percents(share: float | None, form: str = ".3g", none: str = "?") -> str:
+    """A share in percent, in this form."""
+    return none if share is None else f"{100 * share:{form}}"
+
+
+def share_in_words(share: float | None, digits: int = 3) -> str:
+    """A share in percent; `?` where none is known, as of the noise in a function of signals."""
+    return "?" if share is None else f"{number(100 * share, digits)} %"
+
+
 def probability(p: float | None) -> str:
     """A probability for a table; `none` where there is none."""
     return "none" if p is None else "< 1e-6" if p < 1e-6 else number(p, 2)
@@ -83,19 +90,3 @@ def ends_of(interval: Sequence[float | None], digits: int = 6) -> list[str]:
         orders = math.floor(math.log10(largest)) - math.floor(math.log10(half))
         digits = min(max(digits, orders + HALF_DIGITS), MOST_DIGITS)
     return [number(end, digits) for end in interval]
-
-
-def finite(value: ArrayLike | Sequence[Any] | None) -> Any:
-    """The number, or `None` where JSON has no word for it; of an array, nested lists of them; a
-    text as it is."""
-    if value is None or isinstance(value, str):
-        return value
-    if isinstance(value, tuple | list) or np.ndim(value):
-        return [finite(each) for each in value]  # type: ignore[union-attr]
-    number = np.asarray(value).item()
-    return number if math.isfinite(number) else None
-
-
-def told(thing: object, *names: str) -> Document:
-    """Attributes of an object that are numbers, texts or arrays of them, by name."""
-    return {name: finite(getattr(thing, name)) for name in names}

@@ -1,360 +1,155 @@
-"""Results of an identification: JSON document and tables on a terminal.
+"""An identification on a terminal, and in words that the page says too.
 
 The answer comes first, then what to do about it, and how it came about.
 """
 
-import shlex
-import subprocess
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
-import jax
-import jax.numpy as jnp
-import numpy as np
 from rich.console import Console
 
-from riecjax.assessment.assessment import Assessment, Refinement
-from riecjax.assessment.verdict import Cause, Step, Verdict
-from riecjax.records.recording import common_steps
-from riecjax.reporting.checking import (
-    excitation_entries,
-    noise_entries,
-    noise_in_words,
-    recording_entry,
-    start_times,
-)
-from riecjax.reporting.document import Document, ends_of, finite, number, told, versions
-from riecjax.reporting.equations import model_in_words
-from riecjax.reporting.estimate import (
-    estimate_entries,
-    intervals_entry,
-    parameter_entries,
-    parameter_table,
-    print_estimate,
-)
+from riecjax.reporting import answer as parts
+from riecjax.reporting.answer import Answer
+from riecjax.reporting.document import number, percents
+from riecjax.reporting.parameters import dotted, parameter_table
 from riecjax.reporting.tables import in_rich, print_table, say
 
-if TYPE_CHECKING:
-    from riecjax.estimation.evidence import ModeEvidence
-
-MOST_STEPS = 3
-"""Things to do next that are told."""
-WithOptions = Callable[[Sequence[str]], Sequence[str]]
-"""Arguments of `riecjax`, those that made a result, with further options in their places."""
 STYLES = {"good": "green", "caution": "yellow", "do not use": "bold red"}
+LEAST_SHOWN = 1e-4
+"""Share of a signal's standard deviation below which noise is not worth a line."""
 
 
-def identification_document(
-    result: Assessment, command: Sequence[str] = (), with_options: WithOptions | None = None
-) -> Document:
-    """The document that `--json` prints and results.json holds.
-
-    **Arguments:** `command`: the arguments of `riecjax` that made it, if any did.
-    """
-    estimate, refinement = result.estimate, result.refinement
-    found = estimate_entries(result.model.name, estimate)
-    identified, key, sweep, seed = found["parameters"], result.key, result.sweep, None
-    if key is not None:
-        # The seed that `jax.random.key` makes this key of: its words, the highest first.
-        words = jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
-        seed = int.from_bytes(np.asarray(words).astype(">u4").tobytes(), "big")
+def print_identification(answer: Answer, console: Console) -> None:
+    """The verdict, and in a line what the values are."""
+    refinement, criterion = answer.refinement, answer.criterion
+    how = criterion["name"].upper()
+    if "alpha" in criterion:
+        how += f" in windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s"
     if refinement is not None and refinement.chosen:
-        found["parameters"] = parameter_entries(result.answer)
-    return {
-        **found,
-        "equations": model_in_words(result.model),
-        "verdict": verdict_entries(result.verdict, with_options),
-        "modes": mode_entries(result.modes),
-        "excitation": excitation_entries(result.checked),
-        "noise": noise_entries(result.recordings, result.checked.signals),
-        "correlation": {
-            "parameters": list(estimate.parameters),
-            "matrix": finite(np.asarray(estimate.correlation)),
-        },
-        "residual_tests": None if result.residuals is None else result.residuals.describe(),
-        "window_choice": None if result.choice is None else result.choice.describe(),
-        "window_sweep": None
-        if sweep is None
-        else {
-            **told(sweep, "alpha", "beta"),
-            "parameters": {
-                name: {
-                    "value": finite(sweep.theta[:, j]),
-                    "std_error": finite(sweep.standard_errors[:, j]),
-                }
-                for j, name in enumerate(sweep.parameters)
-            },
-            "relative_rms": {
-                label: finite(sweep.relative_rms[:, i]) for i, label in enumerate(sweep.stage_names)
-            },
-        },
-        "refinement": None if refinement is None else refinement_entries(refinement, identified),
-        "validation": [
-            {"on": run.recording.name, **run.held.describe()} for run in result.validations
-        ],
-        "warnings": [finding._asdict() for finding in result.findings()],
-        "provenance": {
-            "command": as_typed(command) if command else None,
-            "seed": seed,
-            "records": [recording_entry(recording) for recording in result.recordings],
-            "start_times": start_times(result.recordings),
-            "preparation": common_steps(result.recordings),
-            "converted": {k: u for r in result.recordings for k, u in r.converted.items()},
-            "intervals": intervals_entry(estimate),
-            "versions": versions(),
-        },
-    }
+        white = refinement.whiteness is not None and refinement.whiteness.white
+        how = f"refined by simulation{', which leaves white noise' if white else ''}"
+    said = len(answer.warnings)
+    more = f" {said} finding{'s' if said != 1 else ''} and" if said else ""
+    print_verdict(answer, console)
+    say(console, "")
+    if converted := answer.provenance.converted:
+        units = ", ".join(f"{name} from {unit}" for name, unit in converted.items())
+        say(console, f"Converted to SI: {units}.")
+    say(console, f"Values: {how}. Add --verbose for{more} how they were found.")
+    say(console, *words_of(answer, "modes", "validation"))
 
 
-def verdict_entries(verdict: Verdict, with_options: WithOptions | None = None) -> Document:
-    """The part of the document about the verdict.
-
-    **Arguments:** `with_options` makes arguments of `riecjax` that do what to do next; without,
-    there is no command for it.
-    """
-    return {
-        "sentence": verdict.sentence,
-        "parameters": {
-            name: told(judged, "level", "reason", "doubt", "share")
-            for name, judged in verdict.parameters.items()
-        },
-        "causes": [
-            {
-                **told(cause, "kind", "phrase", "parameters", "share"),
-                "codes": list(dict.fromkeys(finding.code for finding in cause.findings)),
-            }
-            for cause in verdict.causes
-        ],
-        "next": list(_next(verdict.causes, with_options)),
-    }
+def print_everything(answer: Answer, console: Console) -> None:
+    """The verdict, and all there is to say of how it came about."""
+    criterion = answer.criterion
+    print_verdict(answer, console)
+    say(console, "", *answer.equations)
+    heading = f"{answer.model}  {criterion['name'].upper()}  {settings_in_words(criterion)}"
+    say(console, heading)
+    print_table(in_rich(parameter_table(answer)), console)
+    for name, fit in fits_of(answer.residual):
+        told = [f"relative residual {percents(fit.relative_rms)} %"]
+        if isinstance(fit, parts.StageFit):
+            told.append(f"condition number {number(fit.condition_number, 3)}")
+        say(console, f"{name}: {', '.join(told)}, {fit.rows} rows")
+    say(console, *words_of(answer))
+    say(console, *(f"prepared: {step}" for step in answer.provenance.preparation))
 
 
-def _next(causes: Sequence[Cause], with_options: WithOptions | None) -> Iterator[Document]:
-    """What to do, with a command that does it; what has one comes first, but for what voids all."""
-    urgent = {cause.step: cause.voids for cause in reversed(causes) if cause.step is not None}
-    steps = sorted(reversed(urgent), key=lambda step: (not urgent[step], not step.options))
-    different: dict[object, Step] = {}
-    for step in steps:  # two causes may ask for the same
-        different.setdefault(step.options or step.words, step)
-    for step in [*different.values()][:MOST_STEPS]:
-        proposed = with_options(step.options) if with_options and step.options else None
-        yield {
-            "words": step.words,
-            "options": list(step.options),
-            "command": as_typed(proposed) if proposed else None,
-        }
-
-
-def as_typed(arguments: Sequence[str]) -> str:
-    """`riecjax` with these arguments, as this system's shell takes it."""
-    # To cmd.exe a single quote is a letter like others.
-    join = subprocess.list2cmdline if sys.platform == "win32" else shlex.join
-    return join(["riecjax", *arguments])
-
-
-def print_verdict(document: Document, console: Console) -> None:
+def print_verdict(answer: Answer, console: Console) -> None:
     """Sentence, table, reasons and what to do next."""
-    entries = document["verdict"]
-    say(console, entries["sentence"], style="bold")
+    verdict = answer.verdict
+    say(console, verdict.sentence, style="bold")
     say(console, "")
     # The answer with its doubt and level; standard errors are in the full table.
     columns = ("value", "95 % interval", "doubt", "unit", "verdict")
-    table = parameter_table(
-        document, columns, lambda ends: "?" if None in ends else " .. ".join(ends_of(ends))
-    )
+    table = parameter_table(answer, columns, lambda ends: "?" if None in ends else dotted(ends))
     print_table(in_rich(table, columns[:3], STYLES), console)
-    say(console, *reasons_in_words(entries))
-    for step in entries["next"]:
-        say(console, "", f"{step['words']}{':' if step['command'] else '.'}")
-        if step["command"]:
+    say(console, *reasons_in_words(verdict))
+    for step in verdict.next:
+        say(console, "", f"{step.words}{':' if step.command else '.'}")
+        if step.command:
             # Not wrapped: a command is to be pasted.
-            say(console, f"  {step['command']}", wrapped=False)
+            say(console, f"  {step.command}", wrapped=False)
 
 
-def reasons_in_words(entries: Document) -> Iterator[str]:
+def reasons_in_words(verdict: parts.VerdictPart) -> Iterator[str]:
     """Why what is not good is not, parameters with the same reason together."""
     by_reason: dict[str, list[str]] = {}
-    for name, judged in entries["parameters"].items():
-        if judged["level"] != "good":
-            by_reason.setdefault(judged["reason"], []).append(name)
+    for name, judgement in verdict.parameters.items():
+        if judgement.level != "good":
+            by_reason.setdefault(judgement.reason, []).append(name)
     for reason, names in by_reason.items():
         yield f"{', '.join(names)}: {reason}"
 
 
-def print_identification(document: Document, console: Console) -> None:
-    """The verdict, and in a line what the values are."""
-    refinement, criterion = document["refinement"], document["criterion"]
-    how = criterion["name"].upper()
-    if "alpha" in criterion:
-        how += f" in windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s"
-    if refinement is not None and refinement["chosen"]:
-        white = (refinement["whiteness"] or {}).get("white")
-        how = f"refined by simulation{', which leaves white noise' if white else ''}"
-    said = len(document["warnings"])
-    more = f" {said} finding{'s' if said != 1 else ''} and" if said else ""
-    print_verdict(document, console)
-    say(console, "")
-    if converted := document["provenance"]["converted"]:
-        units = ", ".join(f"{name} from {unit}" for name, unit in converted.items())
-        say(console, f"Converted to SI: {units}.")
-    say(console, f"Values: {how}. Add --verbose for{more} how they were found.")
-    say(console, *modes_in_words(document["modes"]), *_validations_in_words(document))
+def criterion_in_words(criterion: parts.Settings) -> str:
+    """A criterion's name and settings."""
+    settings = {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in criterion.items()}
+    name = str(settings.pop("name")).upper()
+    listed = ", ".join(f"{key} {value}" for key, value in settings.items())
+    return f"{name} ({listed})" if listed else name
 
 
-def print_everything(document: Document, console: Console) -> None:
-    """The verdict, and all there is to say of how it came about."""
-    refinement, prepared = document["refinement"], document["provenance"]["preparation"]
-    print_verdict(document, console)
-    say(console, "", *document["equations"])
-    print_estimate(document, console)
-    say(console, *modes_in_words(document["modes"]))
-    if refinement is not None:
-        # What became of the search, if its values are the answer.
-        search = search_in_words(refinement) if refinement["chosen"] else ()
-        say(console, choice_in_words(refinement), *search)
-    say(console, *windows_in_words(document), *_validations_in_words(document))
-    say(console, *(f"prepared: {step}" for step in prepared))
+def settings_in_words(criterion: parts.Settings) -> str:
+    """A criterion's settings, all but its name."""
+    return ", ".join(f"{key} {value}" for key, value in criterion.items() if key != "name")
 
 
-def _validations_in_words(document: Document) -> Iterator[str]:
-    return (f"validated on {run['on']}: {run['verdict']}" for run in document["validation"])
+def fits_of(residual: parts.ResidualPart) -> Iterator[tuple[str, parts.StageFit | parts.Fit]]:
+    """What each stage leaves, and each equation of a stage of several, by name."""
+    for stage in residual.stages:
+        yield stage.equation, stage
+        for name in stage.equations if len(stage.equations) > 1 else ():
+            yield name, residual.equations[name]
 
 
-def windows_in_words(document: Document) -> Iterator[str]:
-    """Where intervals come from, what windows see and which would serve best, and the noise."""
-    intervals = document["provenance"]["intervals"]
-    yield (
-        f"intervals: {intervals['method']}, {intervals['blocks']} blocks of "
-        f"{intervals['block_seconds']:.3g} s"
-    )
-    criterion, choice = document["criterion"], document["window_choice"]
-    if choice is not None:
-        low, high = 0.5 / criterion["beta"], 0.5 / criterion["alpha"]
-        yield (
-            f"windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s: half periods of "
-            f"{high:.3g} to {low:.3g} Hz. {choice['reason']}"
-        )
-    yield from noise_in_words(document["noise"])
+def words_of(answer: Answer, *names: str) -> Iterator[str]:
+    """What is said of these parts of an answer, by default of all that something is said of."""
+    for name in names or WORDS:
+        if part := getattr(answer, name):
+            yield from WORDS[name](part)
 
 
-def mode_entries(modes: "Sequence[ModeEvidence]") -> list[Document]:
-    """The part of the document about hidden modes, the last one of each stage."""
-    return [
-        {
-            "on": mode.on,
-            "equation": mode.stage,
-            "parameters": list(mode.parameters),
-            "frequency_hz": finite(mode.frequency[0]),
-            "frequency_std_error_hz": finite(mode.frequency[1]),
-            "damping_ratio": finite(mode.damping_ratio[0]),
-            "damping_ratio_std_error": finite(mode.damping_ratio[1]),
-            "window_s": list(mode.lengths),
-            "strays": [
-                {"parameters": list(names), "asked_hz": asked, "found_hz": finite(found)}
-                for names, asked, found in mode.strays
-            ],
-            **told(mode, "carried", "oscillates", "explained"),
-            "held_out": {
-                "with": finite(mode.unexplained),
-                **told(mode, "without", "gain"),
-                "gain_std_error": finite(mode.gain_error),
-            },
-            "map": {
-                "frequency_hz": finite(mode.map.frequency),
-                **told(mode.map, "unexplained", "without"),
-                "damping_ratio": finite(mode.map.damping),
-            },
-        }
-        for mode in modes
-    ]
-
-
-def modes_in_words(modes: Sequence[Document]) -> Iterator[str]:
+def modes_in_words(modes: Sequence[parts.ModePart]) -> Iterator[str]:
     """Where each mode is, what it explains, the windows that it was found in, and which modes
     were looked for elsewhere."""
     for mode in modes:
-        low, high = mode["window_s"]
+        low, high = mode.window_s
         lengths = f"{low:.3g} s" if low == high else f"{low:.3g} to {high:.3g} s"
-        held = mode["held_out"]
-        left = max(held["with"], 0.0)  # less than nothing, where noise was taken off
-        frequency = number(mode["frequency_hz"], 4), number(mode["frequency_std_error_hz"], 2)
-        ratio = number(mode["damping_ratio"], 4), number(mode["damping_ratio_std_error"], 2)
+        left = max(
+            mode.held_out.with_mode or 0.0, 0.0
+        )  # less than nothing, where noise was taken off
+        frequency = number(mode.frequency_hz, 4), number(mode.frequency_std_error_hz, 2)
+        ratio = number(mode.damping_ratio, 4), number(mode.damping_ratio_std_error, 2)
         yield (
-            f"hidden mode on {mode['on']}: {' +- '.join(frequency)} Hz with the body at rest, "
+            f"hidden mode on {mode.on}: {' +- '.join(frequency)} Hz with the body at rest, "
             f"damping ratio {' +- '.join(ratio)}, in windows of {lengths}, which tell most of it. "
-            f"On time that it was not found from {100 * left:.2g} % of {mode['equation']} is left "
-            f"with it and {100 * held['without']:.2g} % without."
+            f"On time that it was not found from {100 * left:.2g} % of {mode.equation} is left "
+            f"with it and {percents(mode.held_out.without, '.2g')} % without."
         )
-        for stray in mode["strays"]:
+        for stray in mode.strays:
             yield (
-                f"no mode near {stray['asked_hz']:.4g} Hz: the search for "
-                f"{stray['parameters'][0]} ended at {number(stray['found_hz'], 3)} Hz."
+                f"no mode near {stray.asked_hz:.4g} Hz: the search for {stray.parameters[0]} ended "
+                f"at {number(stray.found_hz, 3)} Hz."
             )
 
 
-def refinement_entries(refinement: Refinement, identified: dict[str, Any]) -> Document:
-    """The part of the document about the refinement.
-
-    Keys of a search are `null` or empty if none was made.
-    """
-    refined, left, tests = refinement.refined, refinement.whiteness, None
-    if left is not None:
-        tests = {
-            **told(left, "white", "vanishing", "largest", "threshold"),
-            "channels": {
-                name: {
-                    "statistic": finite(statistic),
-                    "chi_squared": finite(left.chi_squared[name]),
-                    "share": finite(left.shares[name]),
-                }
-                for name, statistic in left.statistics.items()
-            },
-        }
-    search: Document = dict.fromkeys(("by", "converged", "reason", "steps", "basis"))
-    search |= {"left": {}, "intervals": None, "at_bound": []}
-    if refined is not None:
-        rms = refined.quantities, refined.rms_before, refined.rms, refined.quantity_units
-        search = {
-            "by": dict(refined.by),
-            **told(refined, "converged", "reason", "steps", "basis"),
-            "left": {
-                name: {"before": finite(before), "after": finite(after), "unit": unit}
-                for name, before, after, unit in zip(*rms)
-            },
-            "intervals": intervals_entry(refined),
-            "at_bound": [
-                name for name, there in zip(refined.parameters, refined.at_bound) if there
-            ],
-        }
-    return {
-        "chosen": refinement.chosen,
-        "declined": refinement.declined or None,
-        "chi_squared": left and finite(max(left.chi_squared.values(), default=float("nan"))),
-        "whiteness": tests,
-        "identified": identified,
-        "refined": None if refined is None else parameter_entries(refined),
-        **search,
-        "simulations": [
-            {
-                "on": run.recording.name,
-                "fitted": refinement.on_fitted,
-                "before": run.before.describe(),
-                "after": run.after.describe(),
-            }
-            for run in refinement.simulations
-        ],
-    }
+def refinement_in_words(refinement: parts.RefinementPart) -> Iterator[str]:
+    """Which values are the answer, and what became of the search where its values are."""
+    yield choice_in_words(refinement)
+    if refinement.chosen:
+        yield from search_in_words(refinement)
 
 
-def choice_in_words(entries: Document) -> str:
+def choice_in_words(refinement: parts.RefinementPart) -> str:
     """Which values are the answer, and what the others are for."""
-    left, declined = entries["whiteness"], entries["declined"]
-    if entries["refined"] is None:
+    whiteness, declined = refinement.whiteness, refinement.declined
+    if refinement.refined is None:
         return f"not refined: {declined}."
-    if declined is not None and not left["white"]:
-        unseen = [run for run in entries["simulations"] if not run["fitted"]]
-        fits = (f"{r['on']} {_worst(r['before'])} -> {_worst(r['after'])} %" for r in unseen)
+    if declined is not None and whiteness is not None and not whiteness.white:
+        unseen = [run for run in refinement.simulations if not run.fitted]
+        fits = (f"{run.on} {_worst(run.before)} -> {_worst(run.after)} %" for run in unseen)
         predicted = f" (worst fit on {', '.join(fits)})" if unseen else ""
         return (
             f"refined by output error, but that is not the answer: {declined}. The identified "
@@ -363,18 +158,18 @@ def choice_in_words(entries: Document) -> str:
         )
     if declined is not None:
         return f"refined by output error, but that is not the answer: {declined}."
-    if left is None:
+    if whiteness is None:
         return "the refined values are the answer, as was asked for."
-    size = f"{_number(left['largest'])}, where noise stays below {left['threshold']:.2g}"
-    if not left["white"]:
+    size = f"{_number(whiteness.largest)}, where noise stays below {whiteness.threshold:.2g}"
+    if not whiteness.white:
         return (
             f"the refined values are the answer, as was asked for. What they leave is not white "
             f"noise ({size}), as of coloured noise, of noise on a recorded input, or of a model "
             f"that leaves out part of the motion: there the identified values are the physical "
             f"parameters, and these are for predicting motions like this one."
         )
-    if left["vanishing"]:
-        most = max(channel["share"] for channel in left["channels"].values())
+    if whiteness.vanishing:
+        most = max(channel.share or 0.0 for channel in whiteness.channels.values())
         return (
             f"the refined values are the answer: the model follows the motion to {_number(most)} "
             f"of its size, so that there is no noise to tell from its errors."
@@ -385,48 +180,104 @@ def choice_in_words(entries: Document) -> str:
     )
 
 
-def _worst(described: Document) -> str:
-    fits = [s["fit_percent"] for s in described["signals"].values() if s["judged"]]
-    known = [fit for fit in fits if fit is not None]
-    return f"{min(known):.4g}" if known else "?"
+def _worst(held: parts.HeldOutPart) -> str:
+    fits = [signal.fit_percent for signal in held.signals.values() if signal.judged]
+    return _fit(min((fit for fit in fits if fit is not None), default=None))
 
 
-def search_in_words(entries: Document) -> Iterator[str]:
+def _fit(percent: float | None) -> str:
+    return "?" if percent is None else f"{percent:.4g}"
+
+
+def search_in_words(refinement: parts.RefinementPart) -> Iterator[str]:
     """How the search went, whether or not its values are the answer."""
     kind = {"integral": "impulses of the equation error", "output-error": "the output error"}
-    yield (
-        f"refined by {kind[entries['by']['refine']]}: {entries['reason']} "
-        f"({entries['steps']} steps)"
-    )
-    yield f"left before and after, of {entries['basis']}:"
-    whiteness = entries["whiteness"]
-    channels = {} if whiteness is None or whiteness["vanishing"] else whiteness["channels"]
-    for name, left in entries["left"].items():
+    whiteness, by, intervals = refinement.whiteness, refinement.by, refinement.intervals
+    assert by is not None
+    assert intervals is not None
+    yield f"refined by {kind[by['refine']]}: {refinement.reason} ({refinement.steps} steps)"
+    yield f"left before and after, of {refinement.basis}:"
+    channels = {} if whiteness is None or whiteness.vanishing else whiteness.channels
+    for name, left in refinement.left.items():
         # Beside what the sensor's noise would leave.
-        power = channels.get(name, {}).get("chi_squared")
+        power = channels[name].chi_squared if name in channels else None
         noise = "" if power is None else f", {number(power**0.5, 3)} times the sensor's noise"
         yield (
-            f"{name}: {_number(left['before'])} before, {_number(left['after'])} {left['unit']} "
+            f"{name}: {_number(left.before)} before, {_number(left.after)} {left.unit} "
             f"r.m.s. after{noise}"
         )
-    for run in entries["simulations"]:
-        where = f"{run['on']} (fitted)" if run["fitted"] else run["on"]
+    for run in refinement.simulations:
+        where = f"{run.on} (fitted)" if run.fitted else run.on
         fits = ", ".join(
-            f"{name} {_fit(run['before'], name)} -> {_fit(run['after'], name)} %"
-            for name in run["after"]["signals"]
+            f"{name} {_fit(run.before.fit(name))} -> {_fit(run.after.fit(name))} %"
+            for name in run.after.signals
         )
         yield f"simulated on {where}, fit before -> after: {fits} (from the state as recorded)"
-    intervals = entries["intervals"]
-    yield (
-        f"refined intervals: {intervals['method']}, {intervals['blocks']} blocks of "
-        f"{intervals['block_seconds']:.3g} s; of what was identified:"
-    )
-
-
-def _fit(described: Document, name: str) -> str:
-    fit = described["signals"].get(name, {}).get("fit_percent")
-    return "?" if fit is None else f"{fit:.4g}"
+    yield f"refined {intervals_in_words(intervals)}; of what was identified:"
 
 
 def _number(value: float | None) -> str:
     return "?" if value is None else number(value, 4)
+
+
+def intervals_in_words(intervals: parts.IntervalsPart) -> str:
+    """Where intervals come from."""
+    return (
+        f"intervals: {intervals.method}, {intervals.blocks} blocks of "
+        f"{intervals.block_seconds:.3g} s"
+    )
+
+
+def _provenance_in_words(provenance: parts.Provenance) -> Iterator[str]:
+    if provenance.intervals is not None:
+        yield intervals_in_words(provenance.intervals)
+
+
+def _window_choice_in_words(choice: parts.WindowChoicePart) -> Iterator[str]:
+    """What windows see, and which would serve best."""
+    low, high = choice.seen_best_hz
+    yield (
+        f"windows of {choice.alpha_s:.3g} to {choice.beta_s:.3g} s: half periods of "
+        f"{high:.3g} to {low:.3g} Hz. {choice.reason}"
+    )
+
+
+def noise_in_words(noise: Mapping[str, parts.NoisePart]) -> Iterator[str]:
+    """One line on all signals that have some, if any is known."""
+    shares = {name: entry.share or 0.0 for name, entry in noise.items()}
+    shown = [f"{n} {number(100 * s, 2)} %" for n, s in shares.items() if s >= LEAST_SHOWN]
+    noun = "their standard deviations" if len(shown) > 1 else "its standard deviation"
+    if shown:
+        yield f"noise: {', '.join(shown)} of {noun}"
+    elif noise:
+        yield f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"
+
+
+def _validation_in_words(runs: Sequence[parts.HeldOutPart]) -> Iterator[str]:
+    return (f"validated on {run.on}: {run.verdict}" for run in runs)
+
+
+def tests_in_words(tests: Mapping[str, Any]) -> Iterator[str]:
+    """What further tests tell of themselves."""
+    return (f"{name.replace('_', ' ')}: {plain_in_words(entry)}" for name, entry in tests.items())
+
+
+def plain_in_words(entry: Any) -> str:
+    """Plain data in words."""
+    if isinstance(entry, dict):
+        return ", ".join(f"{name} {plain_in_words(each)}" for name, each in entry.items())
+    if isinstance(entry, list):
+        return f"[{', '.join(map(plain_in_words, entry))}]"
+    return number(entry) if isinstance(entry, float) else str(entry)
+
+
+WORDS: dict[str, Callable[[Any], Iterable[str]]] = {
+    "modes": modes_in_words,
+    "refinement": refinement_in_words,
+    "provenance": _provenance_in_words,
+    "window_choice": _window_choice_in_words,
+    "noise": noise_in_words,
+    "validation": _validation_in_words,
+    "tests": tests_in_words,
+}
+"""What is said of each part of an answer that has more to say than a number, in this order."""

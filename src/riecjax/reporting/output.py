@@ -6,13 +6,15 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
+import msgspec
 from rich.console import Console
 
 from riecjax.errors import DataError
 from riecjax.extensions import require_packages
+from riecjax.leaves import finite
 from riecjax.reporting.charts.chart import Chart
 from riecjax.reporting.document import Document, sealed
 from riecjax.reporting.page import Page, render
@@ -23,21 +25,24 @@ RESULTS, REPORT = "results.json", "report.html"
 STAMPED = (".png", ".parquet")
 """Endings of files that bear a stamp by which a later run knows its own."""
 Writer = Callable[[Path], None]
+Kind = TypeVar("Kind")
 
 
 def emit(
-    document: Document,
+    document: Kind,
     *,
     as_json: bool,
     out: Path | None,
-    show: Callable[[Document, Console], None],
+    show: Callable[[Kind, Console], None],
     charts: Callable[[], Mapping[str, Chart]] = dict,
-    page: Callable[[Document], Page] | None = None,
+    page: Callable[[Kind], Page] | None = None,
     warnings: Sequence[Mapping[str, Any]] | None = None,
     others: Mapping[str, Writer] | None = None,
     beside: Sequence[str] = (),
 ) -> None:
     """Write the folder, if one is asked for, and print, the answer before warnings.
+
+    The document is plain data, or typed, a Struct of msgspec's.
 
     Who sits at a terminal reads while pictures are drawn; what a program gets comes last, so that
     it finds the folder, which no pipe that closes early prevents. Warnings go to standard error:
@@ -46,12 +51,12 @@ def emit(
 
     **Raises:** as [`write_folder`][riecjax.reporting.output.write_folder].
     """
-    document = sealed(document)
-    told = document.get("warnings", []) if warnings is None else warnings
+    plain = sealed(msgspec.to_builtins(document, enc_hook=finite))
+    told = plain.get("warnings", []) if warnings is None else warnings
 
     def say() -> None:
         if as_json:
-            answer(document)
+            answer(plain)
         else:
             show(document, Console())
         console = Console(stderr=True)
@@ -64,7 +69,7 @@ def emit(
     if is_watched:
         say()
     if out is not None and page is not None:
-        write_folder(out, document, charts(), page(document), others)
+        write_folder(out, plain, charts(), page(document), others)
     if not is_watched:
         say()
     if out is not None and not as_json:

@@ -1,6 +1,5 @@
 """Objects drawn by matplotlib, by the charts of the report."""
 
-import functools
 import math
 import tempfile
 import webbrowser
@@ -11,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.assessment.assessment import Assessment
-from riecjax.estimation.estimate import AbstractEstimate
-from riecjax.estimation.evidence import ModeEvidence
+from riecjax.assessment.assess import Assessment
+from riecjax.estimation.estimate import Estimate
 from riecjax.leaves import on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.reporting import Document, write_report
+from riecjax.reporting import write_report
+from riecjax.reporting.answer import Answer, part_of
 from riecjax.reporting.charts.chart import (
     BOLD,
     LARGE,
@@ -33,42 +32,31 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
-from riecjax.reporting.exports import document_of
 from riecjax.reporting.result_figures import (
-    held_out_figure,
     identification_figures,
-    mode_map_figure,
     over_time,
-    spectra_figure,
-    sweep_figure,
 )
 from riecjax.reporting.tables import with_error
-from riecjax.validation import HeldOut, ResidualTests, WindowSweep
+from riecjax.shows import chart_of, draw, show
 
 FARTHEST = 100.0
 """Percent beyond which the ends of an interval are not drawn."""
 
 
-def draw(thing: Any, ax: Any = None) -> Any:
-    """Draw an object; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
+@draw.register
+def _(chart: Chart, ax: Any = None) -> Any:
     from riecjax.reporting.charts.printed import drawn
 
-    return drawn(chart_of(thing), ax)
+    return drawn(chart, ax)
 
 
-def open_report(assessment: Assessment) -> Path:
-    """Write the report to a temporary folder and open it in the browser."""
+@show.register
+def _(assessment: Assessment) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="riecjax_"))
     write_report(assessment, folder)
     page = folder / "report.html"
     webbrowser.open(page.as_uri())
     return page
-
-
-@functools.singledispatch
-def chart_of(thing: Any) -> Chart:
-    """The chart that shows an object."""
-    return thing.chart()
 
 
 @chart_of.register
@@ -92,16 +80,10 @@ def _(thing: Recording) -> Chart:
 
 
 @chart_of.register
-def _(thing: AbstractEstimate) -> Chart:
+def _(thing: Estimate) -> Chart:
     if thing.batch_shape:
         return _batch(on_host(thing))
-    return relative_figure({"": document_of(on_host(thing))})
-
-
-chart_of.register(WindowSweep, sweep_figure)
-chart_of.register(HeldOut, held_out_figure)
-chart_of.register(ResidualTests, spectra_figure)
-chart_of.register(ModeEvidence, lambda thing: mode_map_figure([thing]))
+    return relative_figure({"": part_of(on_host(thing))})
 
 
 @chart_of.register
@@ -123,7 +105,7 @@ def _(thing: Assessment) -> Chart:
     return Chart(rows, f"{thing.model.name}.")
 
 
-def _batch(batch: AbstractEstimate) -> Chart:
+def _batch(batch: Estimate) -> Chart:
     """Each member as a dot, relative to the mean over the batch."""
     labels: list[str] = []
     marks: list[Mark] = [Level(axis="x")]
@@ -141,20 +123,20 @@ def _names(labels: Sequence[str]) -> Axis:
     return Axis(categories=tuple(labels), low=-0.5, high=len(labels) - 0.5, reverse=True)
 
 
-def relative_figure(documents: Mapping[str, Document]) -> Chart:
-    """Parameters with their 95 % intervals, relative to the values of the first document."""
-    first = next(iter(documents.values()))["parameters"]
-    names = list(dict.fromkeys(n for d in documents.values() for n in d["parameters"]))
-    later_first = [d["parameters"] for d in reversed([*documents.values()])]
-    reference = {n: entry["value"] for entries in later_first for n, entry in entries.items()}
+def relative_figure(answers: Mapping[str, Answer]) -> Chart:
+    """Parameters with their 95 % intervals, relative to the values of the first answer."""
+    first = next(iter(answers.values())).parameters
+    names = list(dict.fromkeys(n for answer in answers.values() for n in answer.parameters))
+    later_first = [answer.parameters for answer in reversed([*answers.values()])]
+    reference = {n: entry.value for entries in later_first for n, entry in entries.items()}
     marks: list[Mark] = [Level(axis="x")]
-    for j, (label, document) in enumerate(documents.items()):
-        shift = 0.0 if len(documents) == 1 else 0.5 * (j / (len(documents) - 1) - 0.5)
+    for j, (label, answer) in enumerate(answers.items()):
+        shift = 0.0 if len(answers) == 1 else 0.5 * (j / (len(answers) - 1) - 0.5)
         color = SERIES[j % len(SERIES)]
         # A bar for each interval, in one line with gaps, and dots at the values.
-        entries = document["parameters"]
-        ends = [_percent(entries[n]["interval95"], reference[n]) for n in names if n in entries]
-        values = [_percent([entries[n]["value"]], reference[n]) for n in names if n in entries]
+        entries = answer.parameters
+        ends = [_percent(entries[n].interval95, reference[n]) for n in names if n in entries]
+        values = [_percent([entries[n].value], reference[n]) for n in names if n in entries]
         places = [i + shift for i, name in enumerate(names) if name in entries]
         x = np.ravel([(*pair, math.nan) for pair in ends])
         y = np.ravel([(place, place, math.nan) for place in places])
@@ -163,11 +145,11 @@ def relative_figure(documents: Mapping[str, Document]) -> Chart:
     ends = [abs(x) for mark in marks if isinstance(mark, Line) for x in np.ravel(mark.x)]
     reach = max((end for end in ends if math.isfinite(end)), default=1.0)
     limit = FARTHEST if reach > FARTHEST else None
-    base, labels = f"the value of {next(iter(documents))}", names
-    if len(documents) == 1:
+    base, labels = f"the value of {next(iter(answers))}", names
+    if len(answers) == 1:
         base = "the value"
-        values = {n: with_error(e["value"], e["std_error"]) for n, e in first.items()}
-        labels = [f"{n} = {values[n]} {first[n]['unit']}".rstrip() for n in names]
+        values = {n: with_error(e.value, e.std_error) for n, e in first.items()}
+        labels = [f"{n} = {values[n]} {first[n].unit}".rstrip() for n in names]
     across = Axis(f"95 % interval, from {base} / %", low=limit and -limit, high=limit)
     return single(marks, across, _names(labels), "Parameters with their 95 % intervals.")
 

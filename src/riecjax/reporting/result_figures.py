@@ -1,25 +1,25 @@
 """Figures of an identification: fit, window sweep, validation."""
 
 import contextlib
+import functools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.assessment.asked import TINY
-from riecjax.assessment.assessment import Assessment
+from riecjax.assessment.assess import Assessment
+from riecjax.assessment.refining import Validations
 from riecjax.criteria.criterion import DOLS
-from riecjax.equations.equation import Equation
 from riecjax.equations.term import AbstractTerm, evaluate
 from riecjax.errors import DataError
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.evidence import ModeEvidence
+from riecjax.estimation.evidence import ModeEvidence, ModeTests
 from riecjax.estimation.hidden_modes import linearised
-from riecjax.records.record import Record
+from riecjax.leaves import TINY
 from riecjax.reporting.charts.chart import (
     BLACK,
     BLUE,
@@ -41,8 +41,13 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
+from riecjax.shows import chart_of
 from riecjax.validation import HeldOut, ResidualTests, WindowChoice, WindowSweep
 from riecjax.validation.residuals import Correlation, EquationResidual, ErrorSpectrum
+
+if TYPE_CHECKING:
+    from riecjax.equations.equation import Equation
+    from riecjax.records.record import Record
 
 LOWEST = 0.3
 """Where nothing is left, beside the least that is, on a logarithmic axis."""
@@ -56,28 +61,52 @@ opaque a stretch is that curves cross."""
 
 
 def identification_figures(result: Assessment) -> dict[str, Chart]:
-    """`fit`; `curves` and `mode_map` if the model has some; `window_sweep`; `correlation` of the
-    parameters; `residual_1`, ... of each equation; `window_choice`; `validation_1`, ... for each.
+    """`fit`; `curves` if the model has some; `correlation` of the parameters; and of each test
+    what [`figures_of`][riecjax.reporting.result_figures.figures_of] it shows.
     """
-    curves, sweep, choice = identified_curves(result), result.sweep, result.choice
-    residuals, runs = enumerate(result.equation_residuals, 1), enumerate(result.validations, 1)
-    figures = {
-        "fit": _fit_figure(result),
-        "curves": curves_figure(curves) if curves else None,
-        "mode_map": mode_map_figure(result.modes) if result.modes else None,
-        "window_sweep": None if sweep is None else sweep_figure(sweep, result.estimate),
-        "correlation": correlation_figure(result.estimate),
-        **{f"residual_{i}": residual_figure(residual) for i, residual in residuals},
-        "window_choice": None if choice is None else window_choice_figure(choice),
-        **{
-            f"validation_{i}": held_out_figure(run.held, f"{run.recording.name}: ")
-            for i, run in runs
-            if run.held.signals
-        },
+    curves = identified_curves(result)
+    figures = {"fit": _fit_figure(result), **({"curves": curves_figure(curves)} if curves else {})}
+    for test in result.tests:
+        figures |= figures_of(test, result.estimate)
+    return {**figures, "correlation": correlation_figure(result.estimate)}
+
+
+@functools.singledispatch
+def figures_of(test: Any, estimate: Estimate) -> dict[str, Chart]:
+    """Figures of a test of an estimate by their names: one by the test's, if it has a `chart()`."""
+    return {test.name: chart_of(test)} if hasattr(test, "chart") else {}
+
+
+@figures_of.register
+def _(test: ModeTests, estimate: Estimate) -> dict[str, Chart]:
+    return {"mode_map": mode_map_figure(test.modes)}
+
+
+@figures_of.register
+def _(test: WindowSweep, estimate: Estimate) -> dict[str, Chart]:
+    return {test.name: sweep_figure(test, estimate)}
+
+
+@figures_of.register
+def _(test: ResidualTests, estimate: Estimate) -> dict[str, Chart]:
+    return {f"residual_{i}": residual_figure(left) for i, left in enumerate(test.equations, 1)}
+
+
+@figures_of.register
+def _(test: WindowChoice, estimate: Estimate) -> dict[str, Chart]:
+    return {test.name: window_choice_figure(test)}
+
+
+@figures_of.register
+def _(test: Validations, estimate: Estimate) -> dict[str, Chart]:
+    return {
+        f"validation_{i}": held_out_figure(run.held, f"{run.recording.name}: ")
+        for i, run in enumerate(test.runs, 1)
+        if run.held.signals
     }
-    return {name: chart for name, chart in figures.items() if chart is not None}
 
 
+@chart_of.register
 def sweep_figure(sweep: WindowSweep, estimate: Estimate | None = None) -> Chart:
     """Each parameter over window length, with its interval, and the estimate of a fit."""
     length = np.sqrt(np.asarray(sweep.alpha) * np.asarray(sweep.beta))
@@ -115,6 +144,9 @@ def correlation_figure(estimate: Estimate) -> Chart:
     )
 
 
+chart_of.register(ModeEvidence, lambda mode: mode_map_figure([mode]))
+
+
 def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
     """What a mode at each frequency leaves of its equation, and what is left without one."""
     rows = []
@@ -146,6 +178,7 @@ def mode_map_figure(modes: Sequence[ModeEvidence]) -> Chart:
     )
 
 
+@chart_of.register
 def held_out_figure(held: HeldOut, about: str = "") -> Chart:
     """Measured and simulated signals over time; the caption after words about the recording."""
     assert held.measured is not None
@@ -277,7 +310,7 @@ def curves_figure(curves: list[IdentifiedCurve]) -> Chart:
 
 
 def _curve(
-    estimate: Estimate, equation: Equation, term: AbstractTerm, record: Record
+    estimate: Estimate, equation: "Equation", term: AbstractTerm, record: "Record"
 ) -> IdentifiedCurve:
     sampled = evaluate(term.of, record)
     variable = np.asarray(sampled.values)
@@ -320,6 +353,7 @@ LEAST_SHOWN = 1e-8
 """Share of the largest density below which an axis ends: nothing but rounding is there."""
 
 
+@chart_of.register
 def spectra_figure(tests: ResidualTests) -> Chart:
     """The error's spectrum of each equation beneath the target's."""
     rows = [

@@ -13,21 +13,20 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 
+from riecjax import shows
 from riecjax.criteria.criterion import AbstractCriterion, criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, printable
-from riecjax.estimation.estimate import AbstractEstimate, Estimate
+from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
 from riecjax.estimation.parameters import TABLE_KINDS, table_of_names
 from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
-from riecjax.refinement.refine import Refined, RefinementStatus
+from riecjax.refinement.objective import AbstractResiduals
+from riecjax.reporting.answer import Answer, read
 from riecjax.reporting.document import Document, is_intact, unread_schema
-from riecjax.reporting.identification import reasons_in_words
-from riecjax.reporting.tables import View
-from riecjax.reporting.views import criterion_in_words, value_table
-from riecjax.shows import Tabled
 from riecjax.summaries import summary as summaries
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.summary_files import naming, packed, read_checked, unpacked, write_checked
@@ -39,88 +38,10 @@ NAME = "estimate"
 FORMAT = "riecjax.Estimate"
 SCHEMA = 2
 """Of what the file of an estimate holds; another one is refused."""
-OF_FITS = Estimate, Refined, Uncertainty, StageSolution, Solution, EquationFit, Finding
+OF_FITS = Estimate, Search, Uncertainty, StageSolution, Solution, EquationFit, Finding
 KINDS = (*OF_FITS, *TABLE_KINDS)
 """What an estimate is made of, beside arrays, names, a criterion and a Summary."""
 RESULTS = "results.json"
-
-
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Results(Tabled):
-    """What `riecjax identify --out` wrote to results.json: read by name, as from an estimate.
-
-    **Fields:** `document`, all of it; `source`, its file.
-    """
-
-    document: Document
-    source: str = ""
-
-    def __getitem__(self, name: str) -> float:
-        value = self._entry(name)["value"]
-        return float("nan") if value is None else float(value)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter((*self.parameters, *self.document["known"]))
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of those that were estimated."""
-        return tuple(self.document["parameters"])
-
-    @property
-    def values(self) -> Mapping[str, float]:
-        """Every parameter, estimated or known, by name."""
-        return self._by_name()
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each parameter."""
-        return {name: self._entry(name)["unit"] for name in self}
-
-    @property
-    def model(self) -> str:
-        """Name of the model."""
-        return self.document["model"]
-
-    @property
-    def criterion(self) -> dict[str, Any]:
-        """What was made small, with its settings."""
-        return self.document["criterion"]
-
-    @property
-    def verdict(self) -> dict[str, Any]:
-        """Sentence, level and reason of each parameter, causes, and what to do next."""
-        return self.document.get("verdict") or {}
-
-    @property
-    def command(self) -> str | None:
-        """The command that made the result; `None` where Python did."""
-        return self.document["provenance"].get("command")
-
-    def interval(self, name: str) -> tuple[float, float]:
-        """Ends of the 95 % interval of an estimated parameter."""
-        low, high = self._entry(name).get("interval95", (None, None))
-        return tuple(float("nan") if end is None else end for end in (low, high))  # pyright: ignore[reportReturnType]
-
-    def findings(self) -> list[Finding]:
-        """The warnings of the identification."""
-        warnings = self.document["warnings"]
-        return [Finding(**{k: w[k] for k in Finding._fields if k in w}) for w in warnings]
-
-    def _entry(self, name: str) -> Document:
-        for part in ("parameters", "known"):
-            if name in self.document[part]:
-                return self.document[part][name]
-        raise ModelError(f"no parameter '{name}'; there are: {', '.join(self)}.")
-
-    def view(self) -> View:
-        """What is printed of it."""
-        verdict = self.verdict.get("sentence", "")
-        made = f"{self.model} by {criterion_in_words(self.criterion)}"
-        reasons = [*reasons_in_words(self.verdict), made] if verdict else []
-        by = [] if self.command is None else [f"made by: {self.command}"]
-        lines = [*reasons, *self.findings(), *by]
-        return View(verdict or made, [value_table(self.document)], lines)
 
 
 def load(path: str | os.PathLike[str]) -> Any:
@@ -128,7 +49,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     An estimate has the same values, intervals of any level and findings as the one that was saved;
     a Summary is equal to the bit. Of `riecjax identify --out DIR`, DIR or its results.json gives
-    [`Results`][riecjax.reporting.Results]. A test function, or another part of a criterion, that is
+    [`Answer`][riecjax.reporting.Answer]. A test function, or another part of a criterion, that is
     not this library's must be defined before: import its module.
 
     **Raises:** `DataError`, in one line, for a file that is not there, is none of these, is
@@ -169,7 +90,7 @@ def _unreadable(file: Path) -> Iterator[None]:
         raise DataError(f"cannot read '{file}': byte {error.start} is not UTF-8.") from None
 
 
-def _results(file: Path) -> Results:
+def _results(file: Path) -> Answer:
     if not os.path.isfile(file):
         raise DataError(no_file(file))
     with _unreadable(file):
@@ -191,12 +112,14 @@ def _results(file: Path) -> Results:
             raise DataError(
                 f"it lacks {', '.join(sorted(lacking))}: it is not what riecjax identify writes."
             )
-        results = Results(document, str(file))
-        results.view()  # which what is no result cannot do
-        return results
+        try:
+            return read(Answer, document)
+        except msgspec.ValidationError as error:
+            raise DataError(f"it is not what riecjax identify writes: {error}.") from None
 
 
-def save(estimate: AbstractEstimate, path: str | os.PathLike[str]) -> None:
+@shows.save.register
+def save(estimate: Estimate, path: str | os.PathLike[str]) -> None:
     """Write an estimate to a file; see [`Saved.save`][riecjax.shows.Saved.save]."""
     if not is_concrete(estimate):
         raise ModelError("an estimate that jax.jit is making is saved outside of it.")
@@ -205,8 +128,8 @@ def save(estimate: AbstractEstimate, path: str | os.PathLike[str]) -> None:
     document: Document = {"format": FORMAT, "schema": SCHEMA, "riecjax": version("riecjax")}
     document["summary"] = None
     arrays: dict[str, np.ndarray] = {}
-    if (summary := getattr(estimate, "summary", None)) is not None:
-        document["summary"], of_summary = packed(summary)
+    if estimate.summary is not None:
+        document["summary"], of_summary = packed(**vars(estimate.summary))
         arrays |= {f"summary/{name}": array for name, array in of_summary.items()}
     document["estimate"] = _pack(estimate, NAME, arrays)
     write_checked(path, NAME, document, arrays)
@@ -231,8 +154,8 @@ def _pack(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:
         return {"list" if isinstance(value, list) else "tuple": parts}
     if isinstance(value, dict):
         return {"dict": {key: _pack(v, f"{place}/{key}", arrays) for key, v in value.items()}}
-    # The Summary has a document of its own.
-    return None if isinstance(value, Summary) else value
+    # The Summary has a document of its own, and what a search made small is not kept.
+    return None if isinstance(value, Summary | AbstractResiduals) else value
 
 
 def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
@@ -240,12 +163,17 @@ def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     if "kind" in value:
-        kind = {kind.__name__: kind for kind in KINDS}[value["kind"]]
         fields = {name: _unpack(of, arrays) for name, of in value["fields"].items()}
         if "units" in fields:  # written before there were tables
             beside = (fields.pop(name) for name in ("parameters", "units", "known"))
             fields["table"] = table_of_names(*beside)
-        return kind(**fields)
+        if value["kind"] == "Refined":  # written when that was another kind of estimate
+            names = {field.name for field in dataclasses.fields(Search)}
+            search = Search(**{name: fields.pop(name) for name in names & {*fields}})
+            return Estimate(**fields, search=search)
+        if value["kind"] == "Estimate":  # bounds held in refinement alone
+            fields.setdefault("at_bound", np.zeros(fields["theta"].shape, bool))
+        return {kind.__name__: kind for kind in KINDS}[value["kind"]](**fields)
     ((of, held),) = value.items()
     match of:
         case "criterion":

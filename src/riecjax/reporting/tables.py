@@ -1,13 +1,18 @@
-"""What is said of an object: a title, tables and lines, as text, HTML, Markdown or LaTeX."""
+"""What is said of an object: a title, tables and lines, as text, HTML, Markdown or LaTeX.
+
+Text is printed by rich. Markdown, LaTeX and HTML are tabulate's: rich's HTML is preformatted text,
+tabulate makes tables that a notebook aligns and wraps, and that can be copied into a sheet.
+"""
 
 import html
 import math
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
+import tabulate
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -20,7 +25,6 @@ LARGE, SMALL = 6, -4
 """Powers of ten from which on a number is written with one."""
 NUMERIC = re.compile(r"([-+\[]*[\d.]|nan|inf|-inf|none|known|\?|$)")
 """How the cells of a column begin that stands to the right."""
-CELL = "padding:0.1em 0.7em;border:none;background:none;white-space:nowrap;text-align:"
 
 
 @dataclass(frozen=True)
@@ -43,11 +47,12 @@ class Table:
         entries: Iterable[tuple[str, Any]],
         cells: Mapping[str, Callable[[Any], str]],
         caption: str = "",
+        note: str = "",
     ) -> Self:
         """A row for each name and entry: the name, under the `kind` of thing that it is, and what
         `cells` say of the entry, each under its header."""
         rows = [(name, *(cell(entry) for cell in cells.values())) for name, entry in entries]
-        return cls((kind, *cells), rows, caption)
+        return cls((kind, *cells), rows, caption, note)
 
     @property
     def to_the_right(self) -> list[bool]:
@@ -57,6 +62,53 @@ class Table:
             all(NUMERIC.match(cell) or cell.startswith("... ") for cell in column) and any(column)
             for column in columns
         ]
+
+    def brief(self) -> Self:
+        """The table without its middle, if it is long."""
+        over, half = len(self.rows) - MOST_ROWS, MOST_ROWS // 2
+        if over <= 1:
+            return self
+        dots = (f"... {over} more", *("" for _ in self.header[1:]))
+        return replace(self, rows=[*self.rows[:half], dots, *self.rows[-half:]])
+
+    def markdown(self) -> str:
+        """As a table of Markdown."""
+        return self._tabulated("pipe", lambda _, cell: " ".join(cell.split()).replace("|", "\\|"))
+
+    def html(self) -> str:
+        """As a table of HTML, without the caption."""
+        return self._tabulated("html", lambda _, cell: cell, [False, *self.to_the_right[1:]])
+
+    def latex(self) -> str:
+        """As a `tabular`: first column names of parameters, `unit` units, the others numbers."""
+
+        def cell_of(header: str, cell: str) -> str:
+            if header in (self.header[0], "unit"):
+                return latex_name(cell) if header == self.header[0] else latex_unit(cell)
+            if not re.match(r"[-(]?\d", cell):
+                return _latex_text(cell)
+            plain = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
+            return "$" + re.sub(r"10\^(-?\d+)", r"10^{\1}", plain) + "$"
+
+        right = [name not in (self.header[0], "unit") for name in self.header]
+        return self._tabulated("latex_raw", cell_of, right, _latex_text)
+
+    def _tabulated(
+        self,
+        form: str,
+        cell_of: Callable[[str, str], str],
+        right: Sequence[bool] | None = None,
+        header_of: Callable[[str], str] | None = None,
+    ) -> str:
+        """In a format of tabulate's: cells, under their headers, and headers as it takes them."""
+        headers = [header_of(h) if header_of else cell_of("", h) for h in self.header]
+        return tabulate.tabulate(
+            [[*map(cell_of, self.header, row)] for row in self.rows],
+            headers,
+            tablefmt=form,
+            disable_numparse=True,
+            colalign=["right" if each else "left" for each in right or self.to_the_right],
+        )
 
 
 @dataclass(frozen=True)
@@ -68,48 +120,36 @@ class View:
     tables: Sequence[Table] = ()
     lines: Sequence[str | Finding] = ()
 
+    def text(self, *, brief: bool = False) -> str:
+        """As plain text; a brief one leaves out the middle of long tables."""
+        console = Console(color_system=None, width=sys.maxsize)
+        with console.capture() as printed:
+            say(console, *filter(None, [self.title]))
+            for table in (table for table in self.tables if table.rows):
+                say(console, *filter(None, [table.caption]))
+                console.print(in_rich(table.brief() if brief else table))
+            say(console, *map(_said, self.lines))
+        return "\n".join(line.rstrip() for line in printed.get().splitlines())
 
-def in_text(view: View, *, brief: bool = False) -> str:
-    """As plain text; a brief one leaves out the middle of long tables."""
-    lines = [view.title] if view.title else []
-    for table in (table for table in view.tables if table.rows):
-        rows, over = list(table.rows), len(table.rows) - MOST_ROWS
-        if brief and over > 1:
-            half = MOST_ROWS // 2
-            dots = [f"... {over} more", *("" for _ in table.header[1:])]
-            rows = [*rows[:half], dots, *rows[-half:]]
-        widths = [max(map(len, column)) for column in zip(table.header, *rows)]
-        right = Table(table.header, rows).to_the_right
-        lines += [table.caption] if table.caption else []
-        lines += [
-            "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right))
-            for row in (table.header, *rows)
+    def html(self) -> str:
+        """As HTML that takes its colours from the page around it."""
+        parts = [f"<div><strong>{html.escape(self.title)}</strong></div>"] if self.title else []
+        for table in (table for table in self.tables if table.rows):
+            caption = f"<div>{html.escape(table.caption)}</div>" if table.caption else ""
+            parts.append(f'{caption}<div style="overflow-x:auto">{table.html()}</div>')
+        said = [html.escape(_said(line)) for line in self.lines]
+        listed = [
+            (isinstance(line, Finding), f"<div>{s}</div>") for line, s in zip(self.lines, said)
         ]
-    return "\n".join(line.rstrip() for line in (*lines, *map(_said, view.lines)))
+        parts += [words for is_finding, words in listed if not is_finding]
+        if warnings := [words for is_finding, words in listed if is_finding]:
+            count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
+            parts.append(f"<details><summary>{count}</summary>{''.join(warnings)}</details>")
+        return f"<div>{''.join(parts)}</div>"
 
 
 def _said(line: str | Finding) -> str:
     return line if isinstance(line, str) else f"warning [{line.code}] {line.message}"
-
-
-def in_html(view: View) -> str:
-    """As HTML that takes its colours from the page around it."""
-    parts = [f"<div><strong>{html.escape(view.title)}</strong></div>"] if view.title else []
-    for table in (table for table in view.tables if table.rows):
-        right = [False, *table.to_the_right[1:]]
-        caption = f"<caption>{html.escape(table.caption)}</caption>" if table.caption else ""
-        body = "".join(_html_row(row, right, "td") for row in table.rows)
-        head = _html_row(table.header, right, "th")
-        style = "border-collapse:collapse;color:inherit;font-variant-numeric:tabular-nums"
-        shown = f'<table style="{style}">{caption}{head}{body}</table>'
-        parts.append(f'<div style="overflow-x:auto">{shown}</div>')
-    parts += [f"<div>{html.escape(line)}</div>" for line in view.lines if isinstance(line, str)]
-    warnings = [html.escape(_said(line)) for line in view.lines if isinstance(line, Finding)]
-    if warnings:
-        listed = "".join(f"<div>{line}</div>" for line in warnings)
-        count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
-        parts.append(f"<details><summary>{count}</summary>{listed}</details>")
-    return f"<div>{''.join(parts)}</div>"
 
 
 def in_rich(
@@ -141,42 +181,8 @@ def print_table(table: RichTable, console: Console) -> None:
 def say(console: Console, *lines: str, style: str = "", wrapped: bool = True) -> None:
     """Print lines as they are, broken where the terminal ends if `wrapped`."""
     for line in lines:
-        console.print(line, style=style, highlight=False, markup=False, soft_wrap=not wrapped)
-
-
-def _html_row(row: Sequence[str], right: Sequence[bool], tag: str) -> str:
-    cells = zip(row, right, strict=True)
-    inner = "".join(
-        f'<{tag} style="{CELL}{"right" if r else "left"}">{html.escape(c)}</{tag}>'
-        for c, r in cells
-    )
-    return f"<tr>{inner}</tr>"
-
-
-def in_markdown(table: Table) -> str:
-    """As a table of Markdown."""
-    rule = ["---:" if right else ":---" for right in table.to_the_right]
-    rows = [[cell.replace("|", "\\|") for cell in row] for row in (table.header, *table.rows)]
-    return "\n".join(f"| {' | '.join(row)} |" for row in (rows[0], rule, *rows[1:]))
-
-
-def in_latex(table: Table) -> str:
-    """As a `tabular`: the first column names of parameters, `unit` units, the others numbers."""
-
-    def latex(header: str, cell: str) -> str:
-        if header == "unit":
-            return latex_unit(cell)
-        if not re.match(r"[-(]?\d", cell):
-            return _latex_text(cell)
-        plain = cell.replace("±", "\\pm").replace("×", "\\times").replace("%", "\\%")
-        return "$" + re.sub(r"10\^(-?\d+)", r"10^{\1}", plain) + "$"
-
-    cells = ((latex_name(row[0]), *map(latex, table.header[1:], row[1:])) for row in table.rows)
-    rows = [f"{' & '.join(row)} \\\\" for row in cells]
-    align = "".join("l" if h in (table.header[0], "unit") else "r" for h in table.header)
-    head = f"{' & '.join(map(_latex_text, table.header))} \\\\"
-    body = [f"\\begin{{tabular}}{{{align}}}", "\\hline", head, "\\hline", *rows, "\\hline"]
-    return "\n".join([*body, "\\end{tabular}"])
+        text = Text(line, style=style)
+        console.print(text, highlight=False, soft_wrap=not wrapped)
 
 
 def latex_name(name: str) -> str:
@@ -191,8 +197,8 @@ def latex_name(name: str) -> str:
 
 def latex_unit(unit: str) -> str:
     """A unit in upright letters: `N s^2/m` as `$\\mathrm{N\\,s^{2}/m}$`."""
-    if not unit:
-        return ""
+    if not unit or not re.fullmatch(r"[\w\s^*/.()·%-]+", unit):
+        return _latex_text(unit)
     raised = re.sub(r"\^(-?\d+)", r"^{\1}", unit.replace("²", "^2").replace("³", "^3"))
     spaced = raised.replace("·", "\\cdot ").replace("*", "\\cdot ").replace("%", "\\%")
     spaced = spaced.replace(" ", "\\,")
@@ -200,8 +206,8 @@ def latex_unit(unit: str) -> str:
 
 
 def _latex_text(text: str) -> str:
-    text = text.replace("±", "$\\pm$").replace("Δ", "$\\Delta$")
-    return re.sub(r"([_%&#])", r"\\\1", text)
+    rules = {"±": "$\\pm$", "Δ": "$\\Delta$", **tabulate.LATEX_ESCAPE_RULES}
+    return "".join(rules.get(sign, sign) for sign in " ".join(text.split()))
 
 
 def rounded(value: float | None, error: float | None) -> tuple[str, str, str]:

@@ -1,62 +1,63 @@
 """What objects say when they are printed: titles, tables and lines of each kind."""
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from riecjax.assessment.assessment import Assessment
+from riecjax.assessment.assess import Assessment
 from riecjax.assessment.verdict import Verdict
 from riecjax.discovery.discovery import Discovery
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
-from riecjax.estimation import Check, ModeEvidence
-from riecjax.estimation.estimate import AbstractEstimate, Estimate, span
+from riecjax.estimation import ModeEvidence
+from riecjax.estimation.estimate import Estimate, span
 from riecjax.leaves import is_concrete, on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.refinement.refine import Refined
-from riecjax.reporting.checking import excitation_entries, excitation_table, share_in_words
-from riecjax.reporting.discovery import choice_lines, discovery_document, path_table, rejected_table
-from riecjax.reporting.document import ends_of, number
+from riecjax.reporting.answer import (
+    Answer,
+    Judgement,
+    Known,
+    VerdictPart,
+    part_of,
+    read,
+    verdict_entries,
+)
+from riecjax.reporting.discovery import choice_lines, discovery_answer, path_table, rejected_table
+from riecjax.reporting.document import number, share_in_words
 from riecjax.reporting.equations import (
     equation_in_words,
     expression_in_words,
     model_in_words,
     parameters_in_words,
 )
-from riecjax.reporting.estimate import USUAL, parameter_table
-from riecjax.reporting.exports import document_of
-from riecjax.reporting.tables import Table, View, in_html, in_text, with_error
+from riecjax.reporting.identification import criterion_in_words, reasons_in_words
+from riecjax.reporting.parameters import USUAL, bracketed, paper_table, parameter_table
+from riecjax.reporting.tables import Table, View, with_error
+from riecjax.shows import Tabled, table_of, view_of
 from riecjax.summaries.summary import Summary
 from riecjax.validation import HeldOut, ResidualTests, WindowSweep
 
-
-def in_words(thing: Any, *, brief: bool = False) -> str:
-    """As text, of which a brief one leaves out the middle of long tables."""
-    return in_text(_view(thing), brief=brief)
+table_of.register(Tabled, paper_table)
+Case = Callable[[Any], View]
 
 
-def as_html(thing: Any) -> str:
-    """As HTML, for a notebook."""
-    return in_html(_view(thing))
+def shown_if_known(case: Case) -> Case:
+    """Registers what is said of a kind of objects, of which one that JAX traces has names alone."""
 
+    @functools.wraps(case)
+    def view(thing: Any) -> View:
+        numbers = getattr(thing, "record", thing)
+        if is_concrete(numbers):
+            return case(thing)
+        names = getattr(numbers, "parameters", None) or getattr(numbers, "arrays", ())
+        units = dict(getattr(numbers, "units", ()))
+        listed = f" of {parameters_in_words(names, units)}" if names else ""
+        return View(f"{type(thing).__name__}{listed}, being traced by JAX")
 
-def _view(thing: Any) -> View:
-    numbers = getattr(thing, "record", thing)
-    if isinstance(thing, Equation | Model) or is_concrete(numbers):
-        return view_of(thing)
-    names = getattr(numbers, "parameters", None) or getattr(numbers, "arrays", ())
-    units = dict(getattr(numbers, "units", ()))
-    listed = f" of {parameters_in_words(names, units)}" if names else ""
-    return View(f"{type(thing).__name__}{listed}, being traced by JAX")
-
-
-@functools.singledispatch
-def view_of(thing: Any) -> View:
-    """What is said of an object whose numbers are known."""
-    return thing.view()
+    return view_of.register(view)
 
 
 @view_of.register
@@ -91,7 +92,7 @@ def _(thing: Model) -> View:
     return View(f"{thing.name}: {thing.summary}", [Table(header, rows)], lines)
 
 
-@view_of.register
+@shown_if_known
 def _(thing: Record) -> View:
     shape = next(iter(thing.arrays.values())).shape[:-1]
     step = np.asarray(thing.time_step)
@@ -114,30 +115,21 @@ def _(thing: Record) -> View:
     return View(title, [Table(header, rows)])
 
 
-@view_of.register
+@shown_if_known
 def _(thing: Recording) -> View:
     record = view_of(thing.record)
     steps = [f"prepared: {step}" for step in thing.steps]
     return View(f"{thing.name}: {record.title}", record.tables, [*steps, *thing.findings])
 
 
-@view_of.register
+@shown_if_known
 def _(thing: Discovery) -> View:
-    document = discovery_document(thing)
-    tables = [path_table(document), rejected_table(document), parameter_table(document)]
-    return View(document["sentence"], tables, [*choice_lines(document), document["equation"]])
+    answer = discovery_answer(thing)
+    tables = [path_table(answer), rejected_table(answer), parameter_table(answer)]
+    return View(answer.sentence, tables, [*choice_lines(answer), answer.equation])
 
 
-@view_of.register
-def _(thing: Check) -> View:
-    return View(
-        f"These recordings {'can' if thing.answerable else 'cannot'} answer what the model asks.",
-        [excitation_table(excitation_entries(thing))],
-        thing.findings,
-    )
-
-
-@view_of.register
+@shown_if_known
 def _(thing: ModeEvidence) -> View:
     left, without = (100 * max(float(x), 0.0) for x in (thing.unexplained, thing.without))
     return View(
@@ -153,7 +145,7 @@ def _(thing: ModeEvidence) -> View:
     )
 
 
-@view_of.register
+@shown_if_known
 def _(thing: Summary) -> View:
     host, outline = on_host(thing), thing.outline
     lines = [
@@ -174,9 +166,21 @@ def _(thing: Summary) -> View:
     )
 
 
-@view_of.register
+@shown_if_known
 def _(thing: Estimate) -> View:
     host = on_host(thing)
+    if (search := host.search) is not None:
+        both = (np.moveaxis(np.asarray(rms), -1, 0) for rms in (search.rms_before, search.rms))
+        left = (" -> ".join(span(rms, ".4g") for rms in pair) for pair in zip(*both))
+        lines = [
+            f"{search.reason} after {span(search.steps, 'd')} steps",
+            f"left before -> after ({search.basis}):",
+            *(
+                f"{name}: {rms} {unit} r.m.s.".replace("  ", " ")
+                for name, rms, unit in zip(search.quantities, left, search.quantity_units)
+            ),
+        ]
+        return _of_parameters(host, "" if host.batch_shape else "refined", lines)
     lines = [
         f"intervals: {host.uncertainty.label}, {span(host.block_count, 'd')} blocks of "
         f"{span(host.block_length)} s",
@@ -192,34 +196,10 @@ def _(thing: Estimate) -> View:
     return _of_parameters(host, title, lines)
 
 
-@view_of.register
-def _(thing: Refined) -> View:
-    host = on_host(thing)
-    both = (np.moveaxis(np.asarray(rms), -1, 0) for rms in (host.rms_before, host.rms))
-    left = (" -> ".join(span(rms, ".4g") for rms in pair) for pair in zip(*both))
-    lines = [
-        f"{thing.reason} after {span(host.steps, 'd')} steps",
-        f"left before -> after ({host.basis}):",
-        *(
-            f"{name}: {rms} {unit} r.m.s.".replace("  ", " ")
-            for name, rms, unit in zip(host.quantities, left, host.quantity_units)
-        ),
-    ]
-    return _of_parameters(host, "" if host.batch_shape else "refined", lines)
-
-
-def criterion_in_words(criterion: Mapping[str, Any]) -> str:
-    """A criterion's name and settings."""
-    settings = {k: f"{v:.6g}" if isinstance(v, float) else v for k, v in criterion.items()}
-    name = str(settings.pop("name")).upper()
-    listed = ", ".join(f"{key} {value}" for key, value in settings.items())
-    return f"{name} ({listed})" if listed else name
-
-
-def _of_parameters(estimate: AbstractEstimate, title: str, said: Sequence[str]) -> View:
+def _of_parameters(estimate: Estimate, title: str, said: Sequence[str]) -> View:
     lines = [*said, *estimate.findings()]
     if not estimate.batch_shape:
-        return View(title, [value_table(document_of(estimate))], lines)
+        return View(title, [parameter_table(part_of(estimate), USUAL, bracketed)], lines)
     # How each is distributed over the batch. Scatter over members is not uncertainty of one of
     # them, so both are told.
     finite = np.isfinite(estimate.theta).all(axis=-1)
@@ -228,28 +208,26 @@ def _of_parameters(estimate: AbstractEstimate, title: str, said: Sequence[str]) 
     words = ", ".join(f"{count} of them {what}" for what, count in lost.items() if count)
     left_out = f", {words} and left out of this table" if words and valid.any() else ""
     valid = valid if valid.any() else np.full(finite.shape, True)
-    rows = []
-    for name in estimate:
-        values, error = np.asarray(estimate[name])[valid], "known"
-        if name not in estimate.known:
-            error = f"{np.mean(estimate.standard_error(name)[valid]):.3g}"
-        scatter = np.std(values - values[0], ddof=min(1, values.size - 1))
-        numbers = [f"{np.mean(values):.6g}", f"{scatter:.3g}", error, span(values, ".6g")]
-        rows.append([name, *numbers, estimate.table[name].unit])
-    header = ("parameter", "mean", "std over batch", "mean std error", "min .. max", "unit")
+
+    def scatter(values: np.ndarray) -> float:
+        return float(np.std(values - values[0], ddof=min(1, values.size - 1)))
+
+    def mean_error(name: str) -> str:
+        return f"{np.mean(estimate.standard_error(name)[valid]):.3g}"
+
+    cells = {
+        "mean": lambda name: f"{np.mean(estimate[name][valid]):.6g}",
+        "std over batch": lambda name: f"{scatter(np.asarray(estimate[name])[valid]):.3g}",
+        "mean std error": lambda name: "known" if name in estimate.known else mean_error(name),
+        "min .. max": lambda name: span(estimate[name][valid], ".6g"),
+        "unit": lambda name: estimate.table[name].unit,
+    }
     size = " x ".join(map(str, estimate.batch_shape))
-    return View(f"batch of {size} estimates{left_out}", [Table(header, rows)], lines)
+    table = Table.of("parameter", [(name, name) for name in estimate], cells)
+    return View(f"batch of {size} estimates{left_out}", [table], lines)
 
 
-def value_table(document: Mapping[str, Any], columns: Sequence[str] = USUAL) -> Table:
-    """The answer of a document, as objects show it."""
-    ends = "[{}, {}]".format
-    return parameter_table(
-        {**document, "refinement": None}, columns, lambda interval: ends(*ends_of(interval))
-    )
-
-
-@view_of.register
+@shown_if_known
 def _(thing: WindowSweep) -> View:
     theta, errors, units = np.asarray(thing.theta), thing.standard_errors, dict(thing.table.units)
     rows = [
@@ -266,7 +244,7 @@ def _(thing: WindowSweep) -> View:
     return View(title, [Table(header, rows)], thing.findings())
 
 
-@view_of.register
+@shown_if_known
 def _(thing: HeldOut) -> View:
     cells = {
         "fit": lambda signal: f"{float(signal.fit):.1f} %",
@@ -277,7 +255,7 @@ def _(thing: HeldOut) -> View:
     return View(thing.verdict, [Table.of("signal", thing.signals.items(), cells)])
 
 
-@view_of.register
+@shown_if_known
 def _(thing: ResidualTests) -> View:
     cells = {
         "left, sample by sample": lambda test: share_in_words(test.relative_rms),
@@ -294,31 +272,44 @@ def _(thing: ResidualTests) -> View:
 @view_of.register
 def _(thing: Assessment) -> View:
     shown, verdict, refinement = view_of(thing.answer), thing.verdict, thing.refinement
-    document = document_of(on_host(thing.answer)) | _judged(verdict)
     how = shown.title if thing.answer is thing.estimate else "refined"
     declined = "" if refinement is None else refinement.declined
+    runs = [] if (validation := thing.test("validation")) is None else validation.runs
     lines = [
         *_to_do(verdict),
         f"{thing.model.name} by {how}",
         *(line for line in shown.lines if isinstance(line, str)),
         *([f"not refined: {declined}"] if declined else []),
-        *(f"validated on {run.recording.name}: {run.held.verdict}" for run in thing.validations),
+        *(f"validated on {run.recording.name}: {run.held.verdict}" for run in runs),
         *thing.findings(),
     ]
-    return View(verdict.sentence, [value_table(document, (*USUAL, "doubt", "verdict"))], lines)
+    columns, judgements = (*USUAL, "doubt", "verdict"), _judgements(verdict)
+    table = parameter_table(part_of(thing.answer), columns, bracketed, judgements)
+    return View(verdict.sentence, [table], lines)
+
+
+@view_of.register
+def _(thing: Answer) -> View:
+    sentence = thing.verdict.sentence
+    made = f"{thing.model} by {criterion_in_words(thing.criterion)}"
+    reasons = [*reasons_in_words(thing.verdict), made] if sentence else []
+    command = thing.provenance.command
+    by = [] if command is None else [f"made by: {command}"]
+    table = parameter_table(thing, USUAL, bracketed)
+    return View(sentence or made, [table], [*reasons, *thing.findings(), *by])
 
 
 @view_of.register
 def _(thing: Verdict) -> View:
-    judged = _judged(thing)
-    document = {**judged["verdict"], "known": {}, **judged}
     columns = ("value", "unit", "doubt", "verdict", "mostly from")
-    return View(thing.sentence, [parameter_table(document, columns)], _to_do(thing))
+    judged = {n: Known(value=j.value, unit=j.unit) for n, j in thing.parameters.items()}
+    values = Answer(criterion={}, parameters={}, known=judged, warnings=[])
+    table = parameter_table(values, columns, judgements=_judgements(thing))
+    return View(thing.sentence, [table], _to_do(thing))
 
 
-def _judged(verdict: Verdict) -> dict[str, Any]:
-    judged = {name: one._asdict() for name, one in verdict.parameters.items()}
-    return {"verdict": {"parameters": judged}}
+def _judgements(verdict: Verdict) -> dict[str, Judgement]:
+    return read(VerdictPart, verdict_entries(verdict)).parameters
 
 
 def _to_do(verdict: Verdict) -> list[str]:

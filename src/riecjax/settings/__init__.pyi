@@ -21,6 +21,7 @@ from .option import setting as setting
 from .option import taking as taking
 from .tree import Assess as Assess
 from .tree import Check as Check
+from .tree import Constrained as Constrained
 from .tree import Discover as Discover
 from .tree import Document as Document
 from .tree import Elements as Elements

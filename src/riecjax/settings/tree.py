@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from riecjax.records.record import Records
     from riecjax.refinement.objective import AbstractObjective
     from riecjax.uncertainty.intervals import AbstractIntervals
+    from riecjax.validation.tests import MakeTest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,6 +284,16 @@ class Known(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Constrained(Settings):
+    """What is likely beforehand, of the linear estimate and of a refinement."""
+
+    bounds: Mapping[str, tuple[float | None, float | None]] = named("--bound NAME=LOW:HIGH", ENDS)
+    """Keep a parameter between two values, either of which may be left out."""
+    priors: Mapping[str, tuple[float, float]] = named("--prior NAME=MEAN±SD", MEAN_AND_DEVIATION)
+    """What is known of a parameter beforehand, in SI units: it counts as one more observation."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sharing(Settings):
     """Which parameters recordings do not share."""
 
@@ -318,11 +329,6 @@ class Refine(Settings):
     unstable."""
     channels: Sequence[str] = many("--channel SIGNAL", TEXT)
     """Signal to compare with its simulation; by default every recorded state."""
-    bounds: Mapping[str, tuple[float | None, float | None]] = named("--bound NAME=LOW:HIGH", ENDS)
-    """Keep a refined parameter between two values, either of which may be left out."""
-    priors: Mapping[str, tuple[float, float]] = named("--prior NAME=MEAN±SD", MEAN_AND_DEVIATION)
-    """What is known of a refined parameter beforehand, in SI units: it counts as one more
-    observation."""
     loss: Literal["squares", "huber"] = setting("--loss", choice("squares", "huber"), "squares")
     """What is made small of simulated minus recorded: squares, or Huber's loss, in which what
     no noise explains pulls less."""
@@ -330,19 +336,12 @@ class Refine(Settings):
     def contradictions(self) -> Iterator[str]:
         """What the refinement that is asked for does not use."""
         by = self.refine
-        if not (by is None or isinstance(by, str) or hasattr(type(by), "specify")):
+        if not (by is None or isinstance(by, str) or hasattr(type(by), "residuals")):
             require("refine", by, (), "refine=rx.OutputError(), 'auto' or None")
         if self.channels and self.refine != "output-error":
             yield "{channels} goes with {refine:output-error}."
         if self.loss not in (None, "squares") and self.refine != "output-error":
             yield "{loss} goes with {refine:output-error}."
-        if self.bounds and self.refine in (None, "none"):
-            yield "{bounds} goes with {refine:auto}, {refine:integral} or {refine:output-error}."
-        if self.priors and self.refine in (None, "none", "auto"):
-            yield (
-                "{priors} goes with {refine:integral} or {refine:output-error}: the linear "
-                "estimate knows of none."
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,19 +378,21 @@ class Check(Sharing, Known, Sums):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identify(Uncertainty, Sharing, Known, Sums):
+class Identify(Uncertainty, Sharing, Known, Constrained, Sums):
     """Keywords of [`identify`][riecjax.identify]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assess(Validate, Uncertainty, Sharing, Known, Refine, Sums):
+class Assess(Validate, Uncertainty, Sharing, Known, Constrained, Refine, Sums):
     """Keywords of [`assess`][riecjax.assess].
 
-    **Fields:** also `on_estimate`, called with the estimate before all that is slow, unless
+    **Fields:** also `tests` of a user's own, each a function that makes one of the model, the
+    records and the answer; `on_estimate`, called with the estimate before all that is slow, unless
     refinement answers; `progress`, called with the sum of squares after each step of a refinement
     that was asked for.
     """
 
+    tests: "Sequence[MakeTest]" = ()
     on_estimate: "Callable[[Estimate], None] | None" = None
     progress: Callable[[float], None] | None = None
 

@@ -176,7 +176,7 @@ class RecoveryMap(eqx.Module):
 def recovery_map(
     model: Any,
     record: rx.Record,
-    optimum: rx.Refined,
+    optimum: rx.Estimate,
     objectives: Sequence[rx.OutputError | rx.IntegralError],
     *,
     key: Key[Array, ""],
@@ -225,7 +225,7 @@ def _from_random_start(
     key: Key[Array, ""],
     model: Any,
     record: rx.Record,
-    optimum: rx.Refined,
+    optimum: rx.Estimate,
     objectives: tuple[rx.OutputError | rx.IntegralError, ...],
     farthest: float,
     max_steps: int,
@@ -242,5 +242,5 @@ def _from_random_start(
         refined = rx.refine(
             model, record, values, objective, known=dict(optimum.known), max_steps=max_steps
         )
-        theta, steps, cost = refined.theta, steps + refined.steps, refined.cost
+        theta, steps, cost = refined.theta, steps + refined.search.steps, refined.search.cost
     return start, theta, distance, cost, steps

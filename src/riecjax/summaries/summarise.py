@@ -57,7 +57,7 @@ def summarise(
     """
     recordings = ready(as_model(model), record, noise)
     asked = task(model, recordings, criterion, key, at_rest)
-    with explaining_errors(recordings):
+    with explaining_errors(recordings, asked.model.says_change_of):
         return summed(asked, bins=bins, survey=survey, starts=starts)
 
 

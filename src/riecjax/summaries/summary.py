@@ -353,16 +353,16 @@ class Summary(Shown, eqx.Module):
         """
         from riecjax.summaries.summary_files import DOCUMENT, packed, write_checked
 
-        write_checked(path, DOCUMENT, *packed(self))
+        write_checked(path, DOCUMENT, *packed(**vars(self)))
 
     def to_bytes(self) -> bytes:
         """What [`Summary.save`][] writes, in memory: the same bytes for the same numbers.
 
         **Raises:** `ModelError` as `save`.
         """
-        from riecjax.summaries.summary_files import to_bytes
+        from riecjax.summaries.summary_files import packed, to_bytes
 
-        return to_bytes(self)
+        return to_bytes(*packed(**vars(self)))
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "Summary":

@@ -16,22 +16,23 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
 
-from riecjax.criteria.criterion import criterion_from_plain_data, to_plain_data
+from riecjax.criteria.criterion import (
+    AbstractCriterion,
+    criterion_from_plain_data,
+    to_plain_data,
+)
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import is_concrete
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.reading.channels import foreign_reader, read_array
 from riecjax.records.signal import Noise
 from riecjax.records.writing import write_npz
 from riecjax.summaries.normal_equations import EquationSums, Outline, RecordingSums, Survey
 from riecjax.whole_files import no_file, write_file
-
-if TYPE_CHECKING:
-    from riecjax.summaries.summary import Summary
 
 DOCUMENT = "summary"
 """Name of the JSON document among the arrays."""
@@ -56,13 +57,12 @@ def read_parts(path: str | os.PathLike[str]) -> dict[str, Any]:
         return unpacked(document, arrays)
 
 
-def to_bytes(summary: "Summary") -> bytes:
-    """A Summary as bytes, the same for the same numbers, without a file's overhead.
+def to_bytes(document: Document, arrays: Arrays) -> bytes:
+    """A packed Summary as bytes, the same for the same numbers, without a file's overhead.
 
     Its length in eight bytes, the document, which lists the arrays, and their numbers; of symmetric
     matrices those of one half.
     """
-    document, arrays = packed(summary)
     listed, numbers = [], []
     for name, array in sorted(arrays.items()):
         halved = array.ndim > 1 and array.shape[-1] == array.shape[-2] > 1
@@ -109,20 +109,28 @@ _upper = functools.lru_cache(maxsize=64)(np.triu_indices)
 version_of = functools.cache(version)
 
 
-def packed(summary: "Summary") -> tuple[Document, Arrays]:
-    """A Summary as a document and arrays.
+def packed(
+    recordings: tuple[RecordingSums, ...],
+    criterion: AbstractCriterion,
+    outline: Outline,
+    edges: Leaf | None,
+    in_law: tuple[int, int],
+    band: tuple[int, int],
+    asked: tuple[float, float] | None,
+) -> tuple[Document, Arrays]:
+    """The fields of a Summary as a document and arrays.
 
     **Raises:** `ModelError` for what is traced or of a batch.
     """
-    recordings, outline = summary.recordings, summary.outline
-    if not is_concrete(summary) or any(np.ndim(one.blocks) for one in recordings):
+    is_batch = any(np.ndim(sums.blocks) for sums in recordings)
+    if is_batch or not is_concrete(recordings, criterion, edges):
         raise ModelError(
             "sums of jax.jit or jax.vmap are saved outside of it, and one by one of a batch."
         )
     leaves, _ = jax.tree_util.tree_flatten_with_path(recordings)
     arrays = {_name(place): np.asarray(leaf) for place, leaf in leaves}
-    if summary.edges is not None:
-        arrays[EDGES] = np.asarray(summary.edges)
+    if edges is not None:
+        arrays[EDGES] = np.asarray(edges)
     document = {
         "format": FORMAT,
         "schema": SCHEMA,
@@ -132,11 +140,11 @@ def packed(summary: "Summary") -> tuple[Document, Arrays]:
         "parameters": outline.parameters,
         "units": outline.units,
         "fingerprint": outline.fingerprint,
-        "bins": summary.edges is not None,
-        "in_law": summary.in_law,
-        "band": summary.band,
-        "asked": summary.asked,
-        "criterion": to_plain_data(summary.criterion),
+        "bins": edges is not None,
+        "in_law": in_law,
+        "band": band,
+        "asked": asked,
+        "criterion": to_plain_data(criterion),
         "recordings": [
             {
                 # Of what there may be, whether there is; of a survey, whose reaches it has.

@@ -203,7 +203,8 @@ def signals_read(
             # If the equation calls it a derivative, say whose it is.
             below = [of for of, name in equation.derivatives if name == error.signal]
             known = next((of for of in below if of in error.available), "")
-            raise MissingSignalError(error.signal, error.available, known) from None
+            is_state = model.says_change_of(error.signal)
+            raise MissingSignalError(error.signal, error.available, known, is_state) from None
         if not summed:
             eqx.filter_eval_shape(criterion.rows, equation, record, jax.random.key(0))
     return tuple(name for name in record.arrays if name in read)

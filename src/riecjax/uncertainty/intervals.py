@@ -4,9 +4,11 @@ All speak of scatter about the value that the criterion converges to on an ever 
 of that value's distance from the truth.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -54,6 +56,7 @@ class Uncertainty(eqx.Module):
       Student's t stand in, see [`with_few_blocks`][].
     - `times_sandwich`: how many times as far as that sandwich replicates reach, 1 without any.
     - `method` of all other parameters, in words.
+    - `prior_share`: share of what is known of each that its prior tells; `None` without any.
     """
 
     covariance: Float[Array, "p p"]
@@ -62,6 +65,7 @@ class Uncertainty(eqx.Module):
     few_blocks: Bool[Array, " p"]
     times_sandwich: Float[Array, " p"]
     method: str = eqx.field(static=True)
+    prior_share: Float[Array, " p"] | None = None
 
     @property
     def label(self) -> str:
@@ -79,6 +83,33 @@ class Uncertainty(eqx.Module):
     def widened(self, further: Float[Array, "p p"]) -> "Uncertainty":
         """With the covariance of something else that scatters besides."""
         return eqx.tree_at(lambda u: u.covariance, self, self.covariance + further)
+
+    def with_priors(
+        self, scatter: Float[Array, "p p"], prior_share: Float[Array, " p"]
+    ) -> "Uncertainty":
+        """With the covariance of what the means of priors scatter by, which is normal.
+
+        So is a replicate's share of it. Degrees of freedom are Satterthwaite's, of a sum of
+        variances of which one is known.
+        """
+        every = self.widened(scatter)
+        total, known = jnp.diagonal(every.covariance), jnp.diagonal(scatter)
+        share = jnp.where(total > 0, known / jnp.where(total > 0, total, 1.0), 0.0)
+        # Less than this is rounding: data tell nothing, and no replicate moves.
+        least = float(jnp.finfo(total.dtype).eps) ** 0.5
+        of_data = jnp.maximum(1 - share, least)
+        studentized = self.studentized
+        if studentized is not None:
+            count = studentized.shape[0]
+            normal = jax.scipy.special.ndtri((jnp.arange(count) + 0.5) / count)[:, None]
+            moved = jnp.where((of_data > least)[None, :], studentized, 0.0)
+            studentized = jnp.sqrt(1 - share)[None, :] * moved + normal * jnp.sqrt(share)[None, :]
+        return dataclasses.replace(
+            every,
+            studentized=studentized,
+            degrees_of_freedom=self.degrees_of_freedom / of_data**2,
+            prior_share=prior_share,
+        )
 
     def reach(self, level: float) -> tuple[np.ndarray, np.ndarray]:
         """How many standard errors intervals reach below and above estimates (not under jit).
@@ -237,6 +268,8 @@ def with_few_blocks(
         reach = jnp.nanquantile(jnp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
         times = reach * jnp.sqrt(variance / jnp.where(other > 0, other, 1.0))
         few = few | (times > FARTHEST) | (times < NEAREST)
+    # Of what only a bound or a prior tells, no block moves anything.
+    few = few & (variance > jnp.finfo(variance.dtype).eps * other)
     # Correlations are taken from one of the two, lest a mixture be no covariance at all.
     error = jnp.sqrt(jnp.where(few, other, variance))
     scale = jnp.where(other > 0, error / jnp.sqrt(jnp.where(other > 0, other, 1.0)), 0.0)

@@ -17,3 +17,4 @@ from .sweep import LONGER as LONGER
 from .sweep import WindowSweep as WindowSweep
 from .sweep import sweep_edges as sweep_edges
 from .sweep import window_sweep as window_sweep
+from .tests import Test as Test

@@ -25,6 +25,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.errors import ModelError, require
 from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding
 from riecjax.records.record import Records, as_records
 from riecjax.validation.equation_errors import EquationError, errors_over_records, joined
 from riecjax.validation.residuals import ErrorSpectrum, error_spectrum
@@ -78,6 +79,7 @@ class WindowChoice(eqx.Module):
     - `reason`: one sentence that says why.
     """
 
+    name = "window_choice"
     length: Float[np.ndarray, " lengths"]
     equations: tuple[EquationWindows, ...]
     alpha: float
@@ -90,7 +92,11 @@ class WindowChoice(eqx.Module):
         """Frequencies in hertz that the current windows see best, by T = 1 / (2 f) of eq. (26)."""
         return 1 / (2 * self.beta), 1 / (2 * self.alpha)
 
-    def describe(self) -> dict[str, Any]:
+    def findings(self) -> list[Finding]:
+        """None: another choice is an offer."""
+        return []
+
+    def entry(self) -> dict[str, Any]:
         """Everything but the spectra, as plain data for JSON."""
         return {
             "alpha_s": self.alpha,
@@ -135,7 +141,7 @@ def window_choice(
     """
     recordings = as_records(records)
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
-    if isinstance(estimate, Estimate):
+    if isinstance(estimate, Estimate) and estimate.criterion is not None:
         windows = windows or estimate.criterion.windows
         test_function = test_function or estimate.criterion.test_function
     if windows is None:

@@ -31,6 +31,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import DataError, SimulationError
+from riecjax.leaves import finite
 from riecjax.records.record import Record, filled_up
 from riecjax.records.signal import Signal, both
 from riecjax.shows import Drawn
@@ -231,7 +232,7 @@ class HeldOut(Drawn, eqx.Module):
     horizon: float | None = eqx.field(static=True, default=None)
     measured: Record | None = None
 
-    def describe(self) -> dict[str, Any]:
+    def entry(self) -> dict[str, Any]:
         """Everything but the record, as plain data for JSON; fits in percent, `None` if unknown."""
         return {
             "ran": self.ran,
@@ -240,9 +241,9 @@ class HeldOut(Drawn, eqx.Module):
             "verdict": self.verdict,
             "signals": {
                 name: {
-                    "p_percent": _plain(one.p),
-                    "fit_percent": _plain(one.fit),
-                    "vaf_percent": _plain(one.vaf),
+                    "p_percent": finite(one.p),
+                    "fit_percent": finite(one.fit),
+                    "vaf_percent": finite(one.vaf),
                     "samples": one.samples,
                     "grade": one.grade,
                     "judged": name in self.judged,
@@ -429,8 +430,3 @@ def validate_held_out(
 
 def _are(names: Sequence[str]) -> str:
     return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'}"
-
-
-def _plain(value: Array) -> float | None:
-    number = float(value)
-    return number if np.isfinite(number) else None

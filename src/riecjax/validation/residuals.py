@@ -544,7 +544,7 @@ class Loop(NamedTuple):
     size: float
     dry: bool = False
 
-    def describe(self) -> dict[str, object]:
+    def entry(self) -> dict[str, object]:
         """Plain data for JSON."""
         return {**self._asdict(), "motion": self.motion._asdict()}
 
@@ -826,7 +826,13 @@ class EquationResidual(NamedTuple):
             and errors.correlation > max(NOTABLE_SHARED, 10 * errors.window_share)
         )
 
-    def describe(self) -> dict[str, Any]:
+    @property
+    def shared_energy(self) -> float:
+        """Share of the energy of all windows' errors that they have in common; 0 of a small one."""
+        correlation = 0.0 if self.windows is None else self.windows.correlation
+        return min(correlation, 1.0) if correlation > NOTABLE_SHARED else 0.0
+
+    def entry(self) -> dict[str, Any]:
         """Numbers of the tests, without the series, as plain data for JSON."""
         windows = self.windows
         return {
@@ -844,7 +850,7 @@ class EquationResidual(NamedTuple):
             ],
             "band_hz": self.spectrum.band,
             "peak": None if self.peak is None else self.peak._asdict(),
-            "loop": None if self.loop is None else self.loop.describe(),
+            "loop": None if self.loop is None else self.loop.entry(),
             "windows": None
             if windows is None
             else {
@@ -872,6 +878,7 @@ class ResidualTests(Drawn, eqx.Module):
     explain what some of them leave.
     """
 
+    name = "residual_tests"
     equations: tuple[EquationResidual, ...]
     faults: tuple[Finding, ...] = ()
 
@@ -882,9 +889,9 @@ class ResidualTests(Drawn, eqx.Module):
         """Faults of sensors, and findings of all equations."""
         return [*self.faults, *(finding for one in self.equations for finding in one.findings())]
 
-    def describe(self) -> dict[str, Any]:
+    def entry(self) -> dict[str, Any]:
         """Numbers of the tests by equation, as plain data for JSON."""
-        return {equation.name: equation.describe() for equation in self.equations}
+        return {equation.name: equation.entry() for equation in self.equations}
 
 
 def residual_tests(
@@ -914,7 +921,7 @@ def residual_tests(
     model = as_model(model)
     recordings = [with_memories(record, model.memories) for record in as_records(records)]
     values = estimate.single().values if isinstance(estimate, Estimate) else estimate
-    if windows is None and isinstance(estimate, Estimate):
+    if windows is None and isinstance(estimate, Estimate) and estimate.criterion is not None:
         windows = estimate.criterion.windows
     if errors is None:
         errors = errors_over_records(model, recordings, values)

@@ -6,6 +6,7 @@ leaves out weighs differently at different lengths, and the estimates drift.
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,7 +23,7 @@ from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, namespace
+from riecjax.leaves import Leaf, finite, namespace, told
 from riecjax.records.record import Record, Records
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import (
@@ -73,6 +74,7 @@ class WindowSweep(Drawn, eqx.Module):
     - `table`, `stage_names`: as in an estimate.
     """
 
+    name = "window_sweep"
     alpha: Float[Leaf, " bands"]
     beta: Float[Leaf, " bands"]
     theta: Float[Array, "bands p"]
@@ -181,6 +183,22 @@ class WindowSweep(Drawn, eqx.Module):
             cause = f"{makes} model leaves something out"
         message = f"{course}. {steadiness}. {cause}."
         return [Finding("window_sensitive", message, parameters=tuple(names))]
+
+    def entry(self) -> dict[str, Any]:
+        """Windows, estimates and what is left at each length, as plain data for JSON."""
+        return {
+            **told(self, "alpha", "beta"),
+            "parameters": {
+                name: {
+                    "value": finite(self.theta[:, j]),
+                    "std_error": finite(self.standard_errors[:, j]),
+                }
+                for j, name in enumerate(self.parameters)
+            },
+            "relative_rms": {
+                label: finite(self.relative_rms[:, i]) for i, label in enumerate(self.stage_names)
+            },
+        }
 
     def _range(self, name: str) -> tuple[int, int, float]:
         """Lengths with the least and the largest estimate, and their distance as a share."""

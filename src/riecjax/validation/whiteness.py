@@ -19,14 +19,16 @@ first few of a window determine d and are left out.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from riecjax import tails
+from riecjax.estimation.estimate import Estimate
+from riecjax.leaves import finite, told
 from riecjax.records.record import Record
-from riecjax.refinement.output_error import OutputMisfit, noise_levels
+from riecjax.refinement.output_error import OutputResiduals, noise_levels
 from riecjax.validation.residuals import autocorrelation
 
 LAGS = 20
@@ -77,38 +79,52 @@ class Whiteness(NamedTuple):
         """Whether the residuals are as white as noise, or vanish."""
         return self.vanishing or self.largest <= self.threshold
 
+    def entry(self) -> dict[str, Any]:
+        """All of it, as plain data for JSON."""
+        return {
+            **told(self, "white", "vanishing", "largest", "threshold"),
+            "channels": {
+                name: {
+                    "statistic": finite(statistic),
+                    "chi_squared": finite(self.chi_squared[name]),
+                    "share": finite(self.shares[name]),
+                }
+                for name, statistic in self.statistics.items()
+            },
+        }
 
-def whiteness(
-    misfit: OutputMisfit,
-    theta: Float[Array, " p"],
-    initial: Float[Array, "windows s"],
-    records: list[Record],
-) -> Whiteness | None:
-    """Tests what parameters and initial states leave (not under jit).
 
-    **Returns:** `None` where a simulation was lost.
+def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
+    """Tests what refined parameters and initial states leave (not under jit).
+
+    **Returns:** `None` where no output error was made small, or a simulation was lost.
     """
-    left = [np.asarray(part) for part in misfit.residuals(theta, initial)]
-    masks = [np.asarray(part.present) for part in misfit.recorded]
+    residuals, at = refined.search.residuals, (refined.theta, refined.search.initial_states)
+    if not isinstance(residuals, OutputResiduals):
+        return None
+    left = [np.asarray(part) for part in residuals.values(*at)]
+    masks = [np.asarray(part.present) for part in residuals.recorded]
     if not all(np.isfinite(part).all() for part in left):
         return None
     squares = sum(np.sum(one**2, axis=(0, 1)) for one in left)
     size = np.sqrt(squares / np.maximum(sum(np.sum(one, axis=(0, 1)) for one in masks), 1))
     series = left
-    if any(part.windows > 1 and part.measured.shape[1] < MANY_SAMPLES for part in misfit.recorded):
+    if any(
+        part.windows > 1 and part.measured.shape[1] < MANY_SAMPLES for part in residuals.recorded
+    ):
         weight = 1 / np.where(size > 0, size, 1.0)
-        slopes = [np.asarray(part) for part in misfit.slopes_by_initial(theta, initial)]
+        slopes = [np.asarray(part) for part in residuals.slopes_by_initial(*at)]
         series, masks = zip(
             *(
                 innovations(one * weight, by * weight[:, None], there)
                 for one, by, there in zip(left, slopes, masks)
             )
         )
-    sigma, levels = np.asarray(misfit.sigma), np.asarray(noise_levels(records, misfit.labels))
+    sigma, levels = np.asarray(residuals.sigma), np.asarray(noise_levels(records, residuals.labels))
     statistics, chi_squared, shares = {}, {}, {}
-    for j, name in enumerate(misfit.labels):
+    for j, name in enumerate(residuals.labels):
         tests = []
-        for values, present, part in zip(series, masks, misfit.recorded):
+        for values, present, part in zip(series, masks, residuals.recorded):
             # The values of all windows where they stand in the recording.
             values, present = values[..., j], present[..., j]
             place = np.asarray(part.position)[present] // part.every
@@ -121,7 +137,7 @@ def whiteness(
         chi_squared[name] = (rms / level) ** 2 if level > 0 else float("nan")
         spread = float(np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records])))
         shares[name] = rms / spread if spread > 0 else float("nan")
-    tests = len(misfit.labels) * len(misfit.recorded)
+    tests = len(residuals.labels) * len(residuals.recorded)
     threshold = tails.chi_square(LEVEL / tests, LAGS) / LAGS
     return Whiteness(statistics, threshold, chi_squared, shares)
 

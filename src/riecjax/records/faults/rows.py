@@ -19,7 +19,7 @@ is held against what such jumps are all along the record.
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -28,11 +28,8 @@ from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
 from riecjax.records.linear_op import LinearOp
-from riecjax.records.record import Record
+from riecjax.records.record import HasRecord, Record
 from riecjax.records.signal import NORMAL, Samples
-
-if TYPE_CHECKING:
-    from riecjax.records.recording import Recording
 
 ROUNDED = 1e-3
 """Share of a standard deviation by which rounding may part a sample from its copy."""
@@ -128,7 +125,16 @@ def without_repetitions(record: Record) -> tuple[Record, list[Finding]]:
     return record.through(ops), [said]
 
 
-def duplicates(recordings: Sequence["Recording"]) -> list[Finding]:
+class NamedRecord(HasRecord, Protocol):
+    """A record with a name, as a [`Recording`][riecjax.Recording]."""
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        ...
+
+
+def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
     """Recordings that hold samples of another one, in all signals that both have.
 
     Whole, in part, rounded, or with other time stamps. Of several copies each is named beside the
@@ -170,7 +176,7 @@ def duplicates(recordings: Sequence["Recording"]) -> list[Finding]:
     return [found[pair] for pair in sorted(found)]
 
 
-def refuse_duplicates(recordings: Sequence["Recording"]) -> None:
+def refuse_duplicates(recordings: Sequence[NamedRecord]) -> None:
     """Refuse recordings that were given twice.
 
     **Raises:** `DuplicateRecordingError` that names them.

@@ -1,0 +1,297 @@
+"""Bounds and priors of parameters, and what least squares make of them.
+
+**A prior is one more block** of the normal equations H theta = m of the stage that finds its
+parameter: curvature l_j = v_j / std_j^2 on the diagonal, and the moment l_j mean_j. That is what a
+row of variance v_j adds which tells of theta_j alone, by mean_j with the error std_j. All hangs on
+v_j, the variance of rows if they were independent: windows overlap and errors are autocorrelated,
+so that their own variance says little. It is asked of blocks of time. With B the covariance of the
+scores and R = (H + ridge)^-1,
+
+    v_j = (R B R)_jj / (R H R)_jj,
+
+the sandwich's variance over that which independent rows of unit variance would give.
+
+- Where B = v H, as of independent rows, every v_j is v, whatever the ridge: the posterior of linear
+  regression with that variance.
+- With one prior, and all other parameters eliminated, data tell of theta_j by a curvature
+  h_j = 1 / (H^-1)_jj and with the variance V_jj = (H^-1 B H^-1)_jj. So v_j = V_jj h_j, and
+  l_j / h_j = V_jj / std_j^2: precision weighting of the sandwich with the prior, whatever B is.
+  Several priors are weighed so as well where errors are alike in all that they are of; elsewhere
+  their weights are not the best, and the covariance below holds all the same.
+- H may be singular. Along a combination that data do not tell, H and B are rounding, eps of the
+  rest, and R is one over the ridge. At a ridge of the cube root of eps their share in either
+  product is eps over its square, which is little, and v_j is the variance of all else. A column of
+  zeros takes that of the rows: nothing weighs against its prior.
+
+B and R are of the scores at the solution without the stage's priors, and count what is uncertain in
+earlier stages. Data that fit to their last digit have no variance; a least curvature then keeps a
+prior on what they do not tell.
+
+**Covariance.** Curvature and moment are spread over all blocks by their rows, so that resampling
+never takes them away, and scores add up to zero. What scatters besides is the prior's mean: its
+score has the variance (l_j std_j)^2, which goes between slope^-1 and slope^-T as B does. For one
+parameter, H = h and B = v h, that makes
+
+    (v h + l^2 std^2) / (h + l)^2 = v / (h + l) = 1 / (h / v + 1 / std^2),
+
+the posterior's variance.
+
+**Bounds.** Least squares between bounds are a convex quadratic programme: on what is free there is
+no slope, and what is held lies on a bound that the slope pushes against. Block principal pivoting
+finds which are held: all that violate one of the two conditions change sides at once, as long as
+they grow fewer, and otherwise the last of them alone, which ends for any positive definite matrix
+(Murty's rule; Judice and Pires, 1992). To all else what is held is known.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from riecjax.errors import ModelError
+from riecjax.estimation.parameters import ParameterTable
+from riecjax.leaves import Leaf, is_concrete, is_number, namespace
+from riecjax.linear_algebra import eliminate, solve_scaled, unit_diagonal, unit_scale
+from riecjax.summaries.normal_equations import (
+    NormalEquations,
+    ShortBlocks,
+    blocks_in_use,
+    sum_blocks,
+)
+from riecjax.uncertainty.covariances import (
+    block_length,
+    politis_white,
+    scores,
+    slope,
+    unknowns_of,
+)
+
+Bounds = tuple[float | None, float | None]
+
+
+class Prior(NamedTuple):
+    """What is known of a parameter beforehand: a normal distribution, in its unit."""
+
+    mean: float
+    std: float
+
+
+class Constraints(eqx.Module):
+    """Bounds and priors of free parameters.
+
+    **Fields:** `lower` and `upper`, infinite where there is no bound; `prior_mean`, and
+    `prior_weight`, one over the prior's standard deviation, 0 where there is no prior; `names` of
+    the parameters; `bounded` and `with_prior`, those that have bounds or a prior.
+    """
+
+    lower: Float[Leaf, " p"]
+    upper: Float[Leaf, " p"]
+    prior_mean: Float[Leaf, " p"]
+    prior_weight: Float[Leaf, " p"]
+    names: tuple[str, ...] = eqx.field(static=True)
+    bounded: tuple[str, ...] = eqx.field(static=True)
+    with_prior: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        table: ParameterTable,
+        bounds: Mapping[str, Bounds] | None = None,
+        priors: Mapping[str, Prior] | None = None,
+        start: Mapping[str, Leaf] | None = None,
+        refined: bool = False,
+    ) -> "Constraints":
+        """Checked, also against the values that a search starts from.
+
+        Without a start they are of a linear estimate, whose hidden elements are found by a search
+        of its own, which knows of neither: those are passed over where it is to be `refined`.
+
+        **Raises:** `ModelError` for a parameter that is not free, or that is hidden, what is no
+        pair of numbers, bounds in the wrong order or that the start does not lie between, a prior
+        without a finite mean and a positive standard deviation.
+        """
+        names = table.free
+
+        def of_free(what: str, given: Mapping[str, Any]) -> dict[str, Any]:
+            if unknown := [name for name in given if not {*names} & {*table.everywhere([name])}]:
+                raise ModelError(f"{what} given for '{unknown[0]}'; free are: {', '.join(names)}.")
+            free = {name: value for name, value in table.values(given).items() if name in names}
+            hidden = [n for n in free if start is None and table[n].element is not None]
+            if hidden and not refined:
+                raise ModelError(
+                    f"{what} given for {hidden[0]}, of a hidden element: only a refinement knows "
+                    f"of it, rx.refine, or on the command line --refine output-error."
+                )
+            return {name: value for name, value in free.items() if name not in hidden}
+
+        limits, known = of_free("bounds are", bounds or {}), of_free("a prior is", priors or {})
+        ends: dict[str, tuple[Any, Any]] = dict.fromkeys(names, (-np.inf, np.inf))
+        for name, given in limits.items():
+            if not is_pair(given, or_none=True):
+                raise ModelError(
+                    f"the bounds of {name} are {given!r}. Write (lower, upper), None where there "
+                    f"is none."
+                )
+            low, high = (end if at is None else at for end, at in zip(ends[name], given))
+            if is_concrete(low, high) and not low < high:
+                raise ModelError(
+                    f"the bounds of {name} are equal or in the wrong order: {low:g} to {high:g}."
+                )
+            ends[name] = low, high
+            if start is None or not is_concrete(low, high, start[name]):
+                continue
+            if not low < float(start[name]) < high:
+                raise ModelError(
+                    f"{name} starts at {float(start[name]):g}, which is not between its bounds "
+                    f"{low:g} and {high:g}. Widen them, or start strictly between them."
+                )
+        for name, prior in known.items():
+            if not is_pair(prior) or (is_concrete(prior[0]) and not np.isfinite(float(prior[0]))):
+                raise ModelError(
+                    f"the prior of {name} is {prior!r}. Write (mean, standard deviation), a finite "
+                    f"mean."
+                )
+            if is_concrete(prior[1]) and not prior[1] > 0:
+                raise ModelError(f"the prior of {name} needs a positive standard deviation.")
+
+        def column(values: Sequence[Any]) -> Leaf:
+            xp = namespace(values)
+            return xp.stack([xp.asarray(value, float) for value in values])
+
+        lower, upper = map(column, zip(*ends.values()))
+        mean, std = map(column, zip(*(known.get(name, (0.0, np.inf)) for name in names)))
+        return cls(lower, upper, mean, 1 / std, names, tuple(limits), tuple(known))
+
+    def on(self, names: Sequence[str]) -> "Constraints":
+        """Those of some parameters, in this order."""
+        index = np.array([self.names.index(name) for name in names])
+        columns = self.lower, self.upper, self.prior_mean, self.prior_weight
+        which = (tuple(n for n in some if n in names) for some in (self.bounded, self.with_prior))
+        return Constraints(*(column[index] for column in columns), tuple(names), *which)
+
+
+def diagonal_block(
+    names: tuple[str, ...],
+    curvature: Float[Array, " p"],
+    moment: Float[Array, " p"],
+    energy: Float[Array, ""] | float = 0.0,
+) -> NormalEquations:
+    """Normal equations that tell of each parameter by itself, from no row."""
+    moments = jnp.diag(jnp.concatenate([jnp.reshape(energy, 1), curvature]))
+    moments = moments.at[0, 1:].set(moment).at[1:, 0].set(moment)
+    return NormalEquations(moments, jnp.zeros((), moments.dtype), names)
+
+
+def spread(blocks: NormalEquations, block: NormalEquations) -> NormalEquations:
+    """Blocks with one more, spread over all of them by their rows."""
+    share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
+    moments = blocks.moments + jnp.tensordot(share, block.moments, axes=0)
+    return dataclasses.replace(blocks, moments=moments)
+
+
+def scatter_of_priors(
+    slope: Float[Array, "p p"],
+    curvature: Float[Array, " p"],
+    weight: Float[Leaf, " p"],
+    ridge: float = 0.0,
+) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
+    """Covariance of estimates because the means of their priors scatter; see the module.
+
+    **Returns:** also by how much an estimate follows its prior's mean, of a single one l / (h + l):
+    the prior's share of what is known of it.
+    """
+    score = jnp.where(weight > 0, curvature / jnp.where(weight > 0, weight, 1.0), 0.0)
+    moved = solve_scaled(slope, jnp.diag(score), ridge)
+    return moved @ moved.T, jnp.diagonal(moved) * weight
+
+
+def prior_curvature(
+    stages: list[NormalEquations],
+    known: Mapping[str, Array],
+    values: Mapping[str, Array],
+    weight: Float[Array, " found"],
+    earlier: Float[Array, " earlier"],
+    short: ShortBlocks,
+    longest_window: Float[Array, ""],
+) -> Float[Array, " p"]:
+    """Curvature of each prior of the last of some stages, 0 where there is none; see the module.
+
+    **Arguments:** `stages`, short blocks of all records along the leading axis, all but the last
+    with their priors; `values`, their solution, of the last one without priors; `weight` of the
+    priors of all that they find; `earlier` curvatures.
+    """
+    unknowns, totals = unknowns_of(stages, known), [stage.total() for stage in stages]
+    whole, series = slope(totals, unknowns), scores(stages, unknowns, values)
+    ridge, place = float(np.cbrt(jnp.finfo(whole.dtype).eps)), slice(earlier.shape[0], None)
+    influence = solve_scaled(whole, series.T, ridge).T
+    influence = influence.reshape(short.number.shape[0], -1, influence.shape[-1])
+    length = block_length(short, longest_window, politis_white(influence, short))
+    used = blocks_in_use(short, length)
+    # Influences of n blocks sum to zero, which takes one of n squares.
+    variance = jnp.sum(sum_blocks(influence, short, used) ** 2, axis=0)
+    variance = variance * jnp.sum(used) / jnp.maximum(jnp.sum(used) - 1, 1)
+    before = jnp.concatenate([earlier, jnp.zeros_like(variance[place])])
+    variance = variance + jnp.diagonal(scatter_of_priors(whole, before, weight, ridge)[0])
+    gram = whole[place, place]
+    inverse = solve_scaled(gram, jnp.eye(gram.shape[0], dtype=gram.dtype), ridge)
+    unit = jnp.diagonal(inverse @ gram @ inverse)
+    at = jnp.stack([jnp.asarray(values[name]) for name in totals[-1].parameters])
+    energies = totals[-1].residual_energy(at), totals[-1].energy * jnp.finfo(whole.dtype).eps
+    of_rows, rounding = (energy / jnp.maximum(totals[-1].count, 1) for energy in energies)
+    of_row = jnp.where(unit > 0, variance[place] / jnp.where(unit > 0, unit, 1.0), of_rows)
+    least = ridge**2 / unit_scale(jnp.diagonal(gram)) ** 2
+    curvature = of_row * weight[place] ** 2
+    least = jnp.where((of_row <= rounding) & (weight[place] > 0), least, 0.0)
+    return jnp.maximum(curvature, least)
+
+
+def sides_of_bounds(equations: NormalEquations, limits: Constraints) -> Float[Array, " p"]:
+    """Which parameters least squares hold at their lower (-1) or upper (1) bound; 0 for the others.
+
+    By block principal pivoting; see the module.
+    """
+    gram, moment, limits = jax.lax.stop_gradient((equations.gram, equations.moment, limits))
+    gram, scale = unit_diagonal(gram)
+    moment, low, high = moment * scale, limits.lower / scale, limits.upper / scale
+    size, count = moment.shape[0], len(limits.bounded)
+    rounding = size * float(jnp.finfo(gram.dtype).eps)
+    # Collinear columns leave no more than rounding to tell sides by.
+    gram = gram + rounding * jnp.eye(size, dtype=gram.dtype)
+
+    def wanted(side: Float[Array, " p"]) -> Float[Array, " p"]:
+        """The sides that a solution with these ones asks for."""
+        held = side != 0
+        at = jnp.where(side < 0, low, jnp.where(side > 0, high, 0.0))
+        free = jnp.where(held, 0.0, 1.0)
+        matrix = gram * free[:, None] * free[None, :] + jnp.diag(1 - free)
+        right = jnp.where(held, at, moment - gram @ at)
+        x = eliminate(matrix, right[:, None])[:, 0]
+        push = moment - gram @ x
+        slack = rounding * (jnp.abs(moment) + jnp.abs(gram) @ jnp.abs(x))
+        beyond = jnp.where(x < low - slack, -1.0, jnp.where(x > high + slack, 1.0, 0.0))
+        return jnp.where(held, jnp.where(push * side < -slack, 0.0, side), beyond)
+
+    def pivot(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        side, fewest, patience = state
+        other = wanted(side)
+        wrong = other != side
+        fewer = jnp.sum(wrong) < fewest
+        last = jnp.arange(size) == size - 1 - jnp.argmax(wrong[::-1])
+        chosen = wrong & (fewer | (patience > 0) | last)
+        patience = jnp.where(fewer, 2, patience - 1)
+        return jnp.where(chosen, other, side), jnp.minimum(fewest, jnp.sum(wrong)), patience
+
+    start = jnp.zeros_like(moment), jnp.asarray(size + 1), jnp.asarray(2)
+    return jax.lax.fori_loop(0, (count + 1) ** 2, pivot, start)[0]
+
+
+def is_pair(given: Any, or_none: bool = False) -> bool:
+    """Whether this is two numbers, or `None` in place of one if that is allowed."""
+    if not isinstance(given, Sequence | np.ndarray | jax.Array) or len(given) != 2:
+        return False
+    return all(is_number(end) or (or_none and end is None) for end in given)

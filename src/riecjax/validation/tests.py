@@ -1,0 +1,108 @@
+"""Tests of an answer: what one is, those of what equations leave, and a user's own."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+from riecjax.equations.model import Model
+from riecjax.errors import RiecjaxError
+from riecjax.estimation.estimate import Estimate
+from riecjax.findings import Finding
+from riecjax.records.record import Record
+
+
+@runtime_checkable
+class Test(Protocol):
+    """What was looked at of an answer: findings for its verdict, and numbers for its document.
+
+    Built in are what equations leave, windows of other lengths, which windows suit, evidence of
+    hidden modes, refinement and held-out simulation. One of your own is made by a function that
+    is among the `tests` of [`assess`][riecjax.assess]; if it has a `view()` or a `chart()`, that is
+    shown of it.
+    """
+
+    @property
+    def name(self) -> str:
+        """Its key in the document of a result, unlike that of other tests."""
+        ...
+
+    def findings(self) -> list[Finding]:
+        """What a user should know of its outcome; empty where all is well."""
+        ...
+
+    def entry(self) -> Any:
+        """What the document of a result holds of it: numbers, texts, lists and dictionaries."""
+        ...
+
+
+BUILT_IN = ["modes", "window_sweep", "residual_tests", "window_choice", "refinement", "validation"]
+"""Names of the tests that come with an assessment."""
+MakeTest = Callable[[Model, Sequence[Record], Estimate], Test]
+"""What makes a test of a model's answer on records."""
+
+
+class Tested(NamedTuple):
+    """Tests that were made, and findings beside them: of those that could not be made, why."""
+
+    tests: list[Test]
+    findings: list[Finding]
+
+
+def residuals_tested(
+    model: Model,
+    records: list[Record],
+    estimate: Estimate,
+    again: Callable[[list[Record]], Estimate],
+) -> Tested:
+    """Tests of what equations leave, the windows that it suggests, and inputs that drift.
+
+    **Arguments:** `again` estimates in the same way from other records.
+    """
+    # Not earlier: scipy.signal takes long to import.
+    from riecjax.validation.choice import window_choice
+    from riecjax.validation.equation_errors import errors_over_records
+    from riecjax.validation.input_faults import drifting_inputs, silent_inputs
+    from riecjax.validation.late_signals import late_signals
+    from riecjax.validation.residuals import residual_tests
+
+    # A fit is not lost because what it leaves cannot be tested.
+    try:
+        errors = errors_over_records(model, records, estimate.values)
+        silent = silent_inputs(model.equations, records, errors, estimate.criterion.windows)
+        faults = tuple(silent) or tuple(late_signals(model, records, estimate))
+        drifting = [] if faults else [*drifting_inputs(model, records, errors, estimate, again)]
+        tests: list[Test] = [residual_tests(model, records, estimate, errors=errors, faults=faults)]
+        if estimate.criterion.windows is not None:
+            tests.append(window_choice(model, records, estimate, errors=errors))
+    except RiecjaxError as error:
+        return Tested([], [Finding("residuals_not_tested", str(error))])
+    return Tested(tests, drifting)
+
+
+def own_tests(
+    makers: Iterable[MakeTest], model: Model, records: Sequence[Record], answer: Estimate
+) -> Tested:
+    """Tests of a user's own of an answer; of what raises or is no test, a finding says so."""
+    tested, taken = Tested([], []), {*BUILT_IN}
+    for make in makers:
+        # An answer is not lost whatever it raises; asked later, it says the same.
+        try:
+            test = make(model, records, answer)
+            if not isinstance(test, Test) or not isinstance(test.name, str):
+                raise TypeError("it has no name, findings() and entry(), see rx.validation.Test")
+            if test.name in taken:
+                raise ValueError(f"its name, {test.name}, is another test's")
+            for finding in test.findings():
+                if not isinstance(finding, Finding):
+                    raise TypeError(f"{finding!r} is among its findings and no rx.Finding")
+                finding.about.said(finding.signals, finding.parameters)
+            json.dumps(test.entry(), allow_nan=False)
+        except Exception as error:
+            name = getattr(make, "__name__", type(make).__name__)
+            said = " ".join(str(error).split()) or "no message"
+            message = f"the test of {name} failed ({type(error).__name__}): {said}."
+            tested.findings.append(Finding("test_failed", message))
+            continue
+        taken.add(test.name)
+        tested.tests.append(test)
+    return tested

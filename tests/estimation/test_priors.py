@@ -1,0 +1,201 @@
+"""Priors and bounds of linear estimates: against Bayes, brute force, differences and coverage."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.machines import SHORT, tones
+
+import riecjax as rx
+from riecjax.equations.model import as_model
+from riecjax.estimation.constraints import Constraints, sides_of_bounds
+from riecjax.summaries.normal_equations import NormalEquations
+
+TRUTH = np.array([2.0, 1.5, 0.7, 30.0])
+NAMES = ("m", "c", "d", "k")
+X = tones(SHORT.times, (0.5, 1.1, 1.8, 2.9), 0.05, 1)
+V, A = (np.gradient(X, SHORT.step), np.gradient(np.gradient(X, SHORT.step), SHORT.step))
+W = V + 0.01 * np.std(V) * np.random.default_rng(5).standard_normal(V.size)
+"""Next to the first, so that c and d are told apart by a hundredth of either."""
+REGRESSORS = np.stack([A, V, W, X], axis=1)
+NOISE = 0.3
+BODY = rx.Equation(
+    *(rx.Term(name, signal) for name, signal in zip(NAMES, "avwx")), -rx.Term(1.0, "F"), name="body"
+)
+DOLS, RIEC = rx.DOLS(), rx.RIEC(rx.AllWindows(0.1, 0.5))
+PLAIN = {"noise": "none", "intervals": "sandwich"}
+
+
+def record(seed: int = 0, w: np.ndarray = W) -> rx.Record:
+    regressors = np.stack([A, V, w, X], axis=1)
+    force = regressors @ TRUTH + NOISE * np.random.default_rng(seed).standard_normal(X.size)
+    return rx.Record({**dict(zip("avwx", regressors.T)), "F": force}, SHORT.step)
+
+
+@pytest.mark.parametrize("share", [0.1, 1.0, 10.0])
+def test_of_white_errors_it_is_the_posterior_of_linear_regression(share):
+    gram, noisy = REGRESSORS.T @ REGRESSORS / NOISE**2, record()
+    moment = REGRESSORS.T @ np.asarray(noisy["F"]) / NOISE**2
+    std = share * np.sqrt(np.linalg.inv(gram)[2, 2])
+    information = gram + np.diag([0, 0, 1 / std**2, 0])
+    mean = np.linalg.solve(information, moment + np.array([0, 0, (0.7 - std) / std**2, 0]))
+    error = np.sqrt(np.diag(np.linalg.inv(information)))
+    for intervals in ("bootstrap", "sandwich"):
+        settings = {"noise": "none", "intervals": intervals, "priors": {"d": (0.7 - std, std)}}
+        found = rx.identify(BODY, noisy, DOLS, **settings)
+        # A variance told by 64 blocks scatters by a sixth.
+        assert np.all(np.abs(np.asarray(found.theta) - mean) < 0.2 * error)
+        ends = np.array(found.interval("d")) - mean[2]
+        np.testing.assert_allclose(ends, 1.96 * error[2] * np.array([-1, 1]), rtol=0.25)
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("name", NAMES)
+def test_of_overlapping_windows_it_is_weighed_by_the_sandwich(name, share):
+    alone = rx.identify(BODY, record(), RIEC, **PLAIN)
+    value, error = float(alone[name]), float(alone.standard_error(name))
+    assert error > 5 * float(alone.naive[NAMES.index(name)])
+    prior = (value + 2 * error, share * error)
+    found = rx.identify(BODY, record(), RIEC, priors={name: prior}, **PLAIN)
+    posterior = (1 / error**2 + 1 / prior[1] ** 2) ** -0.5
+    expected = posterior**2 * (value / error**2 + prior[0] / prior[1] ** 2)
+    # Of 16 blocks, two ways to tell a variance differ by a few percent.
+    assert abs(float(found[name]) - expected) < 0.15 * posterior
+    assert float(found.standard_error(name)) == pytest.approx(posterior, rel=0.05)
+
+
+@pytest.mark.raises_finding("rests_on_prior")
+@pytest.mark.parametrize("intervals", ["bootstrap", "sandwich"])
+@pytest.mark.parametrize("factor", [0.0, 1.0])
+def test_what_only_a_prior_tells_is_its_own(intervals, factor):
+    """Once a column is zero, once that of another parameter."""
+    untold = record(w=factor * V)
+    with pytest.raises(rx.IdentifiabilityError):
+        rx.identify(BODY, untold, RIEC, noise="none")
+    settings = {"noise": "none", "intervals": intervals, "priors": {"d": (0.8, 0.1)}}
+    found = rx.identify(BODY, untold, RIEC, **settings)
+    np.testing.assert_allclose(found.interval("d"), (0.604, 0.996), atol=2e-3)
+    assert float(found["c"]) + factor * 0.8 == pytest.approx(1.5 + factor * 0.7, abs=0.1)
+    resting = [f.parameters for f in found.findings() if f.code == "rests_on_prior"]
+    assert resting == [("d",)]
+    assessed = rx.assess(BODY, untold, RIEC, refine=None, sweep=False, **settings)
+    np.testing.assert_allclose(assessed.answer.theta, found.theta, rtol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_intervals_cover_what_priors_are_of(share):
+    """The truth is drawn from its prior, over and over."""
+    alone = rx.identify(BODY, record(), RIEC, **PLAIN)
+    std = share * float(alone.standard_error("d"))
+    # The noise of a force that reaches from one row into the next.
+    rng, draws = np.random.default_rng(3), 300
+    noise = rng.standard_normal((draws, X.size + 9))
+    noise = np.stack([np.convolve(each, np.ones(10), "valid") for each in noise]) * NOISE / 3
+    truths = 0.7 + std * rng.standard_normal(draws)
+
+    def pivot(truth, noise):
+        signals = dict(zip("avwx", REGRESSORS.T)) | {"F": REGRESSORS @ TRUTH + noise}
+        signals["F"] += (truth - 0.7) * W
+        found = rx.identify(
+            BODY, rx.Record(signals, SHORT.step), RIEC, priors={"d": (0.7, std)}, **PLAIN
+        )
+        return (found["d"] - truth) / found.standard_error("d")
+
+    pivots = jax.jit(lambda *args: jax.lax.map(lambda each: pivot(*each), args))(truths, noise)
+    assert 0.92 < np.mean(np.abs(np.asarray(pivots)) < 1.96) < 0.98
+
+
+def test_a_prior_of_a_shared_parameter_counts_once():
+    """Two equations of a stage, two recordings, and an offset of each."""
+    other = rx.Equation(rx.Term("m", "a"), rx.Term("b", "v"), -rx.Term(1.0, "G"), name="other")
+    body = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant), name="body")
+    push = 2.0 * A + 3.0 * V + NOISE * np.random.default_rng(9).standard_normal(X.size)
+    records = [record(seed).with_signals({"G": push}) for seed in (1, 2)]
+    model, each = rx.simultaneous(body, other), PLAIN | {"per_record": ("offset",)}
+    alone = rx.identify(model, records, RIEC, **each)
+    errors = dict(zip(alone.parameters, map(float, alone.standard_errors)))
+    priors = {n: (float(alone[n]) + errors[n], errors[n]) for n in ("m", "offset[2]")}
+    for name, prior in priors.items():
+        found = rx.identify(model, records, RIEC, priors={name: prior}, **each)
+        assert float(found[name]) == pytest.approx(float(alone[name]) + errors[name] / 2, rel=0.02)
+        assert float(found.standard_error(name)) == pytest.approx(errors[name] / 2**0.5, rel=0.05)
+    both = rx.estimate(model, alone.summary, per_record=("offset",), priors={"offset": (0.0, 1e-6)})
+    assert abs(float(both["offset[1]"])) < 1e-5 > abs(float(both["offset[2]"]))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_bounds_are_held_as_of_all_active_sets_the_best(count):
+    """Of collinear columns too, in any units."""
+    rng, names = np.random.default_rng(count), NAMES[:2] + ("e", "f", "g")[: count - 2]
+    names = names[:count]
+    for number in range(25):
+        rows = rng.standard_normal((8, 1 + count))
+        if number % 2 and count > 1:
+            rows[:, 2] = rows[:, 1] + 1e-3 * rows[:, 2]
+        rows *= 10.0 ** rng.uniform(-3, 3, 1 + count)
+        best = np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0]
+        lower = best - np.abs(best) * rng.standard_normal(count)
+        upper = lower + np.abs(best) * rng.exponential(size=count)
+        lower[rng.random(count) < 0.3], upper[rng.random(count) < 0.3] = -np.inf, np.inf
+        limits = Constraints(lower, upper, 0 * best, 0 * best, names, names, ())
+        equations = NormalEquations(jnp.asarray(rows.T @ rows), jnp.asarray(8.0), names)
+        side = np.asarray(sides_of_bounds(equations, limits))
+
+        energies = {}
+        for sides in itertools.product((-1, 0, 1), repeat=count):
+            held = np.array(sides)
+            theta, free = np.where(held < 0, lower, np.where(held > 0, upper, 0.0)), held == 0
+            if not np.isfinite(theta).all():
+                continue
+            rest = rows[:, 0] - rows[:, 1:] @ theta
+            theta[free] = np.linalg.lstsq(rows[:, 1:][:, free], rest, rcond=1e-13)[0]
+            slack = 1e-9 * np.abs(theta)
+            if np.all((lower - slack <= theta) & (theta <= upper + slack)):
+                energies[sides] = np.sum((rows[:, 0] - rows[:, 1:] @ theta) ** 2)
+        assert energies[tuple(side)] <= min(energies.values()) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("intervals", ["bootstrap", "sandwich"])
+def test_what_is_held_at_a_bound_is_known_to_the_others(intervals):
+    settings = {"noise": "none", "intervals": intervals}
+    found = rx.identify(
+        BODY, record(), RIEC, bounds={"k": (None, 29.5), "m": (0, None)}, **settings
+    )
+    known = rx.identify(BODY, record(), RIEC, known={"k": 29.5}, **settings)
+    assert found.at_bound.tolist() == [False, False, False, True]
+    assert float(found["k"]) == 29.5
+    assert np.isnan(found.standard_error("k"))
+    np.testing.assert_allclose(found.theta[:3], known.theta, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance[:3, :3], known.covariance, rtol=1e-6)
+    np.testing.assert_allclose(found.interval("d"), known.interval("d"), rtol=1e-6)
+    free = rx.identify(BODY, record(), RIEC, bounds={"k": (0, 40), "m": (0, None)}, **settings)
+    plain = rx.identify(BODY, record(), RIEC, **settings)
+    np.testing.assert_allclose(free.covariance, plain.covariance, rtol=1e-9)
+
+
+def test_an_estimate_follows_priors_and_bounds_as_differences_do():
+    def theta(mean, std, upper):
+        limits = {"priors": {"d": (mean, std)}, "bounds": {"k": (None, upper)}}
+        return rx.identify(BODY, record(), RIEC, **limits, **PLAIN).theta
+
+    at, compiled = (1.0, 0.2, 29.5), jax.jit(theta)
+    for number, value in enumerate(at):
+        step = 1e-4 * value
+        ends = ([*at[:number], value + s, *at[number + 1 :]] for s in (step, -step))
+        above, below = (compiled(*map(jnp.asarray, end)) for end in ends)
+        slope = jax.jacfwd(compiled, argnums=number)(*map(jnp.asarray, at))
+        np.testing.assert_allclose(slope, (above - below) / (2 * step), rtol=1e-5, atol=1e-7)
+    batch = jax.vmap(lambda mean: theta(mean, *at[1:]))(jnp.array([0.5, 1.0]))
+    np.testing.assert_allclose(batch[1], theta(*at), rtol=1e-9)
+
+
+def test_what_a_linear_estimate_cannot_take_is_refused():
+    with pytest.raises(rx.ModelError, match="a prior is given for 'k'; free are: m, c, d"):
+        rx.identify(BODY, record(), RIEC, known={"k": 30.0}, priors={"k": (30.0, 1.0)})
+    body = rx.Equation(rx.Term("m", "v", derivative=1), -rx.Term(1.0, "F"))
+    hidden = as_model(body).with_modes(rx.HiddenMode("v"))
+    with pytest.raises(rx.ModelError, match="M_mode, of a hidden element: only a refinement"):
+        rx.identify(hidden, record(), priors={"M_mode": (1.0, 0.1)})
