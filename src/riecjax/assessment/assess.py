@@ -164,7 +164,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         with explaining_errors(fitted, model.says_change_of):
             summary = summarise(model, records, criterion, key=settings.key, bins=bins, survey=True)
         estimate = on_host(estimated(model, summary, table, intervals, constraints))
-        modes, linear = _about_hidden(model, estimate, summary)
+        modes, linear = _mode_tests(model, estimate), linear_sums(model, summary, estimate.table)
         # Nothing else is asked of recordings that priors and bounds tell.
         table_of_data = estimate.told_by_data
         excited = excitations(linear, table_of_data)
@@ -283,8 +283,8 @@ def assess_summary(
     summary.require_model(model)
     table = plan_parameters(model, len(summary.recordings), known, ())
     estimate = on_host(estimated(model, summary, table, intervals_of(intervals)))
-    evidence, ordinary = _about_hidden(model, estimate, summary)
-    excited = excitations(ordinary, table)
+    modes, linear = _mode_tests(model, estimate), linear_sums(model, summary, estimate.table)
+    excited = excitations(linear, table)
     raise_if_refused(excited)
     sweep = None
     if lengths is not None and not model.has_hidden:
@@ -299,20 +299,17 @@ def assess_summary(
             [*findings, *(f for stage in excited for f in stage.findings())], excited, ()
         ),
         estimate=estimate,
-        tests=tuple(test for test in (evidence, sweep) if test is not None),
+        tests=tuple(test for test in (modes, sweep) if test is not None),
     )
 
 
-def _about_hidden(
-    model: Model, estimate: Estimate, summary: "Summary"
-) -> tuple["ModeTests | None", "Summary"]:
-    """What speaks for hidden modes, and the sums, linearised about hidden elements."""
-    evidence = None
-    if model.modes:
-        from riecjax.estimation.evidence import ModeTests, mode_evidence
+def _mode_tests(model: Model, estimate: Estimate) -> "ModeTests | None":
+    """What speaks for hidden modes, of a model with some."""
+    if not model.modes:
+        return None
+    from riecjax.estimation.evidence import ModeTests, mode_evidence
 
-        evidence = ModeTests(mode_evidence(model, estimate))
-    return evidence, linear_sums(model, summary, estimate.table)
+    return ModeTests(mode_evidence(model, estimate))
 
 
 class Answering(NamedTuple):

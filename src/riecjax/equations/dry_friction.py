@@ -123,5 +123,3 @@ def rests_of(model: Model, record: Record) -> dict[str, Rest]:
     terms = [term for equation in model.equations for term in equation.terms]
     jumping = reversing_states(terms, sorted(found), sorted(record.arrays))
     return {name: rest for name, rest in found.items() if name in jumping}
-
-

@@ -383,14 +383,14 @@ def reversing_states(
 
     **Arguments:** terms of `signals`, the states among these.
     """
-    found: set[str] = set()
+    jumping: set[str] = set()
     for term in terms:
         continuous = term.is_linear or (term.basis is not None and term.basis.is_continuous)
         if not continuous:
-            found |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
-        elif not isinstance(term.of, str):
-            found |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
-    return tuple(state for state in states if state in found)
+            jumping |= _jumping(term.of, term.functions, tuple(states), tuple(signals))
+        elif callable(term.of):
+            jumping |= _jumping_alone(term.of, None, tuple(states), tuple(signals))
+    return tuple(state for state in states if state in jumping)
 
 
 def _jumping(

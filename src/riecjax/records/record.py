@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.errors import DataError, MissingSignalError, require
+from riecjax.extensions import require_packages
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.records.signal import Noise, Signal, SignalNoise, both
 from riecjax.records.time_base import time_base
