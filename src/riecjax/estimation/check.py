@@ -18,10 +18,9 @@ from riecjax.estimation.excitation import Excitation, excitations
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.findings import CODES, Finding
 from riecjax.records.faults.derivative_pairs import check_derivatives
-from riecjax.records.faults.rows import duplicates
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
-from riecjax.records.recording import Recording
+from riecjax.records.recording import Recording, findings_of
 from riecjax.settings import Check as CheckSettings
 from riecjax.settings import taking
 from riecjax.shows import Shown
@@ -182,8 +181,7 @@ def check_sums(
         return finding._replace(remedy=(), step=step)
 
     findings = [
-        *(f for one, names in zip(recordings, read) for f in one.concerning(names).findings),
-        *duplicates(recordings),
+        *findings_of(recordings, lambda one: read_of(model, one, summary.criterion, summed=True)),
         *(told(i, finding) for i, own in enumerate(sensors, 1) for finding in own),
         *_windows([one.record for one in recordings], summary.criterion),
         *_quadrature(summary),

@@ -28,9 +28,8 @@ from riecjax.estimation.stages import (
 )
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
-from riecjax.records.faults.rows import duplicates
 from riecjax.records.record import Records
-from riecjax.records.recording import explaining_errors
+from riecjax.records.recording import explaining_errors, findings_of
 from riecjax.settings import Identify, taking
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
@@ -96,18 +95,11 @@ def identify(model: Equation | Model, records: Records, settings: Identify) -> E
         other = summed(asked._replace(model=model))
         return estimated(model, other, table, intervals, constraints)
 
-    copies = duplicates(recordings) if is_concrete([each.record for each in recordings]) else []
     resting = at_rest_findings(asked.model, asked.records, found, otherwise)
-    # What recordings say of signals that are read; bare records say nothing.
-    doubts = [
-        finding
-        for one in recordings
-        if one.findings
-        for finding in one.concerning(
-            signals_read(asked.model, one.record, asked.criterion)
-        ).findings
-    ]
-    doubts = (*copies, *doubts, *resting)
+    said = findings_of(
+        recordings, lambda one: signals_read(asked.model, one.record, asked.criterion)
+    )
+    doubts = (*said, *resting)
     return dataclasses.replace(found, doubts=doubts) if doubts else found
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
 from riecjax.records.faults.derivative_pairs import align, declared_pairs, without_computed
-from riecjax.records.faults.rows import without_repetitions
+from riecjax.records.faults.rows import duplicates, without_repetitions
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation.steps import halves, idle_cuts, prepare, split
 from riecjax.records.reading.channels import LONGEST_MESSAGE, Channels, read_channels
@@ -96,6 +96,14 @@ def explaining_errors(
         with lacking[0].explaining_errors() if lacking else contextlib.nullcontext():
             told = error.signal, error.available, error.derivative_of
             raise MissingSignalError(*told, is_state(error.signal)) from None
+
+
+def findings_of(
+    recordings: Sequence[Recording], read: Callable[[Recording], Collection[str]]
+) -> list[Finding]:
+    """What recordings say of signals that are `read`, and that some were given twice."""
+    told = [f for one in recordings if one.findings for f in one.concerning(read(one)).findings]
+    return [*told, *duplicates(recordings)]
 
 
 def as_recordings(records: Records) -> list[Recording]:

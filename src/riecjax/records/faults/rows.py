@@ -26,6 +26,7 @@ from jaxtyping import Float
 
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
+from riecjax.leaves import is_concrete
 from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
 from riecjax.records.linear_op import LinearOp
 from riecjax.records.record import HasRecord, Record
@@ -138,8 +139,10 @@ def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
     """Recordings that hold samples of another one, in all signals that both have.
 
     Whole, in part, rounded, or with other time stamps. Of several copies each is named beside the
-    one before it. Not under jit.
+    one before it. Nothing is said under jit.
     """
+    if not is_concrete([one.record.arrays for one in recordings]):
+        return []
     columns = [{k: np.asarray(v) for k, v in one.record.arrays.items()} for one in recordings]
     groups: dict[frozenset[str], list[int]] = {}
     for number, signals in enumerate(columns):
