@@ -15,7 +15,7 @@ import scipy.io
 
 import riecjax as rx
 from benchmarks.measured import emps_closed_loop, silverbox, silverbox_refined
-from riecjax.discovery.discovery import Discovery
+from riecjax.discovery.discover import Discovery
 from riecjax.equations.bases import AbstractShape
 from riecjax.equations.model import as_model
 from riecjax.records.preparation.resampling import upsample

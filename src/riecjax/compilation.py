@@ -175,8 +175,12 @@ class ProgramKey:
         self.functions.append(function)
         # Two lambdas of a function have one name.
         self._write_code(function.__code__)
-        if _root(function.__module__) not in _TOLD:
-            self._add_globals(function)
+        if _root(function.__module__) not in _TOLD:  # all that a user's refers to by name
+            names = _names(function.__code__)
+            if reads := _READERS & names:
+                raise NoKey(f"{_full_name(function)} calls {', '.join(sorted(reads))}")
+            scope = function.__globals__
+            self._add(({name: scope[name] for name in sorted(names & {*scope})}, vars(function)))
         self._add(function.__defaults__)
         self._add(function.__kwdefaults__)
         try:
@@ -184,14 +188,6 @@ class ProgramKey:
         except ValueError:
             raise NoKey("a function that is not yet whole") from None
         self._add_all("cells", contents)
-
-    def _add_globals(self, function: FunctionType) -> None:
-        """All that a user's function refers to by name."""
-        names = sorted(_names(function.__code__))
-        if reads := _READERS.intersection(names):
-            raise NoKey(f"{_full_name(function)} calls {', '.join(sorted(reads))}")
-        found = {name: function.__globals__[name] for name in names if name in function.__globals__}
-        self._add((found, vars(function)))
 
     def _write_code(self, code: CodeType) -> None:
         self._write(code.co_firstlineno, code.co_code, code.co_names, code.co_varnames)
@@ -359,7 +355,9 @@ def _read(folder: Path, key: ProgramKey) -> Program | None:
     if stored is None:
         return None
     try:
-        template = _Unpickler(io.BytesIO(stored.template), key).load()
+        unpickler = pickle.Unpickler(io.BytesIO(stored.template))
+        unpickler.persistent_load = key.functions.__getitem__
+        template = unpickler.load()
     except Exception:  # as of a version that wrote other files
         return None
     return Program(stored.compiled, template)
@@ -390,10 +388,14 @@ def _made(function: Callable, arguments: Any, folder: Path, key: ProgramKey) -> 
     finally:
         jax.config.update(setting, before)
     template = io.BytesIO()
-    # A function that only the call's code can name has no place in a file; each part of JAX that
-    # cannot be kept has an error of its own.
+    pickler = pickle.Pickler(template)
+    # Functions of a call's arguments, lambdas too, are kept as their place in these. A function
+    # that only the call's code can name has none; each part of JAX that cannot be kept has an error
+    # of its own.
+    places = {id(function): place for place, function in enumerate(key.functions)}
+    pickler.persistent_id = lambda part: places.get(id(part))
     with contextlib.suppress(Exception):
-        _Pickler(template, key).dump(program.template)
+        pickler.dump(program.template)
         if not _calls_python(traced.jaxpr.jaxpr):
             payload, inputs, outputs = serialize_executable.serialize(program.compiled)
             counts = (inputs.num_leaves, outputs.num_leaves)
@@ -414,23 +416,3 @@ def _calls_python(jaxpr: Any) -> bool:
         if any(_calls_python(part) for part in inner if hasattr(part, "eqns")):
             return True
     return False
-
-
-class _Pickler(pickle.Pickler):
-    """Pickles functions of a call's arguments, lambdas too, as their place in these."""
-
-    def __init__(self, file: io.BytesIO, key: ProgramKey) -> None:
-        super().__init__(file)
-        self._places = {id(function): i for i, function in enumerate(key.functions)}
-
-    def persistent_id(self, obj: Any) -> int | None:
-        return self._places.get(id(obj)) if isinstance(obj, FunctionType) else None
-
-
-class _Unpickler(pickle.Unpickler):
-    def __init__(self, file: io.BytesIO, key: ProgramKey) -> None:
-        super().__init__(file)
-        self._functions = key.functions
-
-    def persistent_load(self, pid: int) -> FunctionType:
-        return self._functions[pid]

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from riecjax.criteria.all_windows import Runs, window_moments
-from riecjax.criteria.laws import LagBins
+from riecjax.criteria.windows import LagBins
 
 
 def brute_force(phi, present, first, stop, shortest, weights, hat):

@@ -9,9 +9,8 @@ from tests.machines import MACHINES, Shape
 
 from nightly import nightly
 from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.laws import SteppedLaw
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
-from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
+from riecjax.criteria.windows import AllWindows, RandomWindows, SteppedLaw, WindowSet
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify

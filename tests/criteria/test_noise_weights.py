@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from riecjax import Boxcar, Bump, Hat
-from riecjax.criteria.laws import LagBins
-from riecjax.criteria.windows import StartBlocks, WindowSet
+from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet
 from riecjax.equations.noisy_columns import Columns
 
 N, STEP = 40, 0.1

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.criteria.quadrature import ORDERS, running_integral
+from riecjax.criteria.all_windows import ORDERS, running_integral
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.expressions import faster_than
 from riecjax.equations.noisy_columns import sampled_columns

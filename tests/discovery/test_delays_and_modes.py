@@ -13,8 +13,7 @@ from tests.machines import body_with_mode as motion
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.discovery.discover import discover
-from riecjax.discovery.model_file import model_source
+from riecjax.discovery.discover import discover, model_source
 from riecjax.models.catalogue import find_model
 from riecjax.reporting.discovery import (
     discovery_answer,

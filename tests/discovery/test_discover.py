@@ -7,8 +7,7 @@ from tests.machines import PROBLEMS, WIDTH
 import riecjax as rx
 from nightly import by_day, nightly
 from riecjax.discovery import Candidate
-from riecjax.discovery.discover import discover
-from riecjax.discovery.model_file import model_source
+from riecjax.discovery.discover import discover, model_source
 from riecjax.models.catalogue import find_model
 from riecjax.reporting.discovery import choice_in_words, discovery_answer
 

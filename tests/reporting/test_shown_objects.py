@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.reporting import result_files, write_report
+from riecjax.reporting import write_report
 from riecjax.reporting.tables import latex_name, latex_unit, with_error
 
 matplotlib.use("Agg")
@@ -181,29 +181,6 @@ def test_a_saved_estimate_comes_back_equal(estimate, tmp_path):
     fresh = rx.estimate(equation(), rx.load(file).summary)
     np.testing.assert_allclose(fresh.theta, estimate.theta, rtol=1e-12)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
-
-
-def test_a_file_of_before_there_were_tables_and_one_estimate_is_read(
-    estimate, tmp_path, monkeypatch
-):
-    pack = result_files._pack
-
-    def before(value, place, arrays):
-        packed = pack(value, place, arrays)
-        if isinstance(value, rx.Estimate):
-            del packed["fields"]["table"]
-            for name in ("known", "parameters", "units"):
-                beside = pack(getattr(value, name), f"{place}/{name}", arrays)
-                packed["fields"][name] = beside
-            if value.search is not None:
-                packed["kind"] = "Refined"
-                packed["fields"] |= packed["fields"].pop("search")["fields"]
-                for name in ("naive", "stages", "criterion", "rows_offered", "summary"):
-                    del packed["fields"][name]
-        return packed
-
-    monkeypatch.setattr(result_files, "_pack", before)
-    comes_back_equal(estimate, tmp_path / "kept")
     refined = rx.refine(equation(), record(), estimate, rx.IntegralError(CRITERION))
     comes_back_equal(refined, tmp_path / "refined")
 

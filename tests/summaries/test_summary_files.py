@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import zipfile
 from functools import cache, partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from tests.machines import MACHINES, Shape
 import riecjax as rx
 from nightly import by_day, nightly
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.laws import SteppedLaw
+from riecjax.criteria.windows import SteppedLaw
 from riecjax.summaries import summary_files
 
 STEP = 0.01
@@ -119,34 +120,36 @@ def test_a_name_stays_as_it_is_and_nothing_else_is_left_behind(tmp_path):
     same_arrays(rx.load(file).recordings, summary.recordings)
     with np.load(file, allow_pickle=False) as arrays:
         np.testing.assert_array_equal(
-            arrays["0/stages/0/0/moments"], summary.recordings[0].stages[0][0].moments
+            arrays["recordings/0/stages/0/0/moments"], summary.recordings[0].stages[0][0].moments
         )
-        assert json.loads(arrays["summary"].tobytes())["schema"] == 5
+        assert json.loads(arrays["summary"].tobytes())["schema"] == 6
 
 
-def refused(path: Any, words: str) -> None:
-    with pytest.raises(rx.DataError, match=words) as caught:
+def refusal(path: Any) -> str:
+    """Why a file is refused, in one line."""
+    with pytest.raises(rx.DataError) as caught:
         rx.load(path)
     assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 def test_what_is_no_summary_is_refused_in_one_line(tmp_path):
     file = tmp_path / "other.npz"
-    refused(file, "there is no file")
-    refused(tmp_path, "there is no file")
-    refused(None, "the file is None")
+    assert "there is no file" in refusal(file)
+    assert "there is no file" in refusal(tmp_path)
+    assert "the file is None" in refusal(None)
     for content in (b"", b"t,x\n0,1\n"):
         file.write_bytes(content)
-        refused(file, "not a zip file")
+        assert "not a zip file" in refusal(file)
     np.savez(file, x=np.zeros(3))
-    refused(file, "it is no Summary")
+    assert "it is no Summary" in refusal(file)
     for content, words in (
         (np.frombuffer(b"[1, 2]", np.uint8), "it is no Summary"),
         (np.frombuffer(b"\xff{", np.uint8), "not a readable Summary file"),
         (np.array([{}], object), "Python objects"),
     ):
         np.savez(file, summary=content, allow_pickle=True)
-        refused(file, words)
+        assert re.search(words, refusal(file))
 
 
 def rewritten(file: Path, change, seal: bool = True) -> None:
@@ -164,25 +167,26 @@ def rewritten(file: Path, change, seal: bool = True) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 5: .* 9.1"),
+        (lambda d, _: d.update(schema=7, riecjax="9.1"), "schema 7, this version reads 6: .* 9.1"),
         (
-            lambda d, _: d["criterion"].update({"class": "Tent", "from": "rig"}),
+            lambda d, _: d["summary"]["criterion"].update({"class": "Tent", "from": "rig"}),
             "Tent of 'rig'.*imp",
         ),
-        (lambda d, _: d["criterion"].update(speed=1), "RIEC has other settings"),
-        (lambda d, _: d.update(criterion=d["criterion"]["windows"]), "a criterion is none"),
-        (lambda _, a: a.pop("0/digest"), "arrays are not those"),
+        (lambda d, _: d["summary"]["criterion"].update(speed=1), "RIEC has other settings"),
+        (lambda d, _: d.update(summary=d["summary"]["criterion"]), "it holds no Summary"),
+        (lambda _, a: a.pop("recordings/0/digest"), "arrays are not those"),
+        (lambda _, a: a.update(more=np.zeros(2)), "arrays are not those"),
     ],
 )
 def test_other_contents_are_refused_in_one_line(change, words, tmp_path):
-    file, name = tmp_path / "kept.npz", "0/stages/0/0/moments"
+    file, name = tmp_path / "kept.npz", "recordings/0/stages/0/0/moments"
     rx.summarise(OSCILLATOR, record(), CRITERIA["boxcar"]).save(file)
     rewritten(file, lambda d, a: None)
     rx.load(file)
     rewritten(file, lambda _, a: np.multiply(a[name], 1 + 1e-15, out=a[name]), seal=False)
-    refused(file, "checksum")
+    assert "checksum" in refusal(file)
     rewritten(file, change)
-    refused(file, words)
+    assert re.search(words, refusal(file))
 
 
 @pytest.mark.parametrize("packing", [zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED])
@@ -228,14 +232,14 @@ def test_a_file_that_declares_too_much_is_refused_before_it_is_read(tmp_path, mo
         rx.load(file)
         limit.setattr(summary_files, "LARGEST", unpacked - 1)
         limit.setattr(zipfile.ZipFile, "open", None)
-        refused(file, "declares to unpack to more")
+        assert "declares to unpack to more" in refusal(file)
     huge = io.BytesIO()
     np.lib.format.write_array_header_1_0(
         huge, {"descr": "|u1", "fortran_order": False, "shape": (10**15,)}
     )
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("summary.npy", huge.getvalue())
-    refused(file, "an array is larger than its file")
+    assert "an array is larger than its file" in refusal(file)
 
 
 def test_what_cannot_be_saved_is_refused_in_one_line(tmp_path, monkeypatch):

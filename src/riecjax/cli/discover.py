@@ -24,8 +24,7 @@ def command(given: Given) -> None:
     given.changed_files()
     start_jax(once=given.is_small, keep_compiled=True)
     from riecjax.discovery.candidate import as_candidates
-    from riecjax.discovery.discover import discover
-    from riecjax.discovery.model_file import model_source
+    from riecjax.discovery.discover import discover, model_source
     from riecjax.models.catalogue import object_of_file
     from riecjax.reporting.discovery import (
         discovery_answer,

@@ -10,8 +10,9 @@ windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -19,15 +20,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.criteria.laws import AbstractLaw, LagBins
-from riecjax.criteria.noise_moments import NoiseWeights, noise_moments
+from riecjax.criteria.noise_moments import noise_moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import (
     AbstractWindows,
     AllWindows,
     Count,
+    LagBins,
     RandomWindows,
     StartBlocks,
+    SteppedLaw,
     WindowSet,
 )
 from riecjax.equations.equation import Equation
@@ -37,7 +39,7 @@ from riecjax.equations.noisy_columns import (
     noisy_columns,
     sampled_columns,
 )
-from riecjax.errors import DataError, ModelError, require
+from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.records.signal import Noise
@@ -125,40 +127,80 @@ class AbstractCriterion(eqx.Module):
         return np.zeros(()) if self.windows is None else self.windows.beta
 
     def block_samples(self, record: Record) -> int:
-        """Samples to one of the short blocks of start times that have moments of their own."""
+        """Samples to one of the short blocks of start times that have moments of their own.
+
+        Of all windows, as many starts as they are summed over at once.
+        """
+        n = record.sample_count
+        if self.all_windows is not None:
+            return self.all_windows.block(n)
         # At least two blocks, or nothing could be said of scatter.
-        return min(-(-record.sample_count // SHORT_BLOCKS_OF_ROWS), -(-record.sample_count // 2))
+        return min(-(-n // SHORT_BLOCKS_OF_ROWS), -(-n // 2))
 
     def check(self, record: Record) -> None:
         """Raise `DataError` if the record is too short for this criterion (not under jit)."""
+        if self.windows is not None:
+            self.windows.check(
+                record.sample_count, record.time_step, self.test_function.length_multiple
+            )
 
     def row_count(self, record: Record) -> float | None:
-        """Rows of an equation on this record before any is left out, if that is known."""
-        raise NotImplementedError
+        """Rows of an equation on this record before any is left out, if that is known: not where
+        all windows, or the record, are traced."""
+        if self.windows is None:
+            return record.sample_count
+        if isinstance(self.windows, RandomWindows):
+            return self.windows.count
+        if not is_concrete(self.windows, record.time_step):
+            return None
+        # Inside a jitted function, JAX would trace arithmetic on known numbers too.
+        with jax.ensure_compile_time_eval():
+            # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
+            # n - k starts; a bin's lags have n - k on average at its middle.
+            first, last, weight = (np.asarray(leaf, float) for leaf in self.law(record))
+            starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
+            return float(np.sum(weight * (last - first + 1) * starts))
 
-    def between(self, alpha: float | Array, beta: float | Array) -> "AbstractCriterion":
+    def between(self, alpha: float | Array, beta: float | Array) -> Self:
         """The same with windows of other lengths.
 
         **Raises:** `ModelError` of a criterion without windows.
         """
-        raise ModelError("this criterion has no windows whose lengths could be others.")
+        if self.windows is None:
+            raise ModelError("this criterion has no windows whose lengths could be others.")
+        return dataclasses.replace(self, windows=self.windows.between(alpha, beta))
 
-    def finest(self) -> "AbstractCriterion":
-        """The same with the most accurate integrals there are; itself if it has these."""
-        return self
+    def finest(self) -> Self:
+        """The same with the test function's finest quadrature, itself if it has that; windows
+        between samples have one."""
+        finer, windows = self.test_function.finest(), self.windows
+        if finer == self.test_function or windows is None or windows.drawn.between_samples:
+            return self
+        return dataclasses.replace(self, test_function=finer)
 
-    def fitted(self, records: Sequence[Record]) -> "AbstractCriterion":
+    def fitted(self, records: Sequence[Record]) -> Self:
         """This criterion with what it takes from the records before tracing."""
-        return self
+        if self.windows is None:
+            return self
+        return dataclasses.replace(self, windows=self.windows.fitted(records))
 
     def draw(
         self, record: Record, key: Key[Array, ""] | None, unpadded: Count | None = None
     ) -> WindowSet:
-        """Where rows are taken: the windows of a key, or each sample as one.
+        """Where rows are taken: each sample as a window, or the windows of a key; of all windows,
+        without one, a fixed random sample.
 
         `unpadded`: samples before any padding of the record, all by default.
         """
-        raise NotImplementedError
+        if self.windows is None:
+            at = jnp.arange(record.sample_count)
+            return WindowSet(at, at)
+        return self.windows.drawn.draw(
+            jax.random.key(0) if key is None else key,
+            record.sample_count if unpadded is None else unpadded,
+            record.time_step,
+            self.test_function.length_multiple,
+        )
 
     def rows_of(self, columns: Columns, drawn: WindowSet, unpadded: Count | None = None) -> Rows:
         """One row of these columns for each window."""
@@ -179,11 +221,9 @@ class AbstractCriterion(eqx.Module):
         return self.rows_of(sampled_columns(equation, record, self.smoothness), drawn)
 
     def law(self, record: Record) -> LagBins:
-        """The law of window lengths on a record.
-
-        **Raises:** `ModelError` of a criterion without windows.
-        """
-        raise ModelError("this criterion has no windows, and so no law of their lengths.")
+        """The law of window lengths on a record, of a criterion that has windows."""
+        assert self.windows is not None
+        return self.test_function.lags(self.windows.every, record)
 
     corrects_noise: ClassVar[bool] = True
     """Whether what sensor noise adds to the moments is to be taken off."""
@@ -210,9 +250,9 @@ class AbstractCriterion(eqx.Module):
         if not (noisy.white or noisy.coloured):
             return None
 
-        def weights_of(law: LagBins | WindowSet) -> NoiseWeights | None:
-            return self.test_function.noise_weights(noisy.columns, law, blocks)
-
+        weights_of = functools.partial(
+            self.test_function.noise_weights, noisy.columns, blocks=blocks
+        )
         return noise_moments(noisy, windows, blocks, weights_of, products)
 
     def describe(self) -> dict[str, object]:
@@ -228,30 +268,8 @@ class DOLS(AbstractCriterion):
     """
 
     corrects_noise: ClassVar[bool] = False
-
-    def __init__(self):
-        """There is nothing to set."""
-
-    @property
-    def windows(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """None: rows are single samples."""
-        return None
-
-    @property
-    def test_function(self) -> AbstractTestFunction:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The pulse."""
-        return Dirac()
-
-    def row_count(self, record: Record) -> float | None:
-        """One for each sample."""
-        return record.sample_count
-
-    def draw(
-        self, record: Record, key: Key[Array, ""] | None = None, unpadded: Count | None = None
-    ) -> WindowSet:
-        """Each sample."""
-        at = jnp.arange(record.sample_count)
-        return WindowSet(at, at)
+    windows: None = eqx.field(init=False, default=None)  # pyright: ignore
+    test_function: Dirac = eqx.field(init=False, default=Dirac())  # pyright: ignore
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -313,65 +331,10 @@ class RIEC(AbstractCriterion):
         require("the test function", weight, AbstractTestFunction, "rx.Hat(), an object")
         return cls(AllWindows(*weight.lengths_of_band(band)), weight)
 
-    def between(self, alpha: float | Array, beta: float | Array) -> "RIEC":
-        """The same with windows of other lengths."""
-        return dataclasses.replace(self, windows=self.windows.between(alpha, beta))
-
-    def finest(self) -> "RIEC":
-        """The same with the test function's finest quadrature; windows between samples have one."""
-        finer = self.test_function.finest()
-        same = finer == self.test_function or self.windows.drawn.between_samples
-        return self if same else RIEC(self.windows, finer)
-
-    def block_samples(self, record: Record) -> int:
-        """Of all windows, as many starts as they are summed over at once."""
-        if self.all_windows is None:
-            return super().block_samples(record)
-        return self.all_windows.block(record.sample_count)
-
     @property
     def every(self) -> "RIEC":
         """This criterion with all windows, which random ones converge to."""
         return dataclasses.replace(self, windows=self.windows.every)
-
-    def fitted(self, records: Sequence[Record]) -> "RIEC":
-        """This criterion with what it takes from the records before tracing."""
-        return dataclasses.replace(self, windows=self.windows.fitted(records))
-
-    def check(self, record: Record) -> None:
-        """The record must be longer than the longest window."""
-        self.windows.check(
-            record.sample_count, record.time_step, self.test_function.length_multiple
-        )
-
-    def row_count(self, record: Record) -> float | None:
-        """One for each window, if that is known (not where windows or the record are traced)."""
-        if self.needs_key:
-            return self.windows.drawn.count
-        if not is_concrete(self.windows, record.time_step):
-            return None
-        # Inside a jitted function, JAX would trace arithmetic on known numbers too.
-        with jax.ensure_compile_time_eval():
-            # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
-            # n - k starts; a bin's lags have n - k on average at its middle.
-            first, last, weight = (np.asarray(leaf, float) for leaf in self.law(record))
-            starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
-            return float(np.sum(weight * (last - first + 1) * starts))
-
-    def draw(
-        self, record: Record, key: Key[Array, ""] | None, unpadded: Count | None = None
-    ) -> WindowSet:
-        """The windows of a key. Of all windows, without one, a fixed random sample."""
-        return self.windows.drawn.draw(
-            jax.random.key(0) if key is None else key,
-            record.sample_count if unpadded is None else unpadded,
-            record.time_step,
-            self.test_function.length_multiple,
-        )
-
-    def law(self, record: Record) -> LagBins:
-        """The law of window lengths on a record."""
-        return self.test_function.lags(self.windows.every, record)
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -380,86 +343,5 @@ class RIEC(AbstractCriterion):
         return {"name": "riec", **windows, **weight, **because}
 
 
-# A criterion as plain data, for files, and back.
-#
-# Each part is its class's name and its fields, parts within parts. A file names classes and never
-# imports them: what is read is looked for among the subclasses that the running program has
-# defined, so that a new test function needs nothing here, and a file can run no code.
-
-FAMILIES = (AbstractCriterion, AbstractWindows, AbstractLaw, AbstractTestFunction)
+PARTS = (AbstractCriterion, AbstractWindows, SteppedLaw, AbstractTestFunction)
 """What a criterion is made of."""
-RESERVED = ("class", "from")
-"""Keys beside the fields' names: keywords of Python, and so no names of fields."""
-
-
-def to_plain_data(part: eqx.Module) -> dict[str, Any]:
-    """A part of a criterion as nested dictionaries of what JSON has words for.
-
-    `{"class": name, "from": module, field: value, ...}`, where an array is `{dtype: list}`.
-
-    **Raises:** `ModelError` for what is code rather than numbers.
-    """
-    kind = type(part)
-    fields = {
-        field.name: _plain(getattr(part, field.name), f"the {field.name} of {kind.__name__}")
-        for field in dataclasses.fields(part)
-    }
-    return {"class": kind.__name__, "from": kind.__module__} | fields
-
-
-def _plain(value: Any, name: str) -> Any:
-    if isinstance(value, FAMILIES):
-        return to_plain_data(value)
-    if isinstance(value, tuple | list):
-        return [_plain(each, name) for each in value]
-    if isinstance(value, np.ndarray | jax.Array) and value.dtype.kind in "fiub":
-        return {str(value.dtype): np.asarray(value).tolist()}
-    plain = value.item() if isinstance(value, np.generic) else value
-    if plain is None or isinstance(plain, bool | int | float | str):
-        return plain
-    raise ModelError(f"{name} is code, which no file can hold: give numbers in its place.")
-
-
-def criterion_from_plain_data(document: dict[str, Any]) -> AbstractCriterion:
-    """The criterion that [`to_plain_data`][riecjax.criteria.criterion.to_plain_data] described.
-
-    **Raises:** `DataError` for a class that is not defined here, or one with other fields.
-    """
-    found = _read(document)
-    if not isinstance(found, AbstractCriterion):
-        raise DataError("what it calls a criterion is none.")
-    return found
-
-
-def _read(value: Any) -> Any:
-    if isinstance(value, list):
-        return tuple(_read(each) for each in value)
-    if not isinstance(value, dict):
-        return value
-    if "class" in value:
-        name, module = value["class"], value["from"]
-        fields = {name: _read(each) for name, each in value.items() if name not in RESERVED}
-        # The class of this name, as it was defined last; of several modules', that of `module`.
-        found = {kind.__module__: kind for kind in _subclasses(*FAMILIES) if kind.__name__ == name}
-        if module not in found and len(found) != 1:
-            raise DataError(
-                f"it was made with {name} of '{module}', a class that is not defined here: import "
-                f"the module that defines it first."
-            )
-        try:
-            return (found.get(module) or next(iter(found.values())))(**fields)
-        except (TypeError, ModelError):
-            raise DataError(
-                f"its {name} has other settings than the one of this name here."
-            ) from None
-    ((dtype, values),) = value.items()
-    array = np.array(values, dtype)
-    # Constructors take any NumPy array to 64-bit; JAX's pass unchanged.
-    return array if array.dtype == np.float64 else jnp.asarray(array)
-
-
-def _subclasses(*kinds: type) -> Iterator[type]:
-    for kind in kinds:
-        below = kind.__subclasses__()
-        yield from below
-        yield from _subclasses(*below)

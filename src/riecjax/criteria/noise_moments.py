@@ -34,10 +34,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.criteria.all_windows import Points, Runs
-from riecjax.criteria.laws import LagBins, each_bin, sum_over_bins, sum_over_lengths
-from riecjax.criteria.quadrature import interval_weights
-from riecjax.criteria.windows import StartBlocks, WindowSet
+from riecjax.criteria.all_windows import Points, Runs, interval_weights
+from riecjax.criteria.windows import (
+    LagBins,
+    StartBlocks,
+    WindowSet,
+    each_bin,
+    sum_over_bins,
+    sum_over_lengths,
+)
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
 

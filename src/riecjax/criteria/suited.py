@@ -12,7 +12,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
 
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
 from riecjax.criteria.test_functions import (
@@ -189,59 +188,47 @@ NOTICED = 0.02
 the equation error then decides how far parameters scatter."""
 
 
+# What overflows is for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore")
 def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) -> Model:
     """The model whose first derivatives are read from the sensor that adds less noise.
 
     The same unless boxcars are summed, where the position has little noise, and where nothing is
     known of the velocity's own. Under trace a term is of both sensors, with a factor of 0 and 1.
     """
-    if criterion.windows is None or criterion.test_function.smoothness != 1:
+    windows, noise = criterion.windows, record.noise
+    if windows is None or criterion.test_function.smoothness != 1:
         return model
+    xp = namespace(windows, record)
+    length = 0.5 * (xp.asarray(windows.alpha) + xp.asarray(windows.beta))
 
     def read(term: AbstractTerm) -> list[AbstractTerm]:
-        if not _has_both(term, record):
+        position, (velocity, *measured) = term.signal, term.measured or ("",)
+        if (
+            position is None
+            or term.derivative != 1
+            or velocity not in noise.kernels
+            or noise.is_made_of(velocity, position)
+            or not {velocity, position} <= {*record.arrays}
+        ):
             return [term]
-        chosen = _adds_less(term.measured[0], str(term.of), record, criterion)
-        velocity, *measured = term.measured
-        by_velocity = term.with_fields(of=velocity, derivative=0, measured=tuple(measured))
+        # What lies next to each other adds up in an integral, as the sum of a filter's taps does.
+        kernels = noise.kernels[velocity].values()
+        density = sum((xp.sum(xp.asarray(taps)) ** 2 for taps in kernels), np.zeros(()))
+        by_velocity = length * xp.asarray(record.time_step) * density
+        by_position = 2 * noise.std(position) ** 2
+        noticed = by_position > 2 * NOTICED**2 * xp.var(xp.asarray(record.arrays[position]))
+        chosen = noticed & (by_velocity < by_position)
+        integrated = term.with_fields(of=velocity, derivative=0, measured=tuple(measured))
         if is_concrete(chosen):
-            return [by_velocity if chosen else term]
-        share = jnp.asarray(chosen, float)
-        factor = jnp.asarray(term.factor)
+            return [integrated if chosen else term]
+        share, factor = jnp.asarray(chosen, float), jnp.asarray(term.factor)
         return [
             term.with_fields(factor=factor * (1 - share)),
-            by_velocity.with_fields(factor=factor * share),
+            integrated.with_fields(factor=factor * share),
         ]
 
     def of(equation: Equation) -> Equation:
         return equation.of_terms(*(each for term in equation.terms for each in read(term)))
 
     return Model(stages=model.by_stage(of))
-
-
-def _has_both(term: AbstractTerm, record: Record) -> bool:
-    """Whether the record holds a signal and its derivative by a sensor whose noise is known."""
-    if term.signal is None or term.derivative != 1 or not term.measured:
-        return False
-    velocity, noise = term.measured[0], record.noise
-    own = velocity in noise.kernels and not noise.is_made_of(velocity, term.signal)
-    return own and velocity in record.arrays and term.signal in record.arrays
-
-
-# What overflows is for the fit to refuse.
-@np.errstate(over="ignore", invalid="ignore")
-def _adds_less(
-    velocity: str, position: str, record: Record, criterion: AbstractCriterion
-) -> Bool[Array, ""] | np.bool_:
-    """Whether the integral of a velocity has less noise than a noisy position's difference."""
-    windows, noise = criterion.windows, record.noise
-    assert windows is not None
-    xp = namespace(windows, record)
-    length = 0.5 * (xp.asarray(windows.alpha) + xp.asarray(windows.beta))
-    # What lies next to each other adds up in an integral, as the sum of a filter's taps does.
-    kernels = noise.kernels[velocity].values()
-    density = sum((xp.sum(xp.asarray(taps)) ** 2 for taps in kernels), np.zeros(()))
-    by_velocity = length * xp.asarray(record.time_step) * density
-    by_position = 2 * noise.std(position) ** 2
-    noticed = by_position > 2 * NOTICED**2 * xp.var(xp.asarray(record.arrays[position]))
-    return noticed & (by_velocity < by_position)

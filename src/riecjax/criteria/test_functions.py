@@ -33,8 +33,15 @@ import numpy as np
 import scipy.special
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.criteria.all_windows import Moments, Points, moments_in_blocks
-from riecjax.criteria.laws import LagBins, each_bin, sum_over_lengths
+from riecjax.criteria.all_windows import (
+    ORDERS,
+    Moments,
+    Points,
+    Primitives,
+    moments_in_blocks,
+    running_integral,
+    unpadded_mean,
+)
 from riecjax.criteria.noise_moments import (
     NoiseWeights,
     boxcar_noise_weights,
@@ -42,8 +49,16 @@ from riecjax.criteria.noise_moments import (
     noise_weights_of_lengths,
     points_of_windows,
 )
-from riecjax.criteria.quadrature import ORDERS, Primitives, running_integral, unpadded_mean
-from riecjax.criteria.windows import AllWindows, Count, StartBlocks, WindowSet, half_periods
+from riecjax.criteria.windows import (
+    AllWindows,
+    Count,
+    LagBins,
+    StartBlocks,
+    WindowSet,
+    each_bin,
+    half_periods,
+    sum_over_lengths,
+)
 from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
@@ -189,8 +204,10 @@ class AbstractTestFunction(eqx.Module):
         return self
 
     def describe(self) -> dict[str, object]:
-        """Name and settings, for tables and JSON."""
-        return {"test_function": self.name}
+        """Name and settings that are numbers, for tables and JSON."""
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        numbers = {name: value for name, value in fields.items() if isinstance(value, int | float)}
+        return {"test_function": self.name, **numbers}
 
 
 class Dirac(AbstractTestFunction):
@@ -228,10 +245,6 @@ class _Differences(AbstractTestFunction):
     def finest(self) -> "AbstractTestFunction":
         """The same weight with quadrature of the highest order."""
         return dataclasses.replace(self, quadrature=max(ORDERS))
-
-    def describe(self) -> dict[str, object]:
-        """Name and order of quadrature."""
-        return {**super().describe(), "quadrature": self.quadrature}
 
     def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
         """|H| of windows: of the boxcar T |sinc(f T)|, of the hat (T / 2)^2 sinc^2(f T / 2).
@@ -431,7 +444,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         return half, 4 * half
 
     def describe(self) -> dict[str, object]:
-        """Name and number of window lengths."""
+        """Name and settings that are numbers, the number of window lengths among them."""
         return {**super().describe(), "lengths": self.lengths}
 
     def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
@@ -609,10 +622,6 @@ class Bump(AbstractSmoothTestFunction):
         """(1 - tau^2)^p."""
         return (1 - tau**2) ** self.p
 
-    def describe(self) -> dict[str, object]:
-        """Name, exponent and number of window lengths."""
-        return {"test_function": self.name, "p": self.p, "lengths": self.lengths}
-
     def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
         """|H| of windows by Poisson's integral for Bessel's functions, with z = w T / 2.
 
@@ -657,10 +666,6 @@ class GradedBump(Bump):
                 f"a bump that takes {self.derivatives} derivatives off needs p of "
                 f"{self.derivatives + 2} or more; got {self.p}."
             )
-
-    def describe(self) -> dict[str, object]:
-        """Name, exponent, number of window lengths and derivatives."""
-        return {**super().describe(), "derivatives": self.derivatives}
 
     def _lengths(self, shortest: Int[Array, ""], longest: Int[Array, ""]) -> Int[Array, " lengths"]:
         share = jnp.arange(self.lengths) / max(self.lengths - 1, 1)

@@ -18,11 +18,16 @@ leaves q - m j starts, q = n - m k_a. The pairs before the j-th lag are
 and pair number x belongs to the lag j with P(j) <= x < P(j + 1): the whole part of a root of a
 quadratic, 4 x / (b + sqrt(b^2 - 8 m x)) with b = 2 q + m. With the root in the denominator nothing
 cancels where x is small.
+
+**Laws.** The paper draws T uniformly (eq. 14). Any other law is a weight for each length; running
+sums handle a stretch of equally weighted lengths, a bin, at once, so a law is a list of bins. Only
+ratios of weights matter to an estimate; they are scaled to 1 on average over all lags, so that sums
+count windows whatever the law.
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -31,10 +36,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
-from riecjax.criteria.laws import AbstractLaw, LagBins, as_law, rounded
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
 from riecjax.records.record import Record
+
+Sums = TypeVar("Sums")
 
 MOST_BLOCKS = 1024
 """Blocks of starts to a record at most: more would only take memory and time."""
@@ -59,6 +65,62 @@ def half_periods(band: tuple[float, float]) -> tuple[float, float]:
     if not 0 < low < high:
         raise ModelError(f"a band needs 0 < low < high in hertz; got {low:g} to {high:g}.")
     return 1 / (2 * high), 1 / (2 * low)
+
+
+class LagBins(NamedTuple):
+    """Stretches of window lengths that count alike.
+
+    **Fields:** `first` and `last` lag of each bin, in multiples of samples, both included; empty
+    where `last < first`; `weight` of each lag in it, 1 on average over all lags.
+    """
+
+    first: Int[Leaf, " bins"]
+    last: Int[Leaf, " bins"]
+    weight: Float[Leaf, " bins"]
+
+
+class SteppedLaw(eqx.Module):
+    """Weights that are constant over equal parts of the band from alpha to beta.
+
+    Differentiable in `weights`. The cost grows with their number, not with the number of lengths.
+
+    **Arguments:** `weights`, shape `(bins,)`, from the shortest windows to the longest; only their
+    ratios matter.
+
+    **Raises:** `ModelError` for weights below zero, not finite, or all zero.
+    """
+
+    weights: Leaf
+
+    def __init__(self, weights: ArrayLike | Array):
+        if isinstance(weights, str | type) or callable(weights):
+            write = "law=[1, 2, 1], weights from the shortest windows to the longest"
+            require(
+                "the law", weights, (), f"{write}, or leave it out for lengths that count alike"
+            )
+        self.weights = as_leaf(weights)
+        if self.weights.ndim != 1 or not self.weights.shape[0]:
+            raise ModelError("a law of window lengths in parts needs a list of weights.")
+        values = np.asarray(self.weights) if is_concrete(self.weights) else np.ones(1)
+        if not (np.isfinite(values).all() and (values >= 0).all() and values.any()):
+            raise ModelError(
+                "a law of window lengths needs weights of zero or more, not all zero, and finite."
+            )
+
+    def bins(self, low: Int[Leaf, ""], high: Int[Leaf, ""], dtype: Any) -> LagBins:
+        """One bin for each weight, from the shortest lag to the longest."""
+        xp = namespace(self.weights, low, high)
+        share = xp.linspace(0.0, 1.0, self.weights.shape[0] + 1)
+        # Real numbers: lags times bins may pass 32-bit integers.
+        first = low + rounded(share * (high - low + 1))
+        first, last, weight = first[:-1], first[1:] - 1, xp.asarray(self.weights, dtype)
+        held = (last - first + 1).astype(dtype)
+        return LagBins(first, last, weight * (xp.sum(held) / xp.sum(weight * held)))
+
+
+def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
+    """The nearest whole numbers."""
+    return namespace(lags).round(lags).astype(np.int32)
 
 
 Count = Int[Array, ""] | int
@@ -108,19 +170,13 @@ class AbstractWindows(eqx.Module):
 
         **Raises:** `ModelError` when it is differentiated by alpha or beta.
         """
-        shortest, longest = self._in_lags(sample_count, time_step, multiple)
-        return rounded(shortest), rounded(longest)
-
-    def _in_lags(
-        self, sample_count: Count, time_step: Float[Array, ""], multiple: int
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Shortest and longest window in multiples of samples, not rounded yet."""
         band = self.alpha, self.beta
         alpha, beta = band if is_concrete(band) else _rounded_away(band)
         xp = namespace(alpha, beta, time_step)
         unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
         shortest = xp.clip(xp.divide(alpha, unit), 1, most)
-        return shortest, xp.clip(xp.divide(beta, unit), shortest, most)
+        longest = xp.clip(xp.divide(beta, unit), shortest, most)
+        return rounded(shortest), rounded(longest)
 
     @property
     def drawn(self) -> "RandomWindows":
@@ -189,8 +245,8 @@ class AllWindows(AbstractWindows):
     **Arguments:**
 
     - `alpha`, `beta`: shortest and longest window in seconds.
-    - `law`: how much each length counts: an [`AbstractLaw`][], a list of weights for equal parts of
-      the band (differentiable, see [`SteppedLaw`][]). Uniform by default.
+    - `law`: how much each length counts: weights for equal parts of the band (differentiable, see
+      [`SteppedLaw`][]). Every length alike by default, as in eq. (14).
     - `longest_samples`: an upper limit to beta in samples, which sets the size of the blocks that
       the record is worked through in. Known where beta is a plain number; under `jit` or
       `vmap` over beta it should be given, or every block spans the record.
@@ -199,7 +255,7 @@ class AllWindows(AbstractWindows):
     differentiated by alpha or beta.
     """
 
-    law: AbstractLaw
+    law: SteppedLaw | None
     longest_samples: int | None = eqx.field(static=True)
 
     def __init__(
@@ -207,11 +263,11 @@ class AllWindows(AbstractWindows):
         alpha: float | Leaf,
         beta: float | Leaf,
         *,
-        law: AbstractLaw | ArrayLike | None = None,
+        law: SteppedLaw | ArrayLike | None = None,
         longest_samples: int | None = None,
     ):
         self.alpha, self.beta = _band(alpha, beta)
-        self.law = as_law(law)
+        self.law = law if law is None or isinstance(law, SteppedLaw) else SteppedLaw(law)
         self.longest_samples = longest_samples
 
     def fitted(self, records: Sequence[Record]) -> Self:
@@ -258,9 +314,10 @@ class AllWindows(AbstractWindows):
 
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
         """The law of lags, which are multiples of so many samples."""
-        band = self._in_lags(sample_count, time_step, multiple)
-        most = self.reach(sample_count) // multiple
-        return self.law.bins(*band, multiple * time_step, most)
+        first, last = self.lags(sample_count, time_step, multiple)
+        if self.law is not None:
+            return self.law.bins(first, last, time_step.dtype)
+        return LagBins(first[None], last[None], namespace(first).ones(1, time_step.dtype))
 
     def weights(
         self, sample_count: int, time_step: Float[Array, ""], lengths: Int[Array, " lengths"]
@@ -274,7 +331,8 @@ class AllWindows(AbstractWindows):
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
-        return {**super().describe(), "windows": "all", **self.law.describe()}
+        law = {} if self.law is None else {"law": np.asarray(self.law.weights).tolist()}
+        return {**super().describe(), "windows": "all", **law}
 
 
 class RandomWindows(AbstractWindows):
@@ -420,55 +478,193 @@ class StartBlocks(NamedTuple):
 
 def in_chunks(
     record: Record,
+    blocks: StartBlocks,
     of_chunk: Callable[[Record, StartBlocks], Any],
     *,
-    block: int,
     reach: int,
     margin: int,
-    unpadded: Int[Array, ""] | None = None,
-    first: Int[Array, ""] | int = 0,
-    number: int | None = None,
 ) -> Any:
     """What `of_chunk` makes of each block of starts of a record, stacked along a leading axis.
+
+    Where the number of samples before the padding is traced, chunks beyond them are not worked
+    through, and what is returned for their blocks is zero.
 
     **Arguments:**
 
     - `of_chunk`: takes a stretch of the record and the blocks of starts in it, over which the
       arrays that it returns lead.
-    - `block`: starts to a block; `reach`: samples that a window reaches beyond its start at most;
-      `margin`: samples more on either side, for quadrature.
-    - `unpadded`: samples before the padding, all by default. It may be traced: chunks
-      beyond are not worked through, and what is returned for their blocks is zero.
-    - `first` of the starts, and `number` of blocks from there: by default all that there are.
+    - `reach`: samples that a window reaches beyond its start at most; `margin`: samples more on
+      either side, for quadrature.
     """
-    n = record.sample_count
-    count = -(-n // block) if number is None else number
-    if unpadded is None:
-        length = chunk_length(record, block, reach)
-    else:
-        length = -(-max(ROUND, 4 * reach) // block) * block
+    n, size, unpadded = record.sample_count, blocks.size, blocks.unpadded
+    assert isinstance(size, int)
+    is_padded = not isinstance(unpadded, int)
+    length = chunk_length(record, size, reach)
+    if is_padded:
+        length = -(-max(ROUND, 4 * reach) // size) * size
     width = length + reach + 2 * margin
     if width >= n:
-        return of_chunk(
-            record, StartBlocks(first, block, count, n if unpadded is None else unpadded)
-        )
-    last = n - width if unpadded is None else jnp.maximum(unpadded - width, 0)
+        return of_chunk(record, blocks)
+    last = jnp.maximum(unpadded - width, 0)
 
     def one(index: Array) -> Any:
-        start = first + index * length
+        start = blocks.first + index * length
         begin = jnp.clip(start - margin, 0, last)
-        here = width if unpadded is None else jnp.minimum(unpadded - begin, width)
-        blocks = StartBlocks(start - begin, block, length // block, here)
-        return of_chunk(record.stretch(begin, width), blocks)
+        here = jnp.minimum(unpadded - begin, width) if is_padded else width
+        return of_chunk(
+            record.stretch(begin, width), StartBlocks(start - begin, size, length // size, here)
+        )
 
     def unless_beyond(index: Array) -> Any:
-        if unpadded is None:
-            return one(index)
         # To learn the shapes and to loop it is traced once.
         once = jax.jit(one)
         shapes = jax.eval_shape(once, index)
         nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-        return jax.lax.cond(first + index * length < unpadded, once, lambda _: nothing, index)
+        beyond = blocks.first + index * length >= unpadded
+        return jax.lax.cond(beyond, lambda _: nothing, once, index)
 
-    chunks = jax.lax.map(unless_beyond, jnp.arange(-(-count * block // length)))
+    count = blocks.number
+    each = jnp.arange(-(-count * size // length))
+    chunks = jax.lax.map(unless_beyond if is_padded else one, each)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
+
+
+def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:
+    """What all bins of a law add up to.
+
+    Of a single bin without a loop, which would be run for each equation: what several equations
+    have in common is then computed once.
+    """
+
+    def add(total: Sums, bin_: LagBins) -> tuple[Sums, None]:
+        return jax.tree.map(jnp.add, total, of_bin(bin_)), None
+
+    total = of_bin(jax.tree.map(lambda values: values[0], bins))
+    if bins.first.shape[0] == 1:
+        return total
+    # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
+    rest = jax.tree.map(lambda values: values[1:], bins)
+    return jax.lax.scan(jax.checkpoint(add), total, rest)[0]
+
+
+def sum_over_lengths(
+    of_length: Callable[[Leaf, Leaf], Any], lengths: tuple[Leaf, Leaf], nothing: Any
+) -> Any:
+    """Sum of arrays that are made of each length and its weight, one after the other.
+
+    **Arguments:** `nothing`, the sum of none; a length of weight zero adds that, and takes no time.
+    """
+
+    def add(total: Any, which: tuple[Array, Array]) -> tuple[Any, None]:
+        added = jax.lax.cond(which[1] != 0, of_length, lambda *_: nothing, *which)
+        return jax.tree.map(jnp.add, total, added), None
+
+    length, weight = lengths
+    return jax.lax.scan(add, nothing, (jnp.asarray(length), jnp.asarray(weight)))[0]
+
+
+# Bins of window lengths whose sums are kept apart, so that a band can be chosen afterwards.
+
+
+MOST_BINS = 2**10
+"""Bins of window lengths: memory grows with each, and neighbours hardly differ."""
+
+
+class LengthBins(NamedTuple):
+    """Stretches of window lengths in seconds, among whose edges are alpha and beta.
+
+    **Fields:** `edges`, ascending, shape `(bins + 1,)`; `band`, first bin from alpha on and first
+    one beyond beta.
+    """
+
+    edges: Float[np.ndarray, " bins+1"]
+    band: tuple[int, int]
+
+    @classmethod
+    def of(cls, alpha: float, beta: float, bins: int | ArrayLike) -> "LengthBins":
+        """So many bins from alpha to beta, in equal ratios; or with these edges, in seconds, and
+        with alpha and beta.
+
+        **Raises:** `ModelError` for fewer than one, for too many, and unless edges are positive
+        and finite.
+        """
+        edges = None
+        if isinstance(bins, int | np.integer):
+            number = int(bins)
+            if number < 1:
+                raise ModelError(f"there must be one bin of window lengths at least; got {number}.")
+        else:
+            edges = np.asarray(bins, float).ravel()
+            number = edges.size - 1
+            if not (np.isfinite(edges).all() and (edges > 0).all()):
+                raise ModelError("edges of bins of window lengths are positive numbers of seconds.")
+        if number > MOST_BINS:
+            raise ModelError(
+                f"sums of {number} bins of window lengths would take too much memory: give at most "
+                f"{MOST_BINS}, bins=12 as a rule."
+            )
+        edges = np.geomspace(alpha, beta, number + 1) if edges is None else edges
+        # Edges that are alpha or beta but for rounding would make bins of nothing.
+        near = np.isclose(edges, alpha, rtol=1e-9) | np.isclose(edges, beta, rtol=1e-9)
+        every = np.unique([*edges[~near], alpha, beta])
+        first, last = np.searchsorted(every, [alpha, beta])
+        return cls(every, (int(first), int(last)))
+
+    def lags(
+        self, unit: float, most: int
+    ) -> tuple[Int[np.ndarray, " bins"], Int[np.ndarray, " bins"]]:
+        """First and last lag of each bin, in multiples of samples of `unit` seconds.
+
+        The band's ends both belong to it, so that bins below it hold their lower edge and those
+        above their upper one. None is longer than `most`; empty where `last < first`.
+        """
+        edges = np.maximum(np.round(self.edges / unit), 1).astype(int)
+        bins = np.arange(edges.size - 1)
+        start, _ = self.band
+        first = edges[:-1] + (bins > start)
+        last = edges[1:] - (bins < start)
+        return first, np.minimum(last, most)
+
+    def nearest(self, alpha: float, beta: float) -> tuple[int, int]:
+        """The bins, first and one beyond the last, whose edges are nearest in ratio to a band's.
+
+        **Raises:** `ModelError` unless 0 < alpha < beta.
+        """
+        if not 0 < alpha < beta:
+            raise ModelError(f"a band needs 0 < alpha < beta; got {alpha:g} to {beta:g} s.")
+        first, last = (
+            int(np.argmin(np.abs(np.log(self.edges / length)))) for length in (alpha, beta)
+        )
+        if first == last:
+            # Of one bin at least: the one that holds the middle of the band.
+            middle = np.searchsorted(self.edges, np.sqrt(alpha * beta)) - 1
+            first = int(np.clip(middle, 0, self.edges.size - 2))
+            last = first + 1
+        return first, last
+
+
+def law_in_bins(law: LagBins, bins: LengthBins, unit: float, most: int) -> LagBins:
+    """A law of lags, cut into bins: two axes, bins and what each holds of the law.
+
+    Inside the band lengths count by the law; beyond it all alike.
+    """
+    low, high = (ends[:, None] for ends in bins.lags(unit, most))
+    at, law = np.arange(low.size)[:, None], LagBins(*map(np.asarray, law))
+    inside = (bins.band[0] <= at) & (at < bins.band[1])
+    begin = np.where(inside, np.maximum(law.first, low), low)
+    end = np.where(inside, np.minimum(law.last, high), high)
+    weight = np.where(inside, law.weight, 1.0)
+    # Beyond the band the first entry has all of a bin.
+    held = (begin <= end) & (inside | (np.arange(law.first.size) == 0))
+    parts = (np.where(held, *of) for of in ((begin, 1), (end, 0), (weight, 0.0)))
+    return LagBins(*(part.astype(leaf.dtype) for part, leaf in zip(parts, law)))
+
+
+def each_bin(of_lags: Callable[[LagBins], Any], lags: LagBins) -> Any:
+    """What is made of a law; of one in bins, of each bin, along a leading axis."""
+    if lags.first.ndim == 1:
+        return of_lags(lags)
+    if lags.first.shape[0] == 1:
+        one = of_lags(jax.tree.map(lambda leaf: leaf[0], lags))
+        return jax.tree.map(lambda leaf: leaf[None], one)
+    return jax.lax.map(of_lags, lags)

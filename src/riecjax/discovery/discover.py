@@ -1,13 +1,15 @@
-"""The verb: which terms a model lacks, told from recordings."""
+"""The verb: which terms a model lacks, told from recordings, and the model with them as a file."""
 
 import contextlib
-from collections.abc import Sequence
-from dataclasses import replace
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, with_velocities
-from riecjax.discovery.candidate import as_candidates, default_candidates, members
-from riecjax.discovery.discovery import Chosen, Discovery, is_more_than_noise
+from riecjax.discovery.candidate import Candidate, as_candidates, default_candidates, members
 from riecjax.discovery.search import Question, Rejected, Step, Sums, again, extended, without_twins
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import (
@@ -18,6 +20,7 @@ from riecjax.equations.hidden_elements import (
 )
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.equations.motions import reading_velocities
+from riecjax.equations.term import written
 from riecjax.errors import DataError, ModelError, RiecjaxError, refuse_unknown
 from riecjax.estimation.check import of_sensors, read_of
 from riecjax.estimation.estimate import EquationFit, Estimate
@@ -29,17 +32,106 @@ from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
 from riecjax.settings import Discover as DiscoverSettings
 from riecjax.settings import taking
+from riecjax.shows import Shown
 from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import intervals_of
 from riecjax.validation.late_signals import SignalDelay, finding_of, late_cause
+
+if TYPE_CHECKING:
+    from riecjax.records.record import Records
 
 LATE = 3
 """Delays that are taken off at the most, one after the other."""
 TAKEN_OFF = "terms are of recordings with it in time"
 
 
+ELSE = 1e-4
+"""Share of the energy, 1 % of the size, that is unexplained and no noise, to be told."""
+
+
+def is_more_than_noise(step: Step) -> bool:
+    """Whether noise makes less than half of what a step leaves, and the rest is worth telling."""
+    return step.of_motion > max(0.5 * step.unexplained, ELSE)
+
+
+class Chosen(NamedTuple):
+    """A candidate that was taken.
+
+    **Fields:** `candidate`; `width` of its law in `width_unit`, `None` of one without, and its
+    standard error `width_error`, nan where that is not known; `share` of the searches of data drawn
+    again that took it too.
+    """
+
+    candidate: Candidate
+    width: float | None
+    width_unit: str
+    width_error: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Discovery(Shown):
+    """A model with the terms that it lacked; made by [`discover`][].
+
+    **Fields:**
+
+    - `model`, with what was chosen; `start`, the model that was given.
+    - `chosen`, and `rejected`, those nearest to it.
+    - `paths` of the stages that terms were offered to: what blocks of time that were left out of
+      the fit leave unexplained, with one term more on each line.
+    - `estimate` of the model; `errors`, standard errors that include the choice of terms.
+    - `held_out`: share of each recording that had no part in the choice and that `estimate` is
+      from; 0 where choice and estimate are of all.
+    - `offered`: how many candidates could be told apart.
+    - `findings`: what is amiss with the recordings, also signals that are late against the
+      equations that were found.
+    - `delays`, seconds by which such signals were advanced before terms were chosen.
+    - `mode`: a further hidden mode, where much less is left with it; `chosen` are then
+      those terms that were found without it and are told from zero beside it.
+    """
+
+    model: Model
+    start: Model
+    chosen: tuple[Chosen, ...]
+    rejected: tuple[Rejected, ...]
+    paths: Mapping[str, tuple[Step, ...]]
+    estimate: Estimate
+    errors: Mapping[str, float]
+    held_out: float
+    offered: int
+    findings: tuple[Finding, ...] = ()
+    delays: Mapping[str, float] = field(default_factory=dict)
+    mode: HiddenMode | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what was found: `delay` (of several signals `delay_u`), `mode`, and terms."""
+        late = ["delay"] if len(self.delays) == 1 else [f"delay_{name}" for name in self.delays]
+        hidden = [] if self.mode is None else ["mode"]
+        return (*late, *hidden, *(one.candidate.name for one in self.chosen))
+
+    @property
+    def leaves_more(self) -> bool:
+        """Whether most of what is left is no noise, so that a model lacks something else."""
+        return any(is_more_than_noise(steps[-1]) for steps in self.paths.values())
+
+    @property
+    def of_motion(self) -> float:
+        """What is unexplained of all equations, noise not counted."""
+        return sum(steps[-1].of_motion for steps in self.paths.values())
+
+    @property
+    def amiss(self) -> tuple[Finding, ...]:
+        """Findings but the delays that were taken off."""
+        return tuple(
+            f
+            for f in self.findings
+            if not (f.code == "late_signal" and {*f.signals} <= {*self.delays})
+        )
+
+
 @taking(DiscoverSettings)
-def discover(model: Equation | Model, records: Records, settings: DiscoverSettings) -> Discovery:
+def discover(model: Equation | Model, records: "Records", settings: DiscoverSettings) -> Discovery:
     """Find the terms that a model lacks, by what they predict of blocks of time left out.
 
     The model's own terms stay. Candidates are added, exchanged and taken away again by what they
@@ -292,3 +384,80 @@ def _step(added: str, fit: EquationFit) -> Step:
     """What a fit leaves, of all that it was fitted to."""
     whole, of_motion = (float(rms) ** 2 for rms in (fit.relative_rms, fit.model_rms))
     return Step(added, whole, of_motion, float("nan"), float("nan"))
+
+
+# The model with what was found as a Python file that `identify` and `simulate` take.
+
+
+def model_source(found: Discovery, model: str, folder: Path, candidates: str | None = None) -> str:
+    """The text of a file in a folder that holds the model.
+
+    **Arguments:** `model`, as [`find_model`][riecjax.find_model] takes it, that was searched; and
+    `candidates`, the file and object that a term came from which cannot be written down.
+
+    **Raises:** `ModelError` for a term that is a function of the user's own, without `candidates`.
+    """
+    names = ", ".join(found.names)
+    head = f'"""{found.start.name}{f" with {names}" if names else ""}."""\n\n'
+    values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
+    table, terms = found.estimate.table, [chosen.candidate for chosen in found.chosen]
+    of_mode = {n: v for n, v in values.items() if isinstance(table[n].element, ModeParameters)}
+    added: dict[str, list[str]] = {}
+    for candidate in terms:
+        lines = [term.source for term in candidate.terms]
+        if None in lines:
+            if candidates is None:
+                raise ModelError(f"{candidate.name} is of a function of your own: name its file.")
+            name = written(candidate.name)
+            lines = [f"*rx.discovery.named({_path(candidates, folder)}, {name}).terms"]
+        equation = candidate.equation or found.start.equation_names[0][0]
+        added.setdefault(equation, []).extend(f"{line}," for line in lines)
+    body = [f"MODEL = rx.find_model({_path(model, folder)})"]
+    if found.chosen or found.mode is None:
+        equations = [
+            line
+            for name, lines in added.items()
+            for line in _block(f"{written(name)}: [", lines, "],")
+        ]
+        states = []
+        for memory in dict.fromkeys(memory for candidate in terms for memory in candidate.memories):
+            given = ((each, getattr(memory, each.name)) for each in fields(memory))
+            words = ", ".join(written(value) for each, value in given if value != each.default)
+            states.append(f"rx.equations.{type(memory).__name__}({words}),")
+        others = {name: value for name, value in values.items() if name not in of_mode}
+        meanings = {name: candidate.meaning for candidate in terms for name in candidate.columns}
+        arguments = [
+            *_block("{", equations, "},"),
+            *(_block("memories=[", states, "],") if states else []),
+            *_mapping("values", others),
+            *_mapping("meanings", meanings),
+        ]
+        body = _block(f"{body[0]}.with_terms(", arguments, ")")
+    if found.mode is not None:
+        mode = f"rx.HiddenMode({written(found.mode.on)}, {found.mode.hz!r}),"
+        arguments = [mode, *_mapping("values", of_mode if found.chosen else values)]
+        body = [*body[:-1], *_block(f"{body[-1]}.with_modes(", arguments, ")")]
+    imports = ["import riecjax as rx", ""]
+    if any("{HERE}" in line for line in body):
+        imports = ["from pathlib import Path", "", *imports, "HERE = Path(__file__).parent", ""]
+    return head + "\n".join([*imports, *body]) + "\n"
+
+
+def _path(reference: str, folder: Path) -> str:
+    """Source of a reference to a model, that of a file relative to the folder."""
+    path, separator, attribute = reference.rpartition(":")
+    if reference.endswith(".py"):
+        path, separator, attribute = reference, "", ""
+    if not path.endswith(".py"):
+        return written(reference)
+    beside = os.path.relpath(Path(path).resolve(), folder.resolve()).replace(os.sep, "/")
+    return f'f"{{HERE}}/{beside}{separator}{attribute}"'
+
+
+def _block(opening: str, lines: Iterable[str], closing: str) -> list[str]:
+    return [opening, *(f"    {line}" for line in lines), closing]
+
+
+def _mapping(name: str, values: Mapping[str, object]) -> list[str]:
+    each = (f"{written(key)}: {written(value)}," for key, value in values.items())
+    return _block(f"{name}={{", each, "},") if values else []

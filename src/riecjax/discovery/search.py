@@ -36,6 +36,7 @@ A model with terms that it may lack.
 import itertools
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -132,8 +133,7 @@ class Folds(NamedTuple):
 
     def fitted(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
         """Coefficients from all folds."""
-        at = self.columns(names)
-        total = self.motion.sum(0)
+        at, total = self.columns(names), self.motion.sum(0)
         return _solved(total[np.ix_(at, at)], total[at, 0])
 
     def left(self, names: Sequence[str]) -> Left:
@@ -223,29 +223,26 @@ class Rejected(NamedTuple):
     chance: float
 
 
+@dataclass(eq=False)
 class Search:
     """A search for the columns that belong beside those that are kept.
 
     Columns of a candidate enter together. Of a law with a width a structure takes one.
 
-    `trials`, how many candidates there were to choose from, where these are some of them; `least`,
-    share of what is unexplained that a term must make up for; `smallest`, share of the whole.
+    **Fields:** `folds`; names of the columns that are `kept`; `every` candidate; `least`, share of
+    what is unexplained that a term must make up for; `smallest`, share of the whole; `trials`, how
+    many candidates there were to choose from, where these are some of them.
     """
 
-    def __init__(
-        self,
-        folds: Folds,
-        kept: Sequence[str],
-        offers: Sequence[Candidate],
-        trials: int | None = None,
-        least: float = SHARE,
-        smallest: float = LEAST,
-    ):
-        self.folds, self.kept = folds, tuple(kept)
-        self.every = tuple(offers)
-        self.offers = [offer for offer in offers if folds.told_apart(self.names([offer]))]
-        self.least, self.smallest = least, smallest
-        self._trials = max(len(self.offers) if trials is None else trials, 1)
+    folds: Folds
+    kept: tuple[str, ...]
+    every: Sequence[Candidate]
+    least: float = SHARE
+    smallest: float = LEAST
+    trials: int | None = None
+
+    def __post_init__(self):
+        self.offers = [one for one in self.every if self.folds.told_apart(self.names([one]))]
         self._known: dict[frozenset[str], Left] = {}
 
     def names(self, chosen: Sequence[Candidate]) -> tuple[str, ...]:
@@ -269,7 +266,8 @@ class Search:
         """That a candidate which explains nothing stands out as much, any one of all."""
         names = self.names(chosen)
         each = min(self.folds.chance(names, column) for column in offer.columns)
-        return min(each * len(offer.columns) * self._trials, 1.0)
+        trials = max(len(self.offers) if self.trials is None else self.trials, 1)
+        return min(each * len(offer.columns) * trials, 1.0)
 
     def found(self) -> list[Candidate]:
         """The candidates that belong."""
@@ -465,8 +463,7 @@ def again(
     values: dict[str, list[float]] = {}
     for _ in range(times):
         drawn = folds.drawn(rng.integers(folds.number, size=folds.number))
-        trials = len(search.offers)
-        trial = Search(drawn, search.kept, among, trials, search.least, search.smallest)
+        trial = replace(search, folds=drawn, every=among, trials=len(search.offers))
         belonging = trial.found()
         families.update(offer.family for offer in belonging)
         names = trial.names(belonging)
@@ -555,10 +552,14 @@ class Question(NamedTuple):
 
 
 class Sums:
-    """Sums of a model's equations with candidates, whose widths change."""
+    """Sums of a model's equations with candidates, whose widths change.
+
+    `known`: coefficients that are held, and those that earlier stages found.
+    """
 
     def __init__(self, question: Question, recordings: list[Recording]):
         self.question, self.recordings = question, recordings
+        self.known = dict(question.known)
         self.sum_up(question.offered)
 
     def sum_up(self, candidates: list[AnyCandidate]) -> None:
@@ -569,10 +570,9 @@ class Sums:
 
     def stages(self) -> list[tuple[Search, list[Candidate]]]:
         """A search of each stage, and what belongs to it, what gains most first."""
-        values: dict[str, float] = {}
         stages = []
         for number, _ in enumerate(self.question.model.stages):
-            search, chosen = self.settled(number, values)
+            search, chosen = self.settled(number)
             if search.folds.number < FEWEST:
                 raise DataError(
                     f"the recordings hold {search.folds.number} blocks of time, of which terms are "
@@ -580,27 +580,25 @@ class Sums:
                     f"choose a smaller beta."
                 )
             names = search.names(chosen)
-            values |= dict(zip(names, map(float, search.folds.fitted(names))))
+            self.known |= dict(zip(names, map(float, search.folds.fitted(names))))
             stages.append((search, search.in_order(chosen)))
         return stages
 
-    def search(self, stage: int, found: Mapping[str, float]) -> Search:
-        """A search of one stage, as the sums are now, what earlier ones found being known."""
+    def search(self, stage: int) -> Search:
+        """A search of one stage, as the sums are now."""
         equations = sum_of_equations(self.summary.equations()[stage])
-        folds = Folds.of(equations.fix({**self.question.known, **found}))
-        offered = [
-            offer for offer in members(self.candidates) if {*offer.columns} <= {*folds.parameters}
-        ]
+        folds, settings = Folds.of(equations.fix(self.known)), self.question.settings
+        there = {*folds.parameters}
+        offered = [offer for offer in members(self.candidates) if {*offer.columns} <= there]
         columns = {name for offer in offered for name in offer.columns}
-        kept = [name for name in folds.parameters if name not in columns]
-        settings = self.question.settings
-        return Search(folds, kept, offered, None, settings.least, settings.smallest)
+        kept = tuple(name for name in folds.parameters if name not in columns)
+        return Search(folds, kept, offered, settings.least, settings.smallest)
 
-    def settled(self, stage: int, found: Mapping[str, float]) -> tuple[Search, list[Candidate]]:
+    def settled(self, stage: int) -> tuple[Search, list[Candidate]]:
         """What belongs to one stage, with widths as near as samples tell them."""
         near: set[str] = set()
         while True:
-            search = self.search(stage, found)
+            search = self.search(stage)
             chosen = search.found()
             rough = [one for one in chosen if one.law is not None and one.family not in near]
             if not rough or len(near) >= SEVERAL:
@@ -610,36 +608,31 @@ class Sums:
                     return search, chosen
                 self.sum_up(fewer)
                 continue
-
             without = [search.unexplained([o for o in chosen if o is not one]) for one in rough]
             law = rough[int(np.argmax(without))].law
             assert law is not None
             beside = [offer for offer in chosen if offer not in rough]
             # Of laws with a memory all of the same signal: rough widths tell none from the others.
-            families = [
-                shape.name
-                for shape in self.candidates
-                if isinstance(shape, Shaped)
-                and (shape is law or (shape.of == law.of and shape.remember and law.remember))
-            ]
-            for family in families:
-                self.narrow(stage, found, family, beside)
-            near |= {*families}
+            for shape in self.candidates:
+                if isinstance(shape, Shaped) and (
+                    shape is law or (shape.of == law.of and shape.remember and law.remember)
+                ):
+                    self.narrow(stage, shape.name, beside)
+                    near.add(shape.name)
 
-    def narrow(
-        self, stage: int, found: Mapping[str, float], family: str, beside: Sequence[Candidate]
-    ) -> None:
+    def narrow(self, stage: int, family: str, beside: Sequence[Candidate]) -> None:
         """Move the widths of a law to where it leaves least."""
         for _ in range(CLOSER):
-            search = self.search(stage, found)
+            search = self.search(stage)
             each = [[*beside, offer] for offer in search.every if offer.family == family]
             left = np.array([search.unexplained(chosen) for chosen in each])
             best = int(np.argmin(left))
             most = left[best] + ALIKE * search.least * search.left(each[best]).samples.sum()
             if np.all(left[max(best - 1, 0) : best + 2] <= most):
                 return
-            closer = [
-                shape.closer(best) if isinstance(shape, Shaped) and shape.name == family else shape
-                for shape in self.candidates
-            ]
-            self.sum_up(closer)
+            self.sum_up(
+                [
+                    one.closer(best) if isinstance(one, Shaped) and one.name == family else one
+                    for one in self.candidates
+                ]
+            )

@@ -19,13 +19,12 @@ from jaxtyping import Array
 from riecjax.equations.hidden_elements import (
     HiddenParameters,
     ModeParameters,
-    SeriesSpring,
     SpringParameters,
 )
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, refuse_unknown, require
-from riecjax.leaves import Leaf, is_concrete, is_number
+from riecjax.leaves import is_concrete, is_number
 from riecjax.summaries.task import require_key
 
 Value = TypeVar("Value")
@@ -213,18 +212,6 @@ def values_in_recording(
 
 TABLE_KINDS = ParameterTable, Parameter, ModeParameters, SpringParameters
 """What a table is made of, beside names and numbers."""
-
-
-def table_of_names(
-    free: Sequence[str], units: Iterable[tuple[str, str]], known: Mapping[str, Leaf]
-) -> ParameterTable:
-    """The table of names alone, and of hidden elements by what these are called: of files."""
-    names = (*free, *known)
-    elements: list[HiddenParameters] = [ModeParameters.of(i) for i, _ in enumerate(names)]
-    elements += [SpringParameters.of(i, SeriesSpring("")) for i, _ in enumerate(names)]
-    of_name = dict(units)
-    quantities = [Quantity(name, of_name.get(name, ""), "") for name in names]
-    return ParameterTable.of(quantities, (), 1, elements).holding(known)
 
 
 def plan_parameters(

@@ -5,42 +5,31 @@ import dataclasses
 import json
 import os
 import zipfile
-from collections.abc import Iterator, Mapping
-from importlib.metadata import version
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import msgspec
-import numpy as np
 
 from riecjax import shows
-from riecjax.criteria.criterion import AbstractCriterion, criterion_from_plain_data, to_plain_data
 from riecjax.errors import DataError, ModelError, printable
 from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
-from riecjax.estimation.parameters import TABLE_KINDS, table_of_names
+from riecjax.estimation.parameters import TABLE_KINDS
 from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
-from riecjax.refinement.objective import AbstractResiduals
 from riecjax.reporting.answer import Answer, read
-from riecjax.reporting.document import Document, is_intact, unread_schema
+from riecjax.reporting.document import is_intact, unread_schema
 from riecjax.summaries import summary as summaries
-from riecjax.summaries.summary import Summary
-from riecjax.summaries.summary_files import naming, packed, read_checked, unpacked, write_checked
+from riecjax.summaries import summary_files
+from riecjax.summaries.summary_files import naming
 from riecjax.uncertainty.intervals import Uncertainty
 from riecjax.whole_files import no_file, read_plain
 
-NAME = "estimate"
-"""Name of the JSON document among the arrays."""
-FORMAT = "riecjax.Estimate"
-SCHEMA = 2
-"""Of what the file of an estimate holds; another one is refused."""
 OF_FITS = Estimate, Search, Uncertainty, StageSolution, Solution, EquationFit, Finding
-KINDS = (*OF_FITS, *TABLE_KINDS)
-"""What an estimate is made of, beside arrays, names, a criterion and a Summary."""
+STATUS = RefinementStatus, type(RefinementStatus.converged)
+KIND = summary_files.FileKind("estimate", 3, (*OF_FITS, *STATUS, *TABLE_KINDS, *summaries.CLASSES))
+"""The file of an estimate, and what that is made of beside arrays and names."""
 RESULTS = "results.json"
 
 
@@ -65,17 +54,9 @@ def load(path: str | os.PathLike[str]) -> Any:
         holds_an_estimate = False
         # Whatever a damaged archive leads to, its reader says what is wrong.
         with contextlib.suppress(Exception), zipfile.ZipFile(file) as archive:
-            holds_an_estimate = f"{NAME}.npy" in archive.namelist()
+            holds_an_estimate = f"{KIND.name}.npy" in archive.namelist()
         if holds_an_estimate:
-            document, arrays = read_checked(file, NAME, FORMAT, SCHEMA)
-            with naming(file, NAME):
-                estimate = _unpack(document["estimate"], arrays)
-                place = "summary/"
-                if document["summary"] is None:
-                    return estimate
-                kept = {n.removeprefix(place): a for n, a in arrays.items() if n.startswith(place)}
-                summary = Summary(**unpacked(document["summary"], kept))
-                return dataclasses.replace(estimate, summary=summary)
+            return summary_files.load(file, KIND)
     return summaries.load(path)
 
 
@@ -125,66 +106,7 @@ def save(estimate: Estimate, path: str | os.PathLike[str]) -> None:
         raise ModelError("an estimate that jax.jit is making is saved outside of it.")
     if estimate.batch_shape:
         raise ModelError("estimates of a batch are saved one by one: batch.member(0).save(path).")
-    document: Document = {"format": FORMAT, "schema": SCHEMA, "riecjax": version("riecjax")}
-    document["summary"] = None
-    arrays: dict[str, np.ndarray] = {}
-    if estimate.summary is not None:
-        document["summary"], of_summary = packed(**vars(estimate.summary))
-        arrays |= {f"summary/{name}": array for name, array in of_summary.items()}
-    document["estimate"] = _pack(estimate, NAME, arrays)
-    write_checked(path, NAME, document, arrays)
-
-
-def _pack(value: Any, place: str, arrays: dict[str, np.ndarray]) -> Any:
-    """A value as plain data, its arrays under their places."""
-    kind = type(value)
-    if kind in KINDS:
-        names = getattr(value, "_fields", None) or [f.name for f in dataclasses.fields(value)]
-        fields = {name: _pack(getattr(value, name), f"{place}/{name}", arrays) for name in names}
-        return {"kind": kind.__name__, "fields": fields}
-    if isinstance(value, AbstractCriterion):
-        return {"criterion": to_plain_data(value)}
-    if getattr(value, "_enumeration", None) is RefinementStatus:
-        return {"status": _pack(value._value, place, arrays)}
-    if isinstance(value, np.ndarray | np.generic | jax.Array):
-        arrays[place] = np.asarray(value)
-        return {"array": place}
-    if isinstance(value, tuple | list):
-        parts = [_pack(each, f"{place}/{i}", arrays) for i, each in enumerate(value)]
-        return {"list" if isinstance(value, list) else "tuple": parts}
-    if isinstance(value, dict):
-        return {"dict": {key: _pack(v, f"{place}/{key}", arrays) for key, v in value.items()}}
-    # The Summary has a document of its own, and what a search made small is not kept.
-    return None if isinstance(value, Summary | AbstractResiduals) else value
-
-
-def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
-    """What [`_pack`][] made plain."""
-    if not isinstance(value, dict):
-        return value
-    if "kind" in value:
-        fields = {name: _unpack(of, arrays) for name, of in value["fields"].items()}
-        if "units" in fields:  # written before there were tables
-            beside = (fields.pop(name) for name in ("parameters", "units", "known"))
-            fields["table"] = table_of_names(*beside)
-        if value["kind"] == "Refined":  # written when that was another kind of estimate
-            names = {field.name for field in dataclasses.fields(Search)}
-            search = Search(**{name: fields.pop(name) for name in names & {*fields}})
-            return Estimate(**fields, search=search)
-        if value["kind"] == "Estimate":  # bounds held in refinement alone
-            fields.setdefault("at_bound", np.zeros(fields["theta"].shape, bool))
-        return {kind.__name__: kind for kind in KINDS}[value["kind"]](**fields)
-    ((of, held),) = value.items()
-    match of:
-        case "criterion":
-            return criterion_from_plain_data(held)
-        case "status":
-            number = _unpack(held, arrays)
-            return eqx.tree_at(lambda s: s._value, RefinementStatus.converged, jnp.asarray(number))
-        case "array":
-            return arrays[held]
-        case "dict":
-            return {key: _unpack(each, arrays) for key, each in held.items()}
-        case _:
-            parts = [_unpack(each, arrays) for each in held]
-            return parts if of == "list" else tuple(parts)
+    if estimate.search is not None:  # the recordings that its residuals are of are not kept
+        search = dataclasses.replace(estimate.search, residuals=None)
+        estimate = dataclasses.replace(estimate, search=search)
+    summary_files.save(estimate, path, KIND)

@@ -8,7 +8,7 @@ import numpy as np
 
 from riecjax.assessment.assess import Assessment
 from riecjax.assessment.verdict import Verdict
-from riecjax.discovery.discovery import Discovery
+from riecjax.discovery.discover import Discovery
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
 from riecjax.estimation import ModeEvidence

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key, UInt32
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
-from riecjax.criteria.laws import LengthBins
+from riecjax.criteria.windows import LengthBins
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.equations.term import from_elsewhere
@@ -86,7 +86,7 @@ class NormalEquations(eqx.Module):
             self, moments=moments, parameters=parameters, noise=noise, noise_of_source=of_source
         )
 
-    def with_noise(self, noise: Array | None, of_source: Array | None = None) -> Self:
+    def with_noise(self, noise: Leaf | None, of_source: Leaf | None = None) -> Self:
         """The same moments, of which this is noise."""
         return dataclasses.replace(self, noise=noise, noise_of_source=of_source)
 

@@ -10,7 +10,7 @@ of them: moments of all windows, and, on request, a survey for checks and figure
 # and right to first order in the noise where they are not.
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,8 +22,16 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from riecjax.compilation import kept_jit
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
-from riecjax.criteria.laws import LagBins, LengthBins, law_in_bins
-from riecjax.criteria.windows import AllWindows, StartBlocks, WindowSet, in_chunks, power_of_two
+from riecjax.criteria.windows import (
+    AllWindows,
+    LagBins,
+    LengthBins,
+    StartBlocks,
+    WindowSet,
+    in_chunks,
+    law_in_bins,
+    power_of_two,
+)
 from riecjax.equations.dry_friction import InMotion
 from riecjax.equations.equation import Equation, mixing_expressions
 from riecjax.equations.expressions import evaluate
@@ -66,31 +74,16 @@ class Lengths(NamedTuple):
 class Request(NamedTuple):
     """What to sum, as far as it is compiled in.
 
-    **Fields:** `block`, starts to a short block (a traced number where blocks are shorter than the
-    longest window, or rows are drawn); `blocks` of an array; `lengths` of windows that are summed
-    in closed form, none where a criterion has single rows, and the shortest and longest lag of
-    their law; in each block, rows that are `surveyed`, none unless a survey is asked for; whether
-    the products with a `constant` are kept as well.
+    **Fields:** `lengths` of windows that are summed in closed form, none where a criterion has
+    single rows, and the shortest and longest lag of their law; in each block, rows that are
+    `surveyed`, none unless a survey is asked for; whether the products with a `constant` are kept
+    as well.
     """
 
-    block: Int[Array, ""] | int
-    blocks: int
     lengths: tuple[Lengths, ...] = ()
     band: tuple[Int[Leaf, ""] | int, Int[Leaf, ""] | int] = (0, 0)
     surveyed: int = 0
     constant: bool = True
-
-
-class Part(NamedTuple):
-    """Samples of a recording, filled up behind, and which of its starts are summed here.
-
-    **Fields:** `record`; `first` of the starts; `held`, samples that are the recording's (`None`:
-    all of them, a number that is compiled in).
-    """
-
-    record: Record
-    first: Int[Array, ""] | int = 0
-    held: Int[Array, ""] | None = None
 
 
 class Surveyed(NamedTuple):
@@ -110,15 +103,19 @@ bins)` and of sources `(chunks, bins)`, and a survey."""
 
 @kept_jit
 def part_sums(
-    part: Part,
+    part: Record,
+    blocks: StartBlocks,
     model: Model,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
     request: Request,
 ) -> list[list[PartSums]]:
-    """What blocks of starts of a part say of each equation of each stage."""
-    lengths, smoothness = request.lengths, criterion.smoothness
-    drawn = None if lengths else criterion.draw(part.record, key, part.held)
+    """What blocks of starts of a part of a recording say of each equation of each stage.
+
+    Their size is traced where blocks are shorter than the longest window, or rows are drawn.
+    """
+    lengths = request.lengths
+    drawn = None if lengths else criterion.draw(part, key, blocks.unpadded)
 
     def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
         # Every survey has noisy rows: what they are made of is evaluated once, for all.
@@ -137,92 +134,56 @@ def part_sums(
         def of_equation(equation: Equation) -> PartSums:
             noisy, survey = criterion.noisy_columns(equation, record), None
             if request.surveyed and windows is not None:
-                noise = sampled_columns(equation, disturbed, smoothness)
-                noise = noise - sampled_columns(equation, record, smoothness)
-                beside = noisy.columns, noise
-                survey = _surveyed(criterion, equation, beside, record, blocks, windows)
-            if drawn is not None:
-                return (_sums_of_rows(criterion, noisy, drawn, blocks, request),), survey
-            sums = (_sums_of_windows(criterion, noisy, w, blocks, request) for w in lengths)
-            return tuple(sums), survey
+                records = record, disturbed
+                survey = _surveyed(criterion, equation, noisy.columns, records, blocks, windows)
+            every = lengths if drawn is None else (drawn,)
+            sums = tuple(_equation_sums(criterion, noisy, w, blocks, request) for w in every)
+            return sums, survey
 
         return [[of_equation(equation) for equation in stage] for stage in model.stages]
 
-    if not isinstance(request.block, int):
-        held = part.record.sample_count if part.held is None else part.held
-        return of_chunk(part.record, StartBlocks(part.first, request.block, request.blocks, held))
-    return in_chunks(
-        part.record,
-        of_chunk,
-        block=request.block,
-        reach=lengths[-1].reach,
-        margin=criterion.test_function.margin,
-        unpadded=part.held,
-        first=part.first,
-        number=request.blocks,
-    )
-
-
-def _sums_of_windows(
-    criterion: AbstractCriterion,
-    noisy: NoisyColumns,
-    which: Lengths,
-    blocks: StartBlocks,
-    request: Request,
-) -> EquationSums:
-    """Sums over all windows of some lengths.
-
-    The closed form sums the windows that start in a block from running sums over the block and its
-    reach, so that a block shorter than a window costs as much as one as long. Where some lengths
-    are longer, neighbouring blocks are summed as one, and the first of them holds the sums.
-    """
-    size, wider = blocks.size, 1
-    if isinstance(size, int) and which is not request.lengths[0]:
-        while wider * size < which.reach and blocks.number % (2 * wider) == 0:
-            wider *= 2
-        blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
-
-    def spread(sums: Leaf) -> Leaf:
-        apart = jnp.swapaxes(sums, 0, 1)[:, None]
-        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
-        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
-
-    def products(columns: Columns) -> Moments:
-        return criterion.test_function.moments(columns, which.lags, blocks, which.reach)
-
-    sums = _equation_sums(criterion, noisy, which.lags, blocks, products, request)
-    return sums.each(spread, noise_of_source=lambda sources: sources[None])
-
-
-def _sums_of_rows(
-    criterion: AbstractCriterion,
-    noisy: NoisyColumns,
-    drawn: WindowSet,
-    blocks: StartBlocks,
-    request: Request,
-) -> EquationSums:
-    """The same where a criterion has single rows: each sample's, or of windows that are drawn."""
-    place = (drawn.start / blocks.size).astype(jnp.int32)
-    place = jnp.clip(place, 0, blocks.number - 1) if blocks.number > 1 else None
-
-    def products(columns: Columns) -> Moments:
-        rows = criterion.rows_of(columns, drawn, blocks.unpadded)
-        sums = NormalEquations.of_rows(rows, block_of_row=place, block_count=blocks.number)
-        return sums.moments, sums.count
-
-    sums = _equation_sums(criterion, noisy, drawn, blocks, products, request)
-    return sums.each(lambda sum_: sum_[:, None], noise_of_source=lambda sum_: sum_[None, None])
+    if not isinstance(blocks.size, int):
+        return of_chunk(part, blocks)
+    reach, margin = lengths[-1].reach, criterion.test_function.margin
+    return in_chunks(part, blocks, of_chunk, reach=reach, margin=margin)
 
 
 def _equation_sums(
     criterion: AbstractCriterion,
     noisy: NoisyColumns,
-    windows: LagBins | WindowSet,
+    windows: Lengths | WindowSet,
     blocks: StartBlocks,
-    products: Callable[[Columns], Moments],
     request: Request,
 ) -> EquationSums:
-    """Sums of an equation's rows by `products` of its columns, and what noise adds to them."""
+    """Sums of an equation's rows over windows, and what noise adds to them: over all of some
+    lengths; or where a criterion has single rows, each sample's or of windows that are drawn.
+
+    The closed form sums the windows that start in a block from running sums over the block and its
+    reach, so that a block shorter than a window costs as much as one as long. Where some lengths
+    are longer, neighbouring blocks are summed as one, and the first of them holds the sums.
+    """
+    wider = 1
+    if isinstance(windows, WindowSet):
+        place = jnp.clip((windows.start / blocks.size).astype(jnp.int32), 0, blocks.number - 1)
+        block_of_row, counted = (place if blocks.number > 1 else None), windows
+
+        def products(columns: Columns) -> Moments:
+            rows = criterion.rows_of(columns, windows, blocks.unpadded)
+            sums = NormalEquations.of_rows(
+                rows, block_of_row=block_of_row, block_count=blocks.number
+            )
+            return sums.moments, sums.count
+
+    else:
+        size, counted = blocks.size, windows.lags
+        if isinstance(size, int) and windows is not request.lengths[0]:
+            while wider * size < windows.reach and blocks.number % (2 * wider) == 0:
+                wider *= 2
+            blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
+
+        def products(columns: Columns) -> Moments:
+            return criterion.test_function.moments(columns, windows.lags, blocks, windows.reach)
+
     columns, constant = noisy.columns, None
     if request.constant:
         # A column behind that is 1 at every sample, whose product with itself comes first.
@@ -235,8 +196,18 @@ def _equation_sums(
     else:
         moments, number = products(columns)
     sums = EquationSums(moments, number, columns.parameters, constant=constant)
-    added = criterion.noise_of(noisy, windows, blocks, lambda moved: products(moved)[0])
-    return sums if added is None else sums.with_noise(*added)
+    added = criterion.noise_of(noisy, counted, blocks, lambda moved: products(moved)[0])
+    if added is not None:
+        sums = sums.with_noise(*added)
+    if isinstance(windows, WindowSet):  # of which there are no bins of lengths
+        sums = jax.tree.map(lambda leaf: leaf[None], sums)
+
+    def blocks_first(leaf: Leaf) -> Leaf:
+        apart = jnp.swapaxes(leaf, 0, 1)[:, None]
+        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
+        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
+
+    return sums.each(blocks_first, noise_of_source=lambda sources: sources[None])
 
 
 def _disturbed(record: Record) -> Record:
@@ -256,13 +227,15 @@ def _disturbed(record: Record) -> Record:
 def _surveyed(
     criterion: AbstractCriterion,
     equation: Equation,
-    columns: tuple[Columns, Columns],
-    record: Record,
+    clean: Columns,
+    records: tuple[Record, Record],
     blocks: StartBlocks,
     windows: WindowSet,
 ) -> Surveyed:
-    """Rows of windows: of an equation's columns, and of what noise adds to these."""
-    clean, noise = columns
+    """Rows of windows: of an equation's columns, and of what noise adds to these; of a record
+    without and with noise."""
+    record, disturbed = records
+    noise, plain = (sampled_columns(equation, r, criterion.smoothness) for r in (disturbed, record))
     last = clean.sample_count - 1
     windows = WindowSet(*(at.reshape(-1, at.shape[-1]) for at in windows))
     shape = windows.start.shape
@@ -276,7 +249,7 @@ def _surveyed(
 
     (values, valid), finer = rows(criterion, clean), criterion.finest()
     by_finest = values if finer is criterion else rows(finer, clean)[0]
-    every = jnp.stack([values, by_finest, rows(criterion, noise)[0]], axis=-2)
+    every = jnp.stack([values, by_finest, rows(criterion, noise - plain)[0]], axis=-2)
     reaches = {}
     real = jnp.arange(record.sample_count) < blocks.unpadded
     for term in equation.terms:
@@ -352,11 +325,11 @@ def traced_sums(
         law = jax.tree.map(
             lambda lags: lags[:, None] if apart else lags[None], criterion.law(record)
         )
-        lengths = (Lengths(law, windows.reach(n)),)
-        request = Request(size, number, lengths, constant=False)
+        request = Request((Lengths(law, windows.reach(n)),), constant=False)
     else:
-        request = Request(jnp.asarray(size), number, constant=False)
-    found = part_sums(Part(record), model, criterion, key, request)
+        size, request = jnp.asarray(size), Request(constant=False)
+    starts = StartBlocks(0, size, number, n)
+    found = part_sums(record, starts, model, criterion, key, request)
 
     def of_bins(sums: EquationSums) -> EquationSums:
         return sums.each(
@@ -450,7 +423,8 @@ def recording_sums(
         lags = windows.lags(n, record.time_step, weight.length_multiple)
         of_windows = lengths, (jnp.asarray(lags[0]), jnp.asarray(lags[1]))
         if block < longest:
-            request = Request(jnp.asarray(block), 2, *of_windows, survey * SURVEYED // 2)
+            size, number = jnp.asarray(block), 2
+            request = Request(*of_windows, survey * SURVEYED // 2)
         else:
             unit = longest
             if filled is not None and n > FILLED[-1]:
@@ -458,26 +432,29 @@ def recording_sums(
                 filled = width + reach + 2 * weight.margin
             elif filled is not None:
                 width = filled
-            size = (n if filled is None else filled) // (1 if width <= FILLED[0] else 4)
-            surveyed = survey * max(SURVEYED * longest // size, 1)
-            request = Request(longest, -(-width // longest), *of_windows, surveyed)
+            looked_at = (n if filled is None else filled) // (1 if width <= FILLED[0] else 4)
+            size, number = longest, -(-width // longest)
+            request = Request(*of_windows, survey * max(SURVEYED * longest // looked_at, 1))
     else:
-        request = Request(jnp.asarray(block), SHORT_BLOCKS_OF_ROWS, surveyed=int(survey))
+        size, number = jnp.asarray(block), SHORT_BLOCKS_OF_ROWS
+        request = Request(surveyed=int(survey))
 
-    def parts() -> Iterator[Part]:
+    def parts() -> Iterator[tuple[Record, StartBlocks]]:
         """The recording cut into parts, each with what its windows reach beyond it."""
         if filled is None:
-            yield Part(dataclasses.replace(record, skipped=np.zeros(())))
+            whole = dataclasses.replace(record, skipped=np.zeros(()))
+            yield whole, StartBlocks(0, size, number, n)
             return
         margin = criterion.test_function.margin
         for start in range(begin, end, width):
             first = max(start - margin, 0)
             stop = min(start + width + reach + margin, n)
             samples = filled_up(record, filled, first, stop)
-            yield Part(samples, jnp.asarray(start - first), jnp.asarray(stop - first))
+            ends = jnp.asarray(start - first), jnp.asarray(stop - first)
+            yield samples, StartBlocks(ends[0], size, number, ends[1])
 
     given = model, criterion, key if windows is None else None, request
-    found = [jax.tree.map(np.asarray, part_sums(part, *given)) for part in parts()]
+    found = [jax.tree.map(np.asarray, part_sums(*part, *given)) for part in parts()]
     count, grouped = -(-(end - begin) // unit), block // unit
 
     def in_bins(blocks: Leaf) -> Leaf:

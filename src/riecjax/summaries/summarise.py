@@ -4,8 +4,8 @@ from jaxtyping import Array, Key
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.laws import LengthBins
 from riecjax.criteria.suited import with_less_noise
+from riecjax.criteria.windows import LengthBins
 from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import AtRest, Model, as_model

@@ -11,22 +11,25 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.laws import LengthBins
+from riecjax.criteria.criterion import PARTS, AbstractCriterion
+from riecjax.criteria.windows import LengthBins
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete, namespace
 from riecjax.linear_algebra import factor_of_gram, joined_factor
 from riecjax.records.signal import Noise
 from riecjax.shows import Shown
+from riecjax.summaries import summary_files
 from riecjax.summaries.normal_equations import (
     EquationSums,
     NormalEquations,
     Outline,
     RecordingSums,
     ShortBlocks,
+    Survey,
     stack_normal_equations,
 )
+from riecjax.summaries.summary_files import FileKind
 
 ROOMS = (128, 1024)
 """Blocks of a recording that arrays have room for; there are no more than the last."""
@@ -90,6 +93,11 @@ class Summary(Shown, eqx.Module):
         that two of them hold differently, scaled or with a stretch left out; and for sums that were
         made under `jit`, which do not tell whose they are.
         """
+
+        def rank(sums: RecordingSums) -> list[Any]:
+            leaves = jax.tree.leaves(sums)
+            return [-len(leaves), *(np.asarray(leaf).tobytes() for leaf in leaves)]
+
         every: dict[str, RecordingSums] = {}
         for one in (self, *others):
             require("what is merged", one, Summary, "summary.merge(other): one after the other")
@@ -108,7 +116,24 @@ class Summary(Shown, eqx.Module):
                         "sums that were made under jax.jit do not tell which recordings they are "
                         "of, so that they cannot be merged: make them by rx.summarise outside it."
                     )
-                every[digest] = _one_of(every.get(digest, recording), recording)
+                other = every.setdefault(digest, recording)
+                if other is recording:
+                    continue
+                counts = [
+                    [e.count for stage in r.stages for e in stage] for r in (recording, other)
+                ]
+                alike = (
+                    a.shape == b.shape and np.allclose(a, b, rtol=1e-6) for a, b in zip(*counts)
+                )
+                if not all(alike):
+                    raise ModelError(
+                        "summaries cannot be merged that hold a recording differently, scaled or "
+                        "with a stretch left out: select(...) those that should count from one of "
+                        "them."
+                    )
+                # They may differ by rounding, where other machines made them, and in what only a
+                # survey keeps: whatever their order, the same one counts.
+                every[digest] = min(other, recording, key=rank)
         return self.of_recordings(every[digest] for digest in sorted(every))
 
     def of_recordings(self, recordings: Iterable[RecordingSums]) -> "Summary":
@@ -207,32 +232,36 @@ class Summary(Shown, eqx.Module):
             """The sums of one equation side by side."""
             sums = [one.stages[i][j] for one in every]
             shape = np.asarray(sums[0].moments).shape
-            # Of what no noise is known nothing is taken off.
-            added = [np.zeros_like(e.moments) if e.noise is None else e.noise for e in sums]
-            by_source = np.zeros((shape[0], len(noise.sources), *shape[2:]))
+            by_source: Any = np.zeros((shape[0], len(noise.sources), *shape[2:]))
             for one, equation in zip(every, sums):
                 if equation.noise_of_source is not None:
                     place = [noise.sources.index(name) for name in one.noise.sources]
                     by_source[:, place] += np.asarray(equation.noise_of_source)
+            # Of what no noise is known nothing is taken off.
             known = any(equation.noise is not None for equation in sums)
-            constant = [e.constant for e in sums if e.constant is not None]
+            if known:
+                nothing = (np.zeros_like(equation.moments) for equation in sums)
+                sums = [
+                    e if e.noise is not None else e.with_noise(z) for e, z in zip(sums, nothing)
+                ]
             factor = None
             if any(equation.factor is not None for equation in sums):
                 grams = [np.asarray(equation.moments).sum((0, 1)) for equation in sums]
-                factors = [e.factor for e in sums]
-                factor = joined_factor(
-                    [factor_of_gram(g) if f is None else f for g, f in zip(grams, factors)]
-                )
-            every_sum: Any = np.concatenate([equation.moments for equation in sums], axis=1)
-            counts: Any = np.concatenate([equation.count for equation in sums], axis=1)
-            noises: Any = (np.concatenate(added, axis=1), by_source) if known else (None, None)
+                pairs = zip(grams, (e.factor for e in sums))
+                factor = joined_factor([factor_of_gram(g) if f is None else f for g, f in pairs])
+
+            def joined(name: str) -> Any:
+                parts = [getattr(equation, name) for equation in sums]
+                return None if any(p is None for p in parts) else np.concatenate(parts, axis=1)
+
             return EquationSums(
-                every_sum,
-                counts,
+                joined("moments"),
+                joined("count"),
                 sums[0].parameters,
-                *noises,
+                joined("noise"),
+                by_source if known else None,
                 factor=factor,
-                constant=np.concatenate(constant, axis=1) if len(constant) == len(sums) else None,
+                constant=joined("constant"),
             )
 
         stages = [
@@ -349,20 +378,16 @@ class Summary(Shown, eqx.Module):
         """Write to an NPZ file of exactly this name, whole or not at all; see [`load`][].
 
         **Raises:** `DataError` if the file cannot be written; `ModelError` for a criterion with a
-        law that is a function, for sums that are traced or of a batch, or for more than 2 GiB.
+        part that is a function, for sums that are traced or of a batch, or for more than 2 GiB.
         """
-        from riecjax.summaries.summary_files import DOCUMENT, packed, write_checked
-
-        write_checked(path, DOCUMENT, *packed(**vars(self)))
+        summary_files.save(self._single(), path, KIND)
 
     def to_bytes(self) -> bytes:
         """What [`Summary.save`][] writes, in memory: the same bytes for the same numbers.
 
         **Raises:** `ModelError` as `save`.
         """
-        from riecjax.summaries.summary_files import packed, to_bytes
-
-        return to_bytes(*packed(**vars(self)))
+        return summary_files.to_bytes(self._single(), KIND)
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "Summary":
@@ -370,9 +395,14 @@ class Summary(Shown, eqx.Module):
 
         **Raises:** `DataError` as [`load`][], which says what must be defined before.
         """
-        from riecjax.summaries.summary_files import from_bytes
+        return summary_files.from_bytes(content, KIND)
 
-        return cls(**from_bytes(content))
+    def _single(self) -> "Summary":
+        if not is_concrete(self) or any(np.ndim(one.blocks) for one in self.recordings):
+            raise ModelError(
+                "sums of jax.jit or jax.vmap are saved outside of it, and one by one of a batch."
+            )
+        return self
 
     def require_model(self, model: Model) -> None:
         """Raise `ModelError` unless these are sums of the model's equations."""
@@ -384,6 +414,11 @@ class Summary(Shown, eqx.Module):
             )
 
 
+CLASSES = (Summary, RecordingSums, EquationSums, Survey, Outline, Noise, *PARTS)
+"""What a Summary is made of, beside arrays and names."""
+KIND = FileKind("summary", 6, CLASSES)
+
+
 def load(path: str | os.PathLike[str]) -> Summary:
     """Read a Summary that [`Summary.save`][] wrote, equal to the bit.
 
@@ -393,9 +428,7 @@ def load(path: str | os.PathLike[str]) -> Summary:
     **Raises:** `DataError`, in one line, for a file that is not there, is no Summary, is damaged,
     was written with another schema, or names a class that is not defined.
     """
-    from riecjax.summaries.summary_files import read_parts
-
-    return Summary(**read_parts(path))
+    return summary_files.load(path, KIND)
 
 
 def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
@@ -412,26 +445,3 @@ def as_summary(summaries: Summary | Sequence[Summary]) -> Summary:
     if not summaries:
         raise ModelError("at least one Summary is needed.")
     return summaries[0].merge(*summaries[1:])
-
-
-def _one_of(one: RecordingSums, other: RecordingSums) -> RecordingSums:
-    """One of two sums of the same recording: the same one in whatever order they come.
-
-    They may differ by rounding, where other machines made them, and in what only a survey keeps.
-
-    **Raises:** `ModelError` where they count other windows.
-    """
-    if one is other:
-        return one
-    counts = [[e.count for stage in r.stages for e in stage] for r in (one, other)]
-    if not all(a.shape == b.shape and np.allclose(a, b, rtol=1e-6) for a, b in zip(*counts)):
-        raise ModelError(
-            "summaries cannot be merged that hold a recording differently, scaled or with a "
-            "stretch left out: select(...) those that should count from one of them."
-        )
-
-    def rank(sums: RecordingSums) -> tuple[int, bytes]:
-        leaves = jax.tree.leaves(sums)
-        return -len(leaves), b"".join(np.asarray(leaf).tobytes() for leaf in leaves)
-
-    return min(one, other, key=rank)

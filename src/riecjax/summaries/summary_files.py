@@ -1,8 +1,10 @@
-"""A Summary in an NPZ file: arrays by name, and one JSON document of all that is no array.
+"""Objects in NPZ files: arrays by name, and one JSON document of all that is no array.
 
-Names are paths, as in `0/stages/1/0/moments`: recording, stage, equation, field. The document, an
-array of bytes called `summary`, holds the rest and a checksum of everything. There is no pickle:
-reading a file runs no code of it.
+An object is its class's name and its fields, objects within objects, so that arrays are called by
+where they stand, as `recordings/0/stages/1/0/moments`. The document, an array of bytes, holds the
+rest and a checksum of everything. A file names classes and never imports them: what is read is
+looked for among those that the running program has defined, so that a new test function needs
+nothing here. There is no pickle, and no constructor is called: reading a file runs no code of it.
 """
 
 import contextlib
@@ -16,31 +18,17 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 
-from riecjax.criteria.criterion import (
-    AbstractCriterion,
-    criterion_from_plain_data,
-    to_plain_data,
-)
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.reading.channels import foreign_reader, read_array
-from riecjax.records.signal import Noise
 from riecjax.records.writing import write_npz
-from riecjax.summaries.normal_equations import EquationSums, Outline, RecordingSums, Survey
 from riecjax.whole_files import no_file, write_file
 
-DOCUMENT = "summary"
-"""Name of the JSON document among the arrays."""
-EDGES = "edges"
-"""Name of the array of the bins' edges."""
-FORMAT = "riecjax.Summary"
-SCHEMA = 5
-"""Of what a Summary holds; another one is refused."""
 LARGEST = 2**31
 """Bytes that a file may unpack to: it is refused by what it declares, before it is read."""
 HEADER = 256
@@ -50,147 +38,37 @@ Arrays = dict[str, np.ndarray]
 Document = dict[str, Any]
 
 
-def read_parts(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The fields of the Summary in a file; see [`load`][]."""
-    document, arrays = read_checked(path, DOCUMENT, FORMAT, SCHEMA)
-    with naming(Path(path), DOCUMENT):
-        return unpacked(document, arrays)
+class FileKind(NamedTuple):
+    """What is kept in files of a kind.
 
-
-def to_bytes(document: Document, arrays: Arrays) -> bytes:
-    """A packed Summary as bytes, the same for the same numbers, without a file's overhead.
-
-    Its length in eight bytes, the document, which lists the arrays, and their numbers; of symmetric
-    matrices those of one half.
+    **Fields:** `name` of what it is, and of the document; its `schema`: another one is refused;
+    `classes` that it is made of, these or subclasses of them.
     """
-    listed, numbers = [], []
-    for name, array in sorted(arrays.items()):
-        halved = array.ndim > 1 and array.shape[-1] == array.shape[-2] > 1
-        if halved:  # where matrices are, to the bit, their own transposes
-            bits = np.ascontiguousarray(array).view(f"V{array.dtype.itemsize}")
-            halved = bool((bits == bits.swapaxes(-1, -2)).all())
-        listed.append((name, array.dtype.str, array.shape, halved))
-        kept = array[..., *_upper(array.shape[-1])] if halved else array
-        numbers.append(np.ascontiguousarray(kept).tobytes())
-    told = {**document, "checksum": _checksum(document, arrays), "arrays": listed}
-    text = json.dumps(told).encode()
-    return b"".join([len(text).to_bytes(8, "little"), text, *numbers])
+
+    name: str
+    schema: int
+    classes: tuple[type, ...]
 
 
-def from_bytes(content: bytes) -> dict[str, Any]:
-    """The fields of the Summary in these bytes.
+def save(value: Any, path: str | os.PathLike[str], kind: FileKind) -> None:
+    """Write an object to a file.
 
-    **Raises:** `DataError` where they are damaged or of another version.
-    """
-    with foreign_reader(DOCUMENT.capitalize()):
-        place = 8 + int.from_bytes(content[:8], "little")
-        document = json.loads(content[8:place])
-        _require_schema(document, DOCUMENT, FORMAT, SCHEMA)
-        arrays = {}
-        for name, kind, shape, halved in document.pop("arrays"):
-            dtype = np.dtype(kind)
-            kept = (*shape[:-2], shape[-1] * (shape[-1] + 1) // 2) if halved else tuple(shape)
-            size = math.prod(kept)
-            array = np.frombuffer(content, dtype, size, place).reshape(kept)
-            if halved:  # upper halves of symmetric matrices, row by row
-                (rows, columns), half = _upper(shape[-1]), array
-                array = np.empty(shape, dtype)
-                array[..., rows, columns] = array[..., columns, rows] = half
-            arrays[name] = array
-            place += size * dtype.itemsize
-        if document.pop("checksum") != _checksum(document, arrays):
-            raise DataError("it is damaged: its checksum differs. Make it anew.")
-        return unpacked(document, {name: _native(array) for name, array in arrays.items()})
-
-
-# Looked up for every recording of a fleet, in which all are of a few sizes; a version takes longer
-# to look up than all else of a small Summary.
-_upper = functools.lru_cache(maxsize=64)(np.triu_indices)
-version_of = functools.cache(version)
-
-
-def packed(
-    recordings: tuple[RecordingSums, ...],
-    criterion: AbstractCriterion,
-    outline: Outline,
-    edges: Leaf | None,
-    in_law: tuple[int, int],
-    band: tuple[int, int],
-    asked: tuple[float, float] | None,
-) -> tuple[Document, Arrays]:
-    """The fields of a Summary as a document and arrays.
-
-    **Raises:** `ModelError` for what is traced or of a batch.
-    """
-    is_batch = any(np.ndim(sums.blocks) for sums in recordings)
-    if is_batch or not is_concrete(recordings, criterion, edges):
-        raise ModelError(
-            "sums of jax.jit or jax.vmap are saved outside of it, and one by one of a batch."
-        )
-    leaves, _ = jax.tree_util.tree_flatten_with_path(recordings)
-    arrays = {_name(place): np.asarray(leaf) for place, leaf in leaves}
-    if edges is not None:
-        arrays[EDGES] = np.asarray(edges)
-    document = {
-        "format": FORMAT,
-        "schema": SCHEMA,
-        "riecjax": version_of("riecjax"),
-        "dtype": str(recordings[0].stages[0][0].moments.dtype),
-        "stages": outline.stages,
-        "parameters": outline.parameters,
-        "units": outline.units,
-        "fingerprint": outline.fingerprint,
-        "bins": edges is not None,
-        "in_law": in_law,
-        "band": band,
-        "asked": asked,
-        "criterion": to_plain_data(criterion),
-        "recordings": [
-            {
-                # Of what there may be, whether there is; of a survey, whose reaches it has.
-                "stages": [
-                    [
-                        {
-                            "parameters": equation.parameters,
-                            "survey": None if (s := equation.survey) is None else sorted(s.reach),
-                            "factor": equation.factor is not None,
-                            "noise": equation.noise is not None,
-                            "constant": equation.constant is not None,
-                        }
-                        for equation in stage
-                    ]
-                    for stage in one.stages
-                ],
-                "noise": {signal: sorted(of) for signal, of in one.noise.kernels.items()},
-            }
-            for one in recordings
-        ],
-    }
-    return document, arrays
-
-
-def write_checked(
-    path: str | os.PathLike[str], name: str, document: Document, arrays: Arrays
-) -> None:
-    """Write a document under this name, with a checksum of all, and arrays to an NPZ file.
-
-    **Raises:** `DataError` if the file cannot be written; `ModelError` for more than 2 GiB.
+    **Raises:** `DataError` if the file cannot be written; `ModelError` for more than 2 GiB, and
+    for what is code rather than numbers.
     """
     file = _path(path)
-    text = json.dumps({**document, "checksum": _checksum(document, arrays)}).encode()
-    arrays = {**arrays, name: np.frombuffer(text, np.uint8)}
+    document, arrays = _packed(value, kind)
+    arrays[kind.name] = np.frombuffer(json.dumps(document).encode(), np.uint8)
     if (size := sum(array.nbytes + HEADER for array in arrays.values())) > LARGEST:
         raise ModelError(
-            f"this {name} takes {size} bytes, and a file may hold {LARGEST}: save its recordings "
-            f"apart, summary.select(0).save(...), or make it with fewer bins."
+            f"this {kind.name} takes {size} bytes, and a file may hold {LARGEST}: save its "
+            f"recordings apart, summary.select(0).save(...), or make it with fewer bins."
         )
     write_file(file, lambda temporary: write_npz(temporary, arrays))
 
 
-def read_checked(
-    path: str | os.PathLike[str], name: str, kind: str, schema: int
-) -> tuple[Document, Arrays]:
-    """The document under this name, of this kind and schema, and the arrays beside it.
+def load(path: str | os.PathLike[str], kind: FileKind) -> Any:
+    """The object in a file.
 
     **Raises:** `DataError`, in one line, for a file that is not there, is damaged or of another
     kind.
@@ -198,7 +76,7 @@ def read_checked(
     file = _path(path)
     if not file.is_file():
         raise DataError(no_file(file))
-    with naming(file, name), zipfile.ZipFile(file) as archive:
+    with naming(file, kind.name), zipfile.ZipFile(file) as archive:
         members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
         if sum(member.file_size for member in archive.infolist()) > LARGEST:
             raise DataError(f"declares to unpack to more than {LARGEST} bytes, and is not read.")
@@ -211,12 +89,61 @@ def read_checked(
             return array
 
         # Sizes, schema and checksum are seen to be right before anything is made of it.
-        document: Any = json.loads(read(name).tobytes()) if name in members else None
-        _require_schema(document, name, kind, schema)
-        arrays = {each: read(each) for each in members if each != name}
-        if document.pop("checksum") != _checksum(document, arrays):
-            raise DataError("it is damaged: its checksum differs. Copy it again, or make it anew.")
-        return document, {each: _native(array) for each, array in arrays.items()}
+        document: Any = json.loads(read(kind.name).tobytes()) if kind.name in members else None
+        _require_schema(document, kind)
+        return _unpacked(
+            document, {each: read(each) for each in members if each != kind.name}, kind
+        )
+
+
+def to_bytes(value: Any, kind: FileKind) -> bytes:
+    """An object as bytes, the same for the same numbers, without a file's overhead.
+
+    Its length in eight bytes, the document, which lists the arrays, and their numbers; of symmetric
+    matrices those of one half.
+    """
+    document, arrays = _packed(value, kind)
+    listed, numbers = [], []
+    for name, array in sorted(arrays.items()):
+        halved = array.ndim > 1 and array.shape[-1] == array.shape[-2] > 1
+        if halved:  # where matrices are, to the bit, their own transposes
+            bits = np.ascontiguousarray(array).view(f"V{array.dtype.itemsize}")
+            halved = bool((bits == bits.swapaxes(-1, -2)).all())
+        listed.append((name, array.dtype.str, array.shape, halved))
+        kept = array[..., *_upper(array.shape[-1])] if halved else array
+        numbers.append(np.ascontiguousarray(kept).tobytes())
+    text = json.dumps({**document, "arrays": listed}).encode()
+    return b"".join([len(text).to_bytes(8, "little"), text, *numbers])
+
+
+def from_bytes(content: bytes, kind: FileKind) -> Any:
+    """The object in these bytes.
+
+    **Raises:** `DataError` where they are damaged or of another version.
+    """
+    with foreign_reader(kind.name.capitalize()):
+        place = 8 + int.from_bytes(content[:8], "little")
+        document = json.loads(content[8:place])
+        _require_schema(document, kind)
+        arrays = {}
+        for name, dtype_name, shape, halved in document.pop("arrays"):
+            dtype = np.dtype(dtype_name)
+            kept = (*shape[:-2], shape[-1] * (shape[-1] + 1) // 2) if halved else tuple(shape)
+            size = math.prod(kept)
+            array = np.frombuffer(content, dtype, size, place).reshape(kept)
+            if halved:  # upper halves of symmetric matrices, row by row
+                (rows, columns), half = _upper(shape[-1]), array
+                array = np.empty(shape, dtype)
+                array[..., rows, columns] = array[..., columns, rows] = half
+            arrays[name] = array
+            place += size * dtype.itemsize
+        return _unpacked(document, arrays, kind)
+
+
+# Looked up for every recording of a fleet, in which all are of a few sizes; a version takes longer
+# to look up than all else of a small Summary.
+_upper = functools.lru_cache(maxsize=64)(np.triu_indices)
+_version_of = functools.cache(version)
 
 
 @contextlib.contextmanager
@@ -234,8 +161,41 @@ def _path(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def _name(path: tuple[Any, ...]) -> str:
-    return jax.tree_util.keystr(path, simple=True, separator="/")
+def _require_schema(document: Any, kind: FileKind) -> None:
+    name = kind.name
+    if not isinstance(document, dict) or document.get("format") != f"riecjax.{name.capitalize()}":
+        raise DataError(f"it is no {name.capitalize()}, of which {name}.save(path) makes a file.")
+    if document["schema"] != kind.schema:
+        raise DataError(
+            f"it was written with schema {document['schema']}, this version reads {kind.schema}: "
+            f"make it anew, or use riecjax {document['riecjax']}."
+        )
+
+
+def _packed(value: Any, kind: FileKind) -> tuple[Document, Arrays]:
+    """An object as a document, with a checksum, and arrays."""
+    arrays: Arrays = {}
+    document = {
+        "format": f"riecjax.{kind.name.capitalize()}",
+        "schema": kind.schema,
+        "riecjax": _version_of("riecjax"),
+        kind.name: _to_plain_data(value, "", arrays, kind.classes),
+    }
+    return {**document, "checksum": _checksum(document, arrays)}, arrays
+
+
+def _unpacked(document: Document, arrays: Arrays, kind: FileKind) -> Any:
+    """The object of a document and arrays, which are in this machine's order of bytes then, and may
+    be written to."""
+    if document.pop("checksum") != _checksum(document, arrays):
+        raise DataError("it is damaged: its checksum differs. Copy it again, or make it anew.")
+    native = {n: a.astype(a.dtype.newbyteorder("="), order="C") for n, a in arrays.items()}
+    value = _from_plain_data(document[kind.name], "", native, kind.classes)
+    if not isinstance(value, kind.classes[0]):
+        raise DataError(f"it holds no {kind.name.capitalize()}.")
+    if native:
+        raise DataError("its arrays are not those that it lists.")
+    return value
 
 
 def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
@@ -247,74 +207,99 @@ def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     return digest.hexdigest()
 
 
-def _native(array: np.ndarray) -> np.ndarray:
-    """The array in this machine's order of bytes, and one that may be written to."""
-    return array.astype(array.dtype.newbyteorder("="), order="C")
+def _to_plain_data(value: Any, place: str, arrays: Arrays, classes: tuple[type, ...]) -> Any:
+    """A value as what JSON has words for: `{"class": name, "from": module, field: value, ...}` of
+    an object, `{dtype: value}` of an array without axes, and otherwise that there is one, which is
+    put among the arrays under its place.
+
+    A tuple is a list there, and whatever else there is says what it is by one key.
+
+    **Raises:** `ModelError` for what is code rather than numbers.
+    """
+
+    def part(each: Any, name: object) -> Any:
+        return _to_plain_data(each, f"{place}/{name}" if place else str(name), arrays, classes)
+
+    if isinstance(value, classes):
+        fields = {name: part(getattr(value, name), name) for name in _fields(type(value))}
+        return {"class": type(value).__name__, "from": type(value).__module__} | fields
+    if isinstance(value, np.ndarray | np.generic | jax.Array) and value.dtype.kind in "fiub":
+        if not value.ndim:
+            return {str(value.dtype): value.item()}
+        arrays[place] = np.asarray(value)
+        return {"array": value.ndim}
+    if isinstance(value, tuple | list):
+        parts = [part(each, number) for number, each in enumerate(value)]
+        return {"list": parts} if isinstance(value, list) else parts
+    if isinstance(value, Mapping):
+        return {"dict": {key: part(each, key) for key, each in value.items()}}
+    if isinstance(value, type) and issubclass(value, classes):
+        return {"type": value.__name__}
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise ModelError(f"{place} is code, which no file can hold: give numbers in its place.")
 
 
-def _require_schema(document: Any, name: str, kind: str, schema: int) -> None:
-    if not isinstance(document, dict) or document.get("format") != kind:
-        raise DataError(f"it is no {name.capitalize()}, of which {name}.save(path) makes a file.")
-    if document["schema"] != schema:
+def _from_plain_data(value: Any, place: str, arrays: Arrays, classes: tuple[type, ...]) -> Any:
+    """What [`_to_plain_data`][] made plain.
+
+    **Raises:** `DataError` for a class that is not defined here, or one with other fields.
+    """
+
+    def part(each: Any, name: object) -> Any:
+        return _from_plain_data(each, f"{place}/{name}" if place else str(name), arrays, classes)
+
+    if isinstance(value, list):
+        return tuple(part(each, number) for number, each in enumerate(value))
+    if not isinstance(value, dict):
+        return value
+    if "class" in value:
+        name, kind = value["class"], _class(value["class"], value["from"], classes)
+        fields = {n: part(each, n) for n, each in value.items() if n not in ("class", "from")}
+        if {*fields} != {*_fields(kind)}:
+            raise DataError(f"its {name} has other settings than the one of this name here.")
+        if not issubclass(kind, eqx.Module):
+            return kind(**fields)
+        # As JAX puts modules together: what their constructors would check or convert was so.
+        module = object.__new__(kind)
+        for field, each in fields.items():
+            object.__setattr__(module, field, each)
+        return module
+    ((key, kept),) = value.items()
+    match key:
+        case "array":
+            if place not in arrays:
+                raise DataError("its arrays are not those that it lists.")
+            return arrays.pop(place)
+        case "list":
+            return [part(each, number) for number, each in enumerate(kept)]
+        case "dict":
+            return {name: part(each, name) for name, each in kept.items()}
+        case "type":
+            return _class(kept, "", classes)
+        case _:
+            return np.array(kept, key)
+
+
+def _fields(kind: type) -> tuple[str, ...]:
+    if dataclasses.is_dataclass(kind):
+        return tuple(field.name for field in dataclasses.fields(kind))
+    return kind._fields  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _class(name: str, module: str, classes: tuple[type, ...]) -> type:
+    """The class of this name, as it was defined last; of several modules', that of `module`."""
+    found = {kind.__module__: kind for kind in _subclasses(classes) if kind.__name__ == name}
+    if module not in found and len(found) != 1:
         raise DataError(
-            f"it was written with schema {document['schema']}, this version reads {schema}: make "
-            f"it anew, or use riecjax {document['riecjax']}."
+            f"it was made with {name} of '{module}', a class that is not defined here: import the "
+            f"module that defines it first."
         )
+    return found.get(module) or next(iter(found.values()))
 
 
-def unpacked(document: Document, arrays: Arrays) -> dict[str, Any]:
-    """The fields of the Summary with this document and these arrays."""
-    edges = arrays.pop(EDGES) if document["bins"] else None
-    names, structure = _frame(json.dumps(document["recordings"]))
-    if set(names) != set(arrays):
-        raise DataError("its arrays are not those that it lists.")
-    stages = tuple(
-        tuple((name, tuple(parameters)) for name, parameters in stage)
-        for stage in document["stages"]
-    )
-    units, fingerprint = tuple(map(tuple, document["units"])), str(document["fingerprint"])
-    return {
-        "recordings": jax.tree.unflatten(structure, [arrays[name] for name in names]),
-        "criterion": criterion_from_plain_data(document["criterion"]),
-        "outline": Outline(stages, tuple(document["parameters"]), units, fingerprint),
-        "edges": edges,
-        "in_law": tuple(document["in_law"]),
-        "band": tuple(document["band"]),
-        "asked": None if document["asked"] is None else tuple(document["asked"]),
-    }
-
-
-@functools.lru_cache(maxsize=64)
-def _frame(recordings: str) -> tuple[list[str], Any]:
-    """Names of the arrays of recordings that are described so, and how they hang together."""
-    empty = tuple(_skeleton(**one) for one in json.loads(recordings))
-    paths, structure = jax.tree_util.tree_flatten_with_path(empty)
-    return [_name(path) for path, _ in paths], structure
-
-
-def _skeleton(stages: list[list[Document]], noise: dict[str, list[str]]) -> RecordingSums:
-    """Sums of a recording with a zero in place of every array that there is."""
-
-    def zeros(kind: type, **others: Any) -> Any:
-        names = [field.name for field in dataclasses.fields(kind)]
-        return kind(**dict.fromkeys(names, 0) | others)
-
-    def of(equation: Document) -> EquationSums:
-        reach = equation["survey"]
-        return zeros(
-            EquationSums,
-            survey=None if reach is None else zeros(Survey, reach=dict.fromkeys(reach, 0)),
-            factor=0 if equation["factor"] else None,
-            noise=0 if equation["noise"] else None,
-            noise_of_source=0 if equation["noise"] else None,
-            constant=0 if equation["constant"] else None,
-            parameters=tuple(equation["parameters"]),
-        )
-
-    anything: Any = 0  # what is read takes its place
-    kernels = {signal: {source: anything for source in of} for signal, of in noise.items()}
-    return zeros(
-        RecordingSums,
-        stages=tuple(tuple(of(e) for e in stage) for stage in stages),
-        noise=Noise(kernels),
-    )
+def _subclasses(classes: tuple[type, ...]) -> Iterator[type]:
+    """Classes with all below them."""
+    for kind in classes:
+        yield kind
+        yield from _subclasses(tuple(kind.__subclasses__()))

@@ -134,7 +134,15 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
     units = {signal.name: signal.unit for signal in model.signals if signal.unit}
 
     def of(recording: Recording) -> Recording:
-        _require_units(model, recording, units)
+        # Units that the model does not say are those of the first recording that does.
+        for name, unit in recording.record.units:
+            said = units.setdefault(name, unit)
+            if contradict(unit, said) and any(name in e.signals for e in model.equations):
+                raise DataError(
+                    f"{recording.name} has {name} in {unit}, where the model or another record has "
+                    f"it in {said}, and nothing converts one to the other. Convert its samples, or "
+                    f"correct its unit."
+                )
         if recording.record.time_step.ndim or next(iter(recording.record.arrays.values())).ndim > 1:
             raise DataError(
                 "a batch of records is one record under jax.vmap, which maps over it: "
@@ -149,19 +157,6 @@ def ready(model: Model, records: Records, noise: GivenNoise = "auto") -> list[Re
         return replace(recording, record=record, steps=(*recording.steps, *steps, *found))
 
     return [of(recording) for recording in as_recordings(records)]
-
-
-def _require_units(model: Model, recording: Recording, units: dict[str, str]) -> None:
-    """Raise `DataError` for a signal that is read and has another unit than these say; those that
-    they do not say yet are the recording's."""
-    for name, unit in recording.record.units:
-        said = units.setdefault(name, unit)
-        if contradict(unit, said) and any(name in e.signals for e in model.equations):
-            raise DataError(
-                f"{recording.name} has {name} in {unit}, where the model or another record has it "
-                f"in {said}, and nothing converts one to the other. Convert its samples, or "
-                f"correct its unit."
-            )
 
 
 def require_key(key: object) -> None:
