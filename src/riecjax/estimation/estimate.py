@@ -468,8 +468,9 @@ class Estimate(Saved, eqx.Module):
         rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
         told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
         few = np.asarray(self.effective_windows) < FEWEST_WINDOWS
-        yield from self._of_some(
+        yield from finding(
             "few_effective_windows",
+            self.parameters,
             few & told,
             self.effective_windows,
             f"errors of overlapping windows are correlated: all of them tell as much as so many "
@@ -628,8 +629,9 @@ class Estimate(Saved, eqx.Module):
     def few_blocks(self) -> Iterator[Finding]:
         """Intervals by a small-sample sandwich, and those that lean (not under jit)."""
         freedom, told = self.uncertainty.degrees_of_freedom, self.told_by_data.free
-        yield from self._of_some(
+        yield from finding(
             "few_blocks",
+            self.parameters,
             self.uncertainty.few_blocks & np.array([name in told for name in self.parameters]),
             freedom,
             "few independent stretches of the record tell of {} (degrees of freedom of the "
@@ -638,8 +640,9 @@ class Estimate(Saved, eqx.Module):
         )
         # Intervals that reach much farther than errors alike all along call for.
         times = np.where(self.uncertainty.few_blocks, 1.0, self.uncertainty.times_sandwich)
-        yield from self._of_some(
+        yield from finding(
             "uneven_errors",
+            self.parameters,
             times > NOTABLE_LEAN,
             times,
             "a few stretches of the record err so much more than the rest that the intervals of {} "
@@ -654,8 +657,9 @@ class Estimate(Saved, eqx.Module):
             return
         lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
         lost = np.where(self.uncertainty.few_blocks, 0.0, lost)
-        yield from self._of_some(
+        yield from finding(
             "rarely_excited",
+            self.parameters,
             lost > LOST_SHARE,
             100 * lost,
             "so few stretches of the record tell of {} that so large a share of the bootstrap's "
@@ -678,16 +682,6 @@ class Estimate(Saved, eqx.Module):
                     parameters=(name,),
                 )
 
-    def _of_some(
-        self, code: str, which: ArrayLike, numbers: ArrayLike, message: str, unit: str = ""
-    ) -> Iterator[Finding]:
-        """A finding on some parameters, if there are any, that lists each with its number."""
-        names = [self.parameters[i] for i in np.flatnonzero(which)]
-        values = np.asarray(numbers)[np.flatnonzero(which)]
-        listed = ", ".join(f"{n} ({x:.2g}{unit})" for n, x in zip(names, values))
-        if names:
-            yield Finding(code, message.format(listed), parameters=tuple(names))
-
     def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
         index = self._index(name)
         return values[..., index] if self.batch_shape else _single(values, index)
@@ -704,6 +698,22 @@ class Estimate(Saved, eqx.Module):
 def _single(values: Any, *index: int) -> Any:
     """One of the numbers, as a NumPy scalar unless it is traced: that formats as a float does."""
     return np.asarray(values)[index] if is_concrete(values) else values[index]
+
+
+def finding(
+    code: str,
+    names: Sequence[str],
+    which: ArrayLike,
+    numbers: ArrayLike,
+    message: str,
+    unit: str = "",
+) -> Iterator[Finding]:
+    """One on some parameters, if there are any, that lists each with its number."""
+    chosen = np.flatnonzero(which).tolist()
+    values = np.asarray(numbers)[chosen]
+    listed = ", ".join(f"{names[i]} ({value:.2g}{unit})" for i, value in zip(chosen, values))
+    if listed:
+        yield Finding(code, message.format(listed), parameters=tuple(names[i] for i in chosen))
 
 
 def span(values: ArrayLike, form: str = ".3g") -> str:
