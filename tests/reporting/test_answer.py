@@ -1,6 +1,5 @@
 """The typed answer: its schema, documents that it reads, tests of a user's own, hostile names."""
 
-import io
 import json
 from pathlib import Path
 
@@ -104,9 +103,10 @@ def test_a_test_of_a_users_own_is_in_json_on_the_page_in_words_and_in_figures():
     plain = msgspec.to_builtins(answer)
     assert plain["tests"] == {"rattle": {"loudness": 0.25, "spectrum": [1.0, None]}}
     assert "rattle" in [warning["code"] for warning in plain["warnings"]]
-    console = Console(file=io.StringIO(), width=200)
-    print_everything(answer, console)
-    assert "rattle: loudness 0.25, spectrum [1, None]" in console.file.getvalue()
+    console = Console(width=200)
+    with console.capture() as printed:
+        print_everything(answer, console)
+    assert "rattle: loudness 0.25, spectrum [1, None]" in printed.get()
     page = identification_page(answer, assessed.tests)
     (section,) = (section for section in page.sections if section.heading == "Rattle")
     assert section.text[0] == "the rig rattles at 3 Hz."

@@ -73,8 +73,9 @@ def identification_figures(result: Assessment) -> dict[str, Chart]:
 
 @functools.singledispatch
 def figures_of(test: Any, estimate: Estimate) -> dict[str, Chart]:
-    """Figures of a test of an estimate by their names: one by the test's, if it has a `chart()`."""
-    return {test.name: chart_of(test)} if hasattr(test, "chart") else {}
+    """Figures of a test of an estimate by their names: one by the test's, if it has a chart."""
+    is_registered = chart_of.dispatch(type(test)) is not chart_of.dispatch(object)
+    return {test.name: chart_of(test)} if is_registered or hasattr(test, "chart") else {}
 
 
 @figures_of.register
@@ -90,11 +91,6 @@ def _(test: WindowSweep, estimate: Estimate) -> dict[str, Chart]:
 @figures_of.register
 def _(test: ResidualTests, estimate: Estimate) -> dict[str, Chart]:
     return {f"residual_{i}": residual_figure(left) for i, left in enumerate(test.equations, 1)}
-
-
-@figures_of.register
-def _(test: WindowChoice, estimate: Estimate) -> dict[str, Chart]:
-    return {test.name: window_choice_figure(test)}
 
 
 @figures_of.register
@@ -461,6 +457,7 @@ def _positive(density: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
     return np.where(density[1:] > 0, density[1:], np.nan)
 
 
+@chart_of.register
 def window_choice_figure(choice: WindowChoice) -> Chart:
     """A row of panels for each equation."""
     rows = []
