@@ -32,7 +32,7 @@ def unit_scale(diagonal: Float[Array, "*batch p"]) -> Float[Array, "*batch p"]:
     return xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 1.0)
 
 
-def unit_diagonal(matrix: Float[Array, "p p"]) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
+def unit_diagonal(matrix: Float[Any, "p p"]) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
     """The matrix scaled to a diagonal of ones, and the factors, see [`unit_scale`][]."""
     scale = unit_scale(matrix.diagonal())
     return matrix * scale[:, None] * scale[None, :], scale

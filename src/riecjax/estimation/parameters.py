@@ -24,7 +24,7 @@ from riecjax.equations.hidden_elements import (
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, refuse_unknown, require
-from riecjax.leaves import is_concrete, is_number
+from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.summaries.task import require_key
 
 Value = TypeVar("Value")

@@ -78,7 +78,7 @@ def drifting_inputs(
             if n in estimate.parameters and float(estimate[n])
         }
         change, offset = drift.tolist()
-        unit = dict(record.units).get(name, "")
+        unit = record.signal(name).unit
         offset = offset if abs(offset) > 1e-3 * abs(change) else 0.0
         remedy = line_taken_off(name, time, offset, change)
         most = max(moved, key=lambda n: moved[n], default="")

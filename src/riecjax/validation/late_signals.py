@@ -239,8 +239,17 @@ FARTHEST = 20
 """Samples to either side of the delay of all that those of parts are looked for."""
 
 
-def course_of(search: Search, middle: int, samples: float) -> tuple[Course, Solved] | None:
-    """The course of a delay, if it is none that stays, and what is found with each part at its own.
+class Followed(NamedTuple):
+    """The course of a delay, what is found with each part at its own delay, and the course's
+    F-statistic against a steady one."""
+
+    course: Course
+    solved: Solved
+    statistic: float
+
+
+def course_of(search: Search, middle: int, samples: float) -> Followed | None:
+    """The course of a delay, if it is none that stays.
 
     **Arguments:** `search` of the delay of one record; `middle`, whole samples of the delay of all
     of it; `samples` to a block.
@@ -250,20 +259,19 @@ def course_of(search: Search, middle: int, samples: float) -> tuple[Course, Solv
     parts = np.array_split(search.blocks, min(PARTS, search.blocks.size // 2))
     near = _course_among(search, parts, range(middle - 1, middle + 2), samples)
     # Parts whose delays are far from the middle one are not told by three delays next to it.
-    if near is not None and (near[2] < PERHAPS or abs(near[0].change) < SLIGHT):
+    if near is not None and (near.statistic < PERHAPS or abs(near.course.change) < SLIGHT):
         return None
     first, last = max(middle - FARTHEST, 1 - search.most), min(middle + FARTHEST, search.most - 1)
     best = _course_among(search, parts, range(first, last + 1), samples)
-    if best is None or best[2] < CERTAIN:
+    if best is None or best.statistic < CERTAIN:
         return None
-    course, solved, _ = best
-    return (course, solved) if abs(course.change) > LEAST[course.kind] else None
+    return best if abs(best.course.change) > LEAST[best.course.kind] else None
 
 
 def _course_among(
     search: Search, parts: Sequence[Blocks], counts: range, samples: float
-) -> tuple[Course, Solved, float] | None:
-    """The best course with delays among these, and its F-statistic against a steady one."""
+) -> Followed | None:
+    """The best course with delays among these."""
     sums = [[search.over(k, part) for part in parts] for k in counts]
     every = np.arange(len(parts))
 
@@ -304,7 +312,7 @@ def _course_among(
     # Of all parts but the one that leaves most: a jump within it is not undone.
     values = solved_of(every).values
     worst = max(every.tolist(), key=lambda part: search.energy(stages_of(part), values))
-    return course, solved_of(np.delete(every, worst)), statistic
+    return Followed(course, solved_of(np.delete(every, worst)), statistic)
 
 
 LEVEL = 1e-3
@@ -434,10 +442,10 @@ def signal_delays(model: Model, records: Sequence[Record], estimate: Estimate) -
     delays = [late for late, _ in every]
     if len(records) == 1 and delays and not delays[0].explains and delays[0].left > VISIBLE:
         best, search = every[0]
-        course = course_of(search, round(best.samples), criterion.block_samples(records[0]))
-        if course is not None:
-            best = best._replace(course=course[0], low_passed=False)
-            delays[0] = best.leaving(search.solved(0, 0.0), course[1])
+        followed = course_of(search, round(best.samples), criterion.block_samples(records[0]))
+        if followed is not None:
+            best = best._replace(course=followed.course, low_passed=False)
+            delays[0] = best.leaving(search.solved(0, 0.0), followed.solved)
     return delays
 
 

@@ -27,7 +27,7 @@ from jaxtyping import Float
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
-from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal
+from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal, size_of, spread_of
 from riecjax.records.linear_op import LinearOp
 from riecjax.records.record import HasRecord, Record
 from riecjax.records.signal import NORMAL, Samples
@@ -83,8 +83,7 @@ def repetitions(columns: Sequence[Samples]) -> list[Repetition]:
 
     **Arguments:** `columns`, NaN where a sample is missing; such rows are no others'.
     """
-    sizes = [float(np.max(np.abs(c), where=~np.isnan(c), initial=0.0)) or 1.0 for c in columns]
-    keys = row_keys([column / size for column, size in zip(columns, sizes)])
+    keys = row_keys([column / size_of(column) for column in columns])
     # Mostly no row comes twice, and to sort them is all that it takes.
     if np.all(np.diff(np.sort(keys)) != 0):
         return []
@@ -197,7 +196,7 @@ def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[i
     16 rows are still the same. Offsets come by falling number of blocks, at most three of a pair.
     """
     block, coarse, tries = 16, 16 * ROUNDED, 3
-    spreads = {n: [s for each in columns if (s := _spread(each[n])) > 0] for n in columns[0]}
+    spreads = {n: [s for each in columns if (s := spread_of(each[n])) > 0] for n in columns[0]}
     quanta = {n: coarse * float(np.median(sizes)) if sizes else 1.0 for n, sizes in spreads.items()}
     keys = [
         np.unique(row_keys([np.round(v / quanta[n]) for n, v in each.items()], block), True)
@@ -222,12 +221,6 @@ def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[i
             yield first, second, shift - span // 2
 
 
-def _spread(values: np.ndarray) -> float:
-    """Standard deviation, of huge values too."""
-    size = float(np.max(np.abs(values))) or 1.0
-    return size * float(np.std(values / size))
-
-
 def _rows_in_common(
     first: Mapping[str, np.ndarray], second: Mapping[str, np.ndarray], starts: tuple[int, int]
 ) -> int:
@@ -235,7 +228,7 @@ def _rows_in_common(
     sizes = [next(iter(columns.values())).size for columns in (first, second)]
     rows = min(sizes[0] - starts[0], sizes[1] - starts[1])
     short = second if sizes[1] <= sizes[0] else first
-    near = {name: ROUNDED * _spread(v) for name, v in short.items() if np.ptp(v) > 0}
+    near = {name: ROUNDED * spread_of(v) for name, v in short.items() if np.ptp(v) > 0}
 
     def agree(name: str, stride: int) -> bool:
         one, other = (
@@ -282,7 +275,7 @@ def _line(first: np.ndarray, second: np.ndarray, smooth: float) -> tuple[float, 
     both = ~(np.isnan(first) | np.isnan(second))
     if both.sum() < 3:
         return None
-    size = [float(np.max(np.abs(v[both]))) or 1.0 for v in (first, second)]
+    size = [size_of(values[both]) for values in (first, second)]
     x, y = first[both] / size[0], second[both] / size[1]
     mean_x, mean_y = np.mean(x), np.mean(y)
     x, y = x - mean_x, y - mean_y

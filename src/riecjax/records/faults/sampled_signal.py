@@ -32,6 +32,18 @@ def rounding_of(samples: np.ndarray) -> float:
     return ROUNDING * (usual if usual > LAST_DIGITS * whole else whole)
 
 
+def size_of(samples: np.ndarray) -> float:
+    """The largest size of those that are there, 1 of zeros: squares of other sizes may be none, or
+    infinite."""
+    return float(np.max(np.abs(samples), where=~np.isnan(samples), initial=0.0)) or 1.0
+
+
+def spread_of(samples: np.ndarray) -> float:
+    """Standard deviation of those that are there, of huge values and of tiny ones too."""
+    size = size_of(samples)
+    return size * float(np.nanstd(samples / size))
+
+
 def levels_of(samples: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
     """Distinct values, ascending, and how often each occurs."""
     distinct, counts = np.unique(samples, return_counts=True)

@@ -23,6 +23,7 @@ from riecjax.records.faults.sampled_signal import (
     SampledSignal,
     percent,
     sampled_signal,
+    spread_of,
 )
 from riecjax.records.faults.spikes import outliers
 from riecjax.records.linear_op import LinearOp, Operations, longest_stretch, step
@@ -358,9 +359,7 @@ def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterato
 
 def quantised(signal: SampledSignal) -> Iterator[Finding]:
     """A resolution that is coarse against the signal's rms."""
-    # Of the largest value's size, or squares of small numbers would be none.
-    most = float(np.nanmax(np.abs(signal.values), initial=np.finfo(float).tiny))
-    rms = most * float(np.nanstd(signal.values / most))
+    rms = spread_of(signal.values)
     steps = np.abs(np.diff(signal.values))
     steps = steps[~np.isnan(steps)]
     # Few levels that are held for long are a command's.

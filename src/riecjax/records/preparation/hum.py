@@ -8,7 +8,7 @@ import scipy
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.sampled_signal import SampledSignal, percent
+from riecjax.records.faults.sampled_signal import SampledSignal, percent, size_of
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record
 
@@ -113,7 +113,7 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     if not known.size or values.size < 4 * AROUND:
         return None
     values = np.interp(np.arange(values.size), known, values[known])
-    size = float(np.max(np.abs(values))) or 1.0
+    size = size_of(values)
     values = values / size
     rms = float(np.std(values))
     if not rms:
@@ -290,7 +290,7 @@ def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[fl
     reach past the record's ends, its size is held and its phase goes on as it did.
     """
     known = ~np.isnan(values)
-    size = float(np.max(np.abs(values[known]))) or 1.0
+    size = size_of(values[known])
     left = np.where(known, values / size, 0.0)
     mean = np.sum(left) / known.sum()
     length = min((values.size + 1) // 2, int(STEADY / time_step))
