@@ -1,6 +1,7 @@
 """Priors and bounds of linear estimates: against Bayes, brute force, differences and coverage."""
 
 import itertools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from riecjax.summaries.normal_equations import NormalEquations
 
 TRUTH = np.array([2.0, 1.5, 0.7, 30.0])
 NAMES = ("m", "c", "d", "k")
-X = tones(SHORT.times, (0.5, 1.1, 1.8, 2.9), 0.05, 1)
+X = np.asarray(tones(SHORT.times, (0.5, 1.1, 1.8, 2.9), 0.05, 1))
 V, A = (np.gradient(X, SHORT.step), np.gradient(np.gradient(X, SHORT.step), SHORT.step))
 W = V + 0.01 * np.std(V) * np.random.default_rng(5).standard_normal(V.size)
 """Next to the first, so that c and d are told apart by a hundredth of either."""
@@ -25,7 +26,7 @@ BODY = rx.Equation(
     *(rx.Term(name, signal) for name, signal in zip(NAMES, "avwx")), -rx.Term(1.0, "F"), name="body"
 )
 DOLS, RIEC = rx.DOLS(), rx.RIEC(rx.AllWindows(0.1, 0.5))
-PLAIN = {"noise": "none", "intervals": "sandwich"}
+PLAIN: Any = {"noise": "none", "intervals": "sandwich"}
 
 
 def record(seed: int = 0, w: np.ndarray = W) -> rx.Record:
@@ -43,7 +44,7 @@ def test_of_white_errors_it_is_the_posterior_of_linear_regression(share):
     mean = np.linalg.solve(information, moment + np.array([0, 0, (0.7 - std) / std**2, 0]))
     error = np.sqrt(np.diag(np.linalg.inv(information)))
     for intervals in ("bootstrap", "sandwich"):
-        settings = {"noise": "none", "intervals": intervals, "priors": {"d": (0.7 - std, std)}}
+        settings: Any = {"noise": "none", "intervals": intervals, "priors": {"d": (0.7 - std, std)}}
         found = rx.identify(BODY, noisy, DOLS, **settings)
         # A variance told by 64 blocks scatters by a sixth.
         assert np.all(np.abs(np.asarray(found.theta) - mean) < 0.2 * error)
@@ -74,7 +75,7 @@ def test_what_only_a_prior_tells_is_its_own(intervals, factor):
     untold = record(w=factor * V)
     with pytest.raises(rx.IdentifiabilityError):
         rx.identify(BODY, untold, RIEC, noise="none")
-    settings = {"noise": "none", "intervals": intervals, "priors": {"d": (0.8, 0.1)}}
+    settings: Any = {"noise": "none", "intervals": intervals, "priors": {"d": (0.8, 0.1)}}
     found = rx.identify(BODY, untold, RIEC, **settings)
     np.testing.assert_allclose(found.interval("d"), (0.604, 0.996), atol=2e-3)
     assert float(found["c"]) + factor * 0.8 == pytest.approx(1.5 + factor * 0.7, abs=0.1)
@@ -114,7 +115,8 @@ def test_a_prior_of_a_shared_parameter_counts_once():
     body = rx.Equation(*BODY.terms, rx.Term("offset", rx.constant), name="body")
     push = 2.0 * A + 3.0 * V + NOISE * np.random.default_rng(9).standard_normal(X.size)
     records = [record(seed).with_signals({"G": push}) for seed in (1, 2)]
-    model, each = rx.simultaneous(body, other), PLAIN | {"per_record": ("offset",)}
+    model = rx.simultaneous(body, other)
+    each: Any = PLAIN | {"per_record": ("offset",)}
     alone = rx.identify(model, records, RIEC, **each)
     errors = dict(zip(alone.parameters, map(float, alone.standard_errors)))
     priors = {n: (float(alone[n]) + errors[n], errors[n]) for n in ("m", "offset[2]")}
@@ -122,6 +124,7 @@ def test_a_prior_of_a_shared_parameter_counts_once():
         found = rx.identify(model, records, RIEC, priors={name: prior}, **each)
         assert float(found[name]) == pytest.approx(float(alone[name]) + errors[name] / 2, rel=0.02)
         assert float(found.standard_error(name)) == pytest.approx(errors[name] / 2**0.5, rel=0.05)
+    assert alone.summary is not None
     both = rx.estimate(model, alone.summary, per_record=("offset",), priors={"offset": (0.0, 1e-6)})
     assert abs(float(both["offset[1]"])) < 1e-5 > abs(float(both["offset[2]"]))
 
@@ -160,7 +163,7 @@ def test_bounds_are_held_as_of_all_active_sets_the_best(count):
 
 @pytest.mark.parametrize("intervals", ["bootstrap", "sandwich"])
 def test_what_is_held_at_a_bound_is_known_to_the_others(intervals):
-    settings = {"noise": "none", "intervals": intervals}
+    settings: Any = {"noise": "none", "intervals": intervals}
     found = rx.identify(
         BODY, record(), RIEC, bounds={"k": (None, 29.5), "m": (0, None)}, **settings
     )
@@ -178,7 +181,7 @@ def test_what_is_held_at_a_bound_is_known_to_the_others(intervals):
 
 def test_an_estimate_follows_priors_and_bounds_as_differences_do():
     def theta(mean, std, upper):
-        limits = {"priors": {"d": (mean, std)}, "bounds": {"k": (None, upper)}}
+        limits: Any = {"priors": {"d": (mean, std)}, "bounds": {"k": (None, upper)}}
         return rx.identify(BODY, record(), RIEC, **limits, **PLAIN).theta
 
     at, compiled = (1.0, 0.2, 29.5), jax.jit(theta)

@@ -144,7 +144,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
     # What is refused without arithmetic is refused before a sample is read.
     table = plan_parameters(model, len(fitted), settings.known, settings.per_record)
     intervals, by_windows = intervals_of(settings.intervals), (None, "none", "auto")
-    limits: Any = settings.bounds, settings.priors
+    limits = settings.bounds, settings.priors
     constraints = Constraints.of(table, *limits, refined=settings.refine not in by_windows)
 
     def again(

@@ -102,7 +102,7 @@ class Constraints(eqx.Module):
         cls,
         table: ParameterTable,
         bounds: Mapping[str, Bounds] | None = None,
-        priors: Mapping[str, Prior] | None = None,
+        priors: Mapping[str, tuple[float, float]] | None = None,
         start: Mapping[str, Leaf] | None = None,
         refined: bool = False,
     ) -> "Constraints":
@@ -170,9 +170,15 @@ class Constraints(eqx.Module):
     def on(self, names: Sequence[str]) -> "Constraints":
         """Those of some parameters, in this order."""
         index = np.array([self.names.index(name) for name in names])
-        columns = self.lower, self.upper, self.prior_mean, self.prior_weight
-        which = (tuple(n for n in some if n in names) for some in (self.bounded, self.with_prior))
-        return Constraints(*(column[index] for column in columns), tuple(names), *which)
+        return Constraints(
+            self.lower[index],
+            self.upper[index],
+            self.prior_mean[index],
+            self.prior_weight[index],
+            tuple(names),
+            tuple(name for name in self.bounded if name in names),
+            tuple(name for name in self.with_prior if name in names),
+        )
 
 
 def diagonal_block(

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,11 +11,10 @@ from jaxtyping import Array, Float
 
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
-from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.constraints import Bounds, Constraints, Prior, scatter_of_priors
+from riecjax.estimation.constraints import Bounds, Constraints, scatter_of_priors
 from riecjax.estimation.estimate import Estimate, told_by_data
 from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
@@ -42,9 +41,12 @@ from riecjax.uncertainty.intervals import (
     intervals_of,
 )
 
+if TYPE_CHECKING:
+    from riecjax.equations.equation import Equation
+
 
 @taking(Identify)
-def identify(model: Equation | Model, records: Records, settings: Identify) -> Estimate:
+def identify(model: "Equation | Model", records: Records, settings: Identify) -> Estimate:
     """Identify the parameters of a model that is linear in them.
 
     [`summarise`][] and [`estimate`][] in a row. Works eagerly, with every check, and under
@@ -104,12 +106,12 @@ def identify(model: Equation | Model, records: Records, settings: Identify) -> E
 
 
 def estimate(
-    model: Equation | Model,
+    model: "Equation | Model",
     summaries: Summary | Sequence[Summary],
     *,
     known: Mapping[str, float | Array] | None = None,
     bounds: Mapping[str, Bounds] | None = None,
-    priors: Mapping[str, Prior] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
     per_record: Sequence[str] = (),
     intervals: Literal["bootstrap", "sandwich", "naive"] | AbstractIntervals | None = None,
 ) -> Estimate:

@@ -228,7 +228,7 @@ def solve_stages(
     apart: list[list[NormalEquations]] | None = None,
     constraints: Constraints | None = None,
     short: ShortBlocks | None = None,
-    longest_window: Float[Array, ""] | float = 0.0,
+    longest_window: Float[Array, ""] | None = None,
 ) -> tuple[list[StageSolution], dict[str, Array]]:
     """Solve each stage's normal equations (blocks along the leading axis) in turn.
 
@@ -254,6 +254,7 @@ def solve_stages(
             information = jnp.zeros_like(solution.theta)
             if limits.with_prior:
                 assert short is not None
+                assert longest_window is not None
                 earlier = [s.information for s in solutions if s.information is not None]
                 every = [name for s in solutions for name in s.parameters]
                 information = prior_curvature(

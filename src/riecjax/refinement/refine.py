@@ -31,7 +31,7 @@ from jaxtyping import Array, Float, Key
 
 from riecjax.compilation import kept_jit
 from riecjax.errors import require
-from riecjax.estimation.constraints import Bounds, Constraints, Prior
+from riecjax.estimation.constraints import Bounds, Constraints
 from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
 from riecjax.estimation.parameters import require_settings
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
@@ -148,7 +148,7 @@ def refine(
     *,
     known: Mapping[str, float | Array] | None = None,
     bounds: Mapping[str, Bounds] | None = None,
-    priors: Mapping[str, Prior] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
     per_record: Sequence[str] = (),
     key: Key[Array, ""] | None = None,
     intervals: AbstractIntervals | None = None,
@@ -199,7 +199,9 @@ def refine(
     objective = (by or OutputError()).suited(model)
     residuals = objective.residuals(model, recordings, start, known or {}, per_record, key)
     table = residuals.table
-    constraints = Constraints.of(table, bounds, priors, dict(zip(table.free, residuals.start)))
+    constraints = Constraints.of(
+        table, bounds, priors, start=dict(zip(table.free, residuals.start))
+    )
     settings = (intervals or Sandwich(), max_steps, progress)
     # Searches, in ever shorter steps for as long as these change the answer. With priors each
     # search is followed by others: the variance that priors are weighed against is that of the
