@@ -71,9 +71,11 @@ initial states explain of the parameters' columns: where they explain all but a 
 log10(1/t) digits of it are lost, where QR of the rows would lose half as many. Steps are corrected
 by the next ones; what rounding leaves is an error of the gradient, well below a cosine of 1e-6.
 
-Nothing that is carried from step to step grows with the record. Of one window this is as fast as
-optimistix's Levenberg-Marquardt at equal error, of 20 windows two to three times as fast:
-benchmarks/NOTES.md.
+Other solvers of optimistix want a residual and its Jacobian. The Cholesky factor R of a window's
+moments is one with as few rows as columns: R = U' [r J S], U having orthonormal columns, which
+changes neither a sum of squares nor a step. So nothing carried from step to step grows with the
+record. Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20
+windows two to three times as fast: benchmarks/NOTES.md.
 
 Coordinates without bounds for parameters that have some, and priors.
 
@@ -103,6 +105,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
@@ -115,7 +118,7 @@ from riecjax.estimation.constraints import (
 )
 from riecjax.estimation.estimate import RefinementStatus
 from riecjax.leaves import Leaf, held_still
-from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
 from riecjax.refinement.objective import AbstractResiduals, Energies, Initial, Theta
 from riecjax.uncertainty.intervals import AbstractIntervals, estimate_uncertainty
 
@@ -212,73 +215,112 @@ class Linearised(eqx.Module):
         size = sizes @ parameters**2 + jnp.sum(initial_sizes * initial**2)
         return Point(parameters, initial), work, damping * size
 
+    def factors(self) -> Float[Array, "windows columns columns"]:
+        """Residual (first column) and Jacobian of each window, in as many rows as columns."""
+        return triangular_factor(self.moments)
 
-class _State(NamedTuple):
-    """Where a search stands: the accepted point and least squares there; the trial point, its
-    damping, and the two parts of the decrease that is predicted of it; steps so far; whether it has
-    ended, and whether at no optimum."""
 
-    point: Point
+Residual = tuple[Float[Array, "windows columns"], Float[Array, " p"]]
+"""First columns of `factors`, one row for each window; and the residuals of the priors."""
+
+
+class _State(eqx.Module):
+    """Accepted problem, trial point, damping, and the two parts of the predicted decrease."""
+
     accepted: Linearised
     trial: Point
     damping: Float[Array, ""]
     work: Float[Array, ""]
     damped: Float[Array, ""]
-    steps: Int[Array, ""]
+    first: Bool[Array, ""]
     ended: Bool[Array, ""]
-    failed: Bool[Array, ""]
+    result: optx.RESULTS
 
 
-def levenberg_marquardt(
-    problem: "Problem", first: Point, max_steps: int, report: Callable[[float], None] | None
-) -> _State:
+class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     """Levenberg-Marquardt on moments, with initial states eliminated window by window.
 
-    It stops at a cosine between residual and tangent space, which unlike the size of a step depends
-    on neither units nor damping; `report` is called with the sum of squares after each step.
+    Its function must return, aside, a [`Linearised`][] problem.
+
+    **Arguments:** `rtol`, the cosine between residual and tangent space at which it stops, which
+    unlike the size of a step depends on neither units nor damping; `report`, called with the sum of
+    squares after each step.
     """
-    dtype = first.parameters.dtype
-    # The cosine that the precision allows.
-    tolerance = 1e-6 if dtype == jnp.float64 else 1e-4
 
-    def size(point: Point) -> Float[Array, ""]:
-        return jnp.max(jnp.abs(ravel_pytree(point)[0]))
+    rtol: float
+    atol: float = 0.0
+    norm: Any = optx.max_norm
+    report: Any = None
 
-    def step(state: _State) -> _State:
-        # Accept or reject the trial point, and make the next one.
-        tried, begins = problem.linearised(state.trial), state.steps == 0
+    def init(
+        self, fn: Any, y: Point, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
+    ) -> _State:
+        """Before the first step."""
+        dtype = y.parameters.dtype
+        accepted = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
+        return _State(
+            accepted,
+            y,
+            jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype),
+            jnp.ones((), dtype),
+            jnp.zeros((), dtype),
+            jnp.asarray(True),
+            jnp.asarray(False),
+            optx.RESULTS.successful,
+        )
+
+    def step(
+        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
+    ) -> tuple[Point, _State, Linearised]:
+        """Accept or reject the trial point, and make the next one."""
+        _, tried = fn(state.trial, args)
         decrease = state.accepted.energy - tried.energy
         ratio = decrease / (state.work + state.damped)
-        good = begins | ((decrease > 0) & (ratio > ACCEPTED))
-        lower = begins | (ratio > GOOD)
+        good = state.first | ((decrease > 0) & (ratio > ACCEPTED))
+        lower = state.first | (ratio > GOOD)
         factor = jnp.where(good, jnp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
         damping = jnp.maximum(state.damping * factor, jnp.finfo(factor.dtype).eps)
-        point, accepted = jax.tree.map(
-            lambda new, old: jnp.where(good, new, old),
-            (state.trial, tried),
-            (state.point, state.accepted),
-        )
-        change, work, damped = accepted.step(damping)
-        change = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), change)
-        flat = (work <= tolerance**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
-        stuck = size(change) <= NO_STEP * size(point)
-        if report is not None:
-            jax.debug.callback(report, accepted.energy)
+        point = jax.tree.map(lambda new, old: jnp.where(good, new, old), state.trial, y)
+        accepted = jax.tree.map(lambda new, old: jnp.where(good, new, old), tried, state.accepted)
+        step, work, damped = accepted.step(damping)
+        step = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), step)
+        flat = (work <= self.rtol**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
+        stuck = self.norm(step) <= NO_STEP * self.norm(point)
+        if self.report is not None:
+            jax.debug.callback(self.report, accepted.energy)
         trial = Point(
-            jnp.clip(point.parameters + change.parameters, accepted.lowest, accepted.highest),
-            point.initial + change.initial,
+            jnp.clip(point.parameters + step.parameters, accepted.lowest, accepted.highest),
+            point.initial + step.initial,
         )
-        failed = stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy)
-        ended = flat | stuck
-        return _State(point, accepted, trial, damping, work, damped, state.steps + 1, ended, failed)
+        result = optx.RESULTS.where(
+            stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy),
+            optx.RESULTS.nonlinear_divergence,
+            optx.RESULTS.successful,
+        )
+        state = _State(
+            accepted, trial, damping, work, damped, jnp.asarray(False), flat | stuck, result
+        )
+        return point, state, accepted
 
-    shapes = jax.eval_shape(problem.linearised, first)
-    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-    damping = jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype)
-    numbers = damping, jnp.ones((), dtype), jnp.zeros((), dtype)
-    flags = jnp.array(0), jnp.array(False), jnp.array(False)
-    begin = _State(first, nothing, first, *numbers, *flags)
-    return jax.lax.while_loop(lambda s: ~s.ended & (s.steps < max_steps), step, begin)
+    def terminate(
+        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Whether the search is over."""
+        return state.ended, state.result
+
+    def postprocess(
+        self,
+        fn: Any,
+        y: Point,
+        aux: Linearised,
+        args: Any,
+        options: Any,
+        state: _State,
+        tags: Any,
+        result: optx.RESULTS,
+    ) -> tuple[Point, Linearised, dict[str, Any]]:
+        """Nothing to add."""
+        return y, aux, {}
 
 
 AT_BOUND = 1e-6
@@ -344,6 +386,8 @@ COLLINEAR = 1e-12
 """Curvature along a direction, relative to the parameters' own, that is no more than rounding."""
 TAKES_PART = 0.1
 """Share of such a direction from which a parameter is called undetermined."""
+
+Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
 
 class SearchResult(NamedTuple):
@@ -448,6 +492,33 @@ class Problem(eqx.Module):
 
 
 @eqx.filter_custom_jvp
+def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
+    """Residuals of each window, reduced to as many as there are columns; see the module.
+
+    **Returns:** these, and the linearised problem that they come from.
+    """
+    at = problem.linearised(point)
+    return (at.factors()[:, :, 0], at.prior), at
+
+
+@reduced_residual.def_jvp
+def _reduced_residual_jvp(primals: Any, tangents: Any) -> Any:
+    point, problem = primals
+    along = tangents[0]
+    at = problem.linearised(point)
+    factors = at.factors()
+    p = point.parameters.shape[0]
+    parameters = jnp.zeros_like(point.parameters) if along.parameters is None else along.parameters
+    initial = jnp.zeros_like(point.initial) if along.initial is None else along.initial
+    moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], parameters)
+    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], initial)
+    # What comes beside the residual is looked at, never differentiated.
+    aside = jax.tree.map(jnp.zeros_like, at)
+    residual = factors[:, :, 0], at.prior
+    return (residual, at), ((moved, at.prior_slope * parameters), aside)
+
+
+@eqx.filter_custom_jvp
 def _implicit(point: Point, problem: Problem) -> Point:
     return point
 
@@ -481,6 +552,7 @@ def search(
     constraints: Constraints,
     before: SearchResult,
     intervals: AbstractIntervals,
+    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
 ) -> SearchResult:
@@ -490,18 +562,30 @@ def search(
     coordinates = Coordinates(scale, constraints.lower, constraints.upper)
     problem = Problem(residuals, coordinates, constraints, variance)
     still, first = held_still((problem, problem.point(before.theta, before.initial)))
-    state = levenberg_marquardt(still, first, max_steps, progress)
+    if solver is None:  # at the tolerance that the precision allows
+        rtol = 1e-6 if first.parameters.dtype == jnp.float64 else 1e-4
+        solver = LevenbergMarquardt(rtol, report=progress)
+    solution = optx.least_squares(
+        reduced_residual,
+        solver,
+        first,
+        args=still,
+        has_aux=True,
+        max_steps=max_steps,
+        throw=False,
+    )
     # The point differentiates by anything in `problem`, forward and in reverse.
-    point = _implicit(jax.lax.stop_gradient(state.point), problem)
+    point = _implicit(jax.lax.stop_gradient(solution.value), problem)
     theta, initial = problem.values(point)
     status, lost = RefinementStatus.failed, RefinementStatus.not_finite
+    spent = solution.result == optx.RESULTS.nonlinear_max_steps_reached
     for ended, reason in (
-        (~state.ended, RefinementStatus.out_of_steps),
-        (state.ended & ~state.failed, RefinementStatus.converged),
+        (spent, RefinementStatus.out_of_steps),
+        (solution.result == optx.RESULTS.successful, RefinementStatus.converged),
         (before.status == lost, lost),
     ):
         status = RefinementStatus.where(ended, reason, status)
-    expansion = state.accepted.aside
+    expansion = solution.aux.aside
     at_bound = problem.coordinates.at_bound(theta)
     blocks, short = residuals.blocks(residuals.curved(theta, initial, expansion))
     variance = residual_variance(residuals, expansion.energy)
@@ -544,7 +628,7 @@ def search(
         expansion.energy,
         residuals.rms(expansion.energy),
         status,
-        before.steps + state.steps,
+        before.steps + solution.stats["num_steps"],
         eqx.tree_at(lambda u: u.covariance, uncertainty, covariance),
         inflation,
         at_bound,

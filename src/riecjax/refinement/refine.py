@@ -37,7 +37,7 @@ from riecjax.estimation.parameters import require_settings
 from riecjax.leaves import Leaf, held_still, is_concrete, namespace, on_host
 from riecjax.records.record import Records, as_records
 from riecjax.refinement.objective import AbstractObjective, AbstractResiduals, Initial, Theta
-from riecjax.refinement.optimum import SearchResult, begun, search
+from riecjax.refinement.optimum import SearchResult, Solver, begun, search
 from riecjax.refinement.output_error import OutputError
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich
 
@@ -152,6 +152,7 @@ def refine(
     per_record: Sequence[str] = (),
     key: Key[Array, ""] | None = None,
     intervals: AbstractIntervals | None = None,
+    solver: Solver | None = None,
     max_steps: int = 100,
     progress: Callable[[float], None] | None = None,
 ) -> Estimate:
@@ -181,6 +182,7 @@ def refine(
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
+    - `solver`: an optimistix solver; Levenberg-Marquardt by default.
     - `max_steps`: steps that the search may take; fewer than it needs is a status of the result.
     - `progress`: called with the sum of squares after each step.
 
@@ -193,6 +195,9 @@ def refine(
     require("start", start, (Estimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
     require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
     require("intervals", intervals or Sandwich(), AbstractIntervals, "intervals=rx.Sandwich()")
+    if solver is not None:
+        write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
+        require("the solver", solver, Solver, write)
     if isinstance(model, type):
         write = f"{model.__name__}(...), with a value for each of its fields"
         require("the model", model, (), write)
@@ -202,7 +207,7 @@ def refine(
     constraints = Constraints.of(
         table, bounds, priors, start=dict(zip(table.free, residuals.start))
     )
-    settings = (intervals or Sandwich(), max_steps, progress)
+    settings = (intervals or Sandwich(), solver, max_steps, progress)
     # Searches, in ever shorter steps for as long as these change the answer. With priors each
     # search is followed by others: the variance that priors are weighed against is that of the
     # residuals at the optimum, which the first search knows only from its start; the next ones take
