@@ -34,7 +34,7 @@ class ByHand(AbstractSystem):
     inputs: Any = eqx.field(static=True)
 
     @property
-    def reversing(self) -> tuple[str, ...]:
+    def reversing(self) -> tuple[str, ...]:  # pyright: ignore
         return ("dq",) if self.name.startswith("emps") else ()
 
     def derivative(self, state: jax.Array, inputs: jax.Array) -> jax.Array:

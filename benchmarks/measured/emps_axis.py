@@ -120,7 +120,7 @@ class StribeckAxis(rx.simulation.AbstractSystem):
     inputs: ClassVar = (("force", "N"),)
 
     @property
-    def reversing(self) -> tuple[str, ...]:
+    def reversing(self) -> tuple[str, ...]:  # pyright: ignore
         """The velocity, with whose sign the friction changes."""
         return ("dq",)
 

@@ -129,7 +129,7 @@ def test_check_names_the_refinement_that_answers_where_windows_cannot():
     signals = drag_signals(1, 0.05)
     del signals["dx"]
     record = rx.Record.from_samples(signals, time_step=0.01)
-    record = rx.records.preparation.differentiate(record, "x", "dx")
+    record = rx.differentiate(record, "x", "dx")
     short = rx.RIEC(rx.AllWindows(0.03, 0.1))
     found = check_answering(DRAG, record, Check(short))
     assert found.checked.refusal is not None

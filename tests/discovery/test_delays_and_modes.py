@@ -75,8 +75,8 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     answer = discovery_answer(found)
     assert answer.chosen == ["mode"]
     assert answer.terms["mode"].parameters == ["M_mode", "K_mode", "B_mode"]
-    first, last = (step.unexplained for step in answer.path)
-    assert last < 0.1 * first
+    first, last = (float(step.unexplained or 0) for step in answer.path)
+    assert 0 < last < 0.1 * first
     assert answer.sentence.startswith("mode (a hidden mode on v near ")
     # What has no error or chance is printed without.
     console = Console(width=200, record=True, file=io.StringIO())

@@ -163,7 +163,8 @@ def test_a_mode_is_simulated_by_equations_where_a_system_of_ones_own_lacks_it():
     values = dict.fromkeys(model.parameter_names, 2.0) | {"q": 0.5}
     record = rx.Record({"u": np.zeros(20)}, 0.1)
     assert isinstance(model.identified_system(values, record), EquationSystem)
-    assert isinstance(as_parametric_system(model, record).build(values), EquationSystem)
+    arrays = {name: np.array(value) for name, value in values.items()}
+    assert isinstance(as_parametric_system(model, record).build(arrays), EquationSystem)
     assert isinstance(model.build_system(values), EquationSystem)
 
 

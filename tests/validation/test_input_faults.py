@@ -15,6 +15,7 @@ from riecjax.summaries.task import ready
 from riecjax.uncertainty.intervals import Sandwich
 from riecjax.validation.equation_errors import errors_over_records
 from riecjax.validation.input_faults import drifting_inputs
+from riecjax.validation.residuals import ResidualTests
 from riecjax.validation.tests import residuals_tested
 
 RATE, COUNT = 100.0, 6000
@@ -95,6 +96,7 @@ def codes(signals, *others) -> list[tuple[str, tuple[str, ...]]]:
     records = [one.record for one in ready(AXIS, every)]
     fitted = partial(identify, AXIS, intervals=Sandwich())
     residuals, *_ = residuals_tested(AXIS, records, fitted(records), fitted).tests
+    assert isinstance(residuals, ResidualTests)
     return [(f.code, f.signals) for f in residuals.faults]
 
 
