@@ -143,7 +143,7 @@ def test_bounds_are_held_as_of_all_active_sets_the_best(count):
         lower = best - np.abs(best) * rng.standard_normal(count)
         upper = lower + np.abs(best) * rng.exponential(size=count)
         lower[rng.random(count) < 0.3], upper[rng.random(count) < 0.3] = -np.inf, np.inf
-        limits = Constraints(lower, upper, 0 * best, 0 * best, names, names, ())
+        limits = Constraints(dict(zip(names, zip(lower, upper))))
         equations = NormalEquations(jnp.asarray(rows.T @ rows), jnp.asarray(8.0), names)
         side = np.asarray(sides_of_bounds(equations, limits))
 

@@ -16,7 +16,6 @@ from riecjax.models.catalogue import built_in_model
 from riecjax.models.oscillators import drag_oscillator_equation
 from riecjax.records.record import Record
 from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.optimum import Coordinates
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import refine
 from riecjax.simulation.method import FixedStep
@@ -80,14 +79,3 @@ def test_gradients_through_friction_are_those_of_differences():
     assert np.all(np.isfinite(slope))
     assert np.max(np.abs(slope)) > 1e-3
     np.testing.assert_allclose(slope, differences, rtol=1e-3, atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("lower", "upper"), [(-np.inf, np.inf), (1.0, np.inf), (-np.inf, 4.0), (1.0, 4.0)]
-)
-def test_coordinates_come_back_and_stay_within_bounds(lower, upper):
-    made = Coordinates(jnp.full(50, 2.0), np.full(50, lower), np.full(50, upper))
-    values = jnp.linspace(1.001, 3.999, 50)
-    np.testing.assert_allclose(made.values(made.inverse(values)), values, rtol=1e-12)
-    far = made.values(jnp.linspace(-40.0, 40.0, 50))
-    assert np.all((far >= lower) & (far <= upper))

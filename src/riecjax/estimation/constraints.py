@@ -51,7 +51,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
@@ -64,12 +64,14 @@ from riecjax.summaries.normal_equations import (
     sum_blocks,
 )
 from riecjax.uncertainty.covariances import (
+    BlockStatistics,
     block_length,
     politis_white,
     scores,
     slope,
     unknowns_of,
 )
+from riecjax.uncertainty.intervals import Uncertainty
 
 Bounds = tuple[float | None, float | None]
 
@@ -77,25 +79,19 @@ Bounds = tuple[float | None, float | None]
 class Prior(NamedTuple):
     """What is known of a parameter beforehand: a normal distribution, in its unit."""
 
-    mean: float
-    std: float
+    mean: Leaf | float
+    std: Leaf | float
 
 
 class Constraints(eqx.Module):
-    """Bounds and priors of free parameters.
+    """Bounds and priors of free parameters, by name.
 
-    **Fields:** `lower` and `upper`, infinite where there is no bound; `prior_mean`, and
-    `prior_weight`, one over the prior's standard deviation, 0 where there is no prior; `names` of
-    the parameters; `bounded` and `with_prior`, those that have bounds or a prior.
+    **Fields:** `bounds`, infinite where there is none to one side; `priors`. Both hold arrays,
+    which may be traced.
     """
 
-    lower: Float[Leaf, " p"]
-    upper: Float[Leaf, " p"]
-    prior_mean: Float[Leaf, " p"]
-    prior_weight: Float[Leaf, " p"]
-    names: tuple[str, ...] = eqx.field(static=True)
-    bounded: tuple[str, ...] = eqx.field(static=True)
-    with_prior: tuple[str, ...] = eqx.field(static=True)
+    bounds: dict[str, tuple[Leaf, Leaf]] = eqx.field(default_factory=dict)
+    priors: dict[str, Prior] = eqx.field(default_factory=dict)
 
     @classmethod
     def of(
@@ -130,19 +126,18 @@ class Constraints(eqx.Module):
             return {name: value for name, value in free.items() if name not in hidden}
 
         limits, known = of_free("bounds are", bounds or {}), of_free("a prior is", priors or {})
-        ends: dict[str, tuple[Any, Any]] = dict.fromkeys(names, (-np.inf, np.inf))
         for name, given in limits.items():
             if not is_pair(given, or_none=True):
                 raise ModelError(
                     f"the bounds of {name} are {given!r}. Write (lower, upper), None where there "
                     f"is none."
                 )
-            low, high = (end if at is None else at for end, at in zip(ends[name], given))
+            low, high = (end if at is None else at for end, at in zip((-np.inf, np.inf), given))
+            limits[name] = as_array(low), as_array(high)
             if is_concrete(low, high) and not low < high:
                 raise ModelError(
                     f"the bounds of {name} are equal or in the wrong order: {low:g} to {high:g}."
                 )
-            ends[name] = low, high
             if start is None or not is_concrete(low, high, start[name]):
                 continue
             if not low < float(start[name]) < high:
@@ -158,27 +153,32 @@ class Constraints(eqx.Module):
                 )
             if is_concrete(prior[1]) and not prior[1] > 0:
                 raise ModelError(f"the prior of {name} needs a positive standard deviation.")
+            known[name] = Prior(*map(as_array, prior))
+        return cls(limits, known)
 
-        def column(values: Sequence[Any]) -> Leaf:
-            xp = namespace(values)
-            return xp.stack([xp.asarray(value, float) for value in values])
+    def limits(self, names: Sequence[str]) -> tuple[Float[Leaf, " p"], Float[Leaf, " p"]]:
+        """Lower and upper bounds of some parameters, infinite where there is none."""
+        return _columns([self.bounds.get(name, (-np.inf, np.inf)) for name in names])
 
-        lower, upper = map(column, zip(*ends.values()))
-        mean, std = map(column, zip(*(known.get(name, (0.0, np.inf)) for name in names)))
-        return cls(lower, upper, mean, 1 / std, names, tuple(limits), tuple(known))
+    def prior(self, names: Sequence[str]) -> tuple[Float[Leaf, " p"], Float[Leaf, " p"]]:
+        """Means of the priors of some parameters, and one over their standard deviations: 0 where
+        there is no prior."""
+        mean, std = _columns([self.priors.get(name, (0.0, np.inf)) for name in names])
+        return mean, 1 / std
 
-    def on(self, names: Sequence[str]) -> "Constraints":
-        """Those of some parameters, in this order."""
-        index = np.array([self.names.index(name) for name in names])
-        return Constraints(
-            self.lower[index],
-            self.upper[index],
-            self.prior_mean[index],
-            self.prior_weight[index],
-            tuple(names),
-            tuple(name for name in self.bounded if name in names),
-            tuple(name for name in self.with_prior if name in names),
-        )
+
+NONE = Constraints()
+
+
+def as_array(value: Any) -> Leaf:
+    """One number as an array, in NumPy unless it is traced."""
+    return namespace(value).asarray(value, float)
+
+
+def _columns(pairs: Sequence[tuple[Any, Any]]) -> tuple[Leaf, Leaf]:
+    xp = namespace(pairs)
+    first, second = (xp.stack([xp.asarray(v, float) for v in values]) for values in zip(*pairs))
+    return first, second
 
 
 def diagonal_block(
@@ -193,11 +193,47 @@ def diagonal_block(
     return NormalEquations(moments, jnp.zeros((), moments.dtype), names)
 
 
-def spread(blocks: NormalEquations, block: NormalEquations) -> NormalEquations:
-    """Blocks with one more, spread over all of them by their rows."""
+def holding(held: Bool[Array, " p"], values: Float[Array, " p"]) -> Float[Array, "columns columns"]:
+    """What makes columns of what is held zero, and joins them at these values to the target."""
+    target = jnp.concatenate([jnp.ones(1, values.dtype), -jnp.where(held, values, 0.0)])
+    return jnp.diag(jnp.pad(jnp.where(held, 0.0, 1.0), (1, 0))).at[0].set(target)
+
+
+def constrained_blocks(
+    blocks: NormalEquations,
+    at: Float[Array, " p"],
+    held: Bool[Array, " p"],
+    curvature: Float[Array, " p"],
+) -> NormalEquations:
+    """Blocks with what priors add to them, spread over all by their rows, so that scores at a
+    solution add up to zero. Of what is held nothing is left but its value."""
+    names, mix = blocks.parameters, holding(held, at)
+    blocks = blocks.in_columns(lambda matrix: mix @ matrix @ mix.T, names)
+    total, curvature = blocks.flattened().total(), jnp.where(held, 1.0, curvature)
+    pull = jnp.where(curvature > 0, curvature * at - (total.moment - total.gram @ at), 0.0)
+    prior = diagonal_block(names, curvature, pull, 2 * pull @ at - curvature @ at**2)
     share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
-    moments = blocks.moments + jnp.tensordot(share, block.moments, axes=0)
+    moments = blocks.moments + jnp.tensordot(share, prior.moments, axes=0)
     return dataclasses.replace(blocks, moments=moments)
+
+
+def constrained_uncertainty(
+    uncertainty: Uncertainty,
+    statistics: BlockStatistics,
+    constraints: Constraints,
+    curvature: Float[Array, " p"],
+    held: Bool[Array, " p"],
+) -> Uncertainty:
+    """With what the means of priors scatter by; nothing is said of what is held.
+
+    **Arguments:** `statistics` of blocks with priors; `curvature` of these.
+    """
+    if constraints.priors:
+        whole = slope([stage.total() for stage in statistics.blocks], statistics.unknowns)
+        _, weight = constraints.prior([n for _, names in statistics.unknowns for n in names])
+        uncertainty = uncertainty.with_priors(*scatter_of_priors(whole, curvature, weight))
+    covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, uncertainty.covariance)
+    return eqx.tree_at(lambda u: u.covariance, uncertainty, covariance)
 
 
 def scatter_of_priors(
@@ -256,15 +292,17 @@ def prior_curvature(
     return jnp.maximum(curvature, least)
 
 
-def sides_of_bounds(equations: NormalEquations, limits: Constraints) -> Float[Array, " p"]:
+def sides_of_bounds(equations: NormalEquations, constraints: Constraints) -> Float[Array, " p"]:
     """Which parameters least squares hold at their lower (-1) or upper (1) bound; 0 for the others.
 
     By block principal pivoting; see the module.
     """
-    gram, moment, limits = jax.lax.stop_gradient((equations.gram, equations.moment, limits))
+    names = equations.parameters
+    problem = equations.gram, equations.moment, *constraints.limits(names)
+    gram, moment, low, high = jax.lax.stop_gradient(problem)
     gram, scale = unit_diagonal(gram)
-    moment, low, high = moment * scale, limits.lower / scale, limits.upper / scale
-    size, count = moment.shape[0], len(limits.bounded)
+    moment, low, high = moment * scale, low / scale, high / scale
+    size, count = len(names), len({*names} & {*constraints.bounds})
     rounding = size * float(jnp.finfo(gram.dtype).eps)
     # Collinear columns leave no more than rounding to tell sides by.
     gram = gram + rounding * jnp.eye(size, dtype=gram.dtype)

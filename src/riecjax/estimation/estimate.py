@@ -141,15 +141,6 @@ class Search(eqx.Module):
         return ", ".join(f"{number} x {words}" for words, number in ended.items())
 
 
-def told_by_data(
-    table: ParameterTable, theta: Leaf, at_bound: Leaf, uncertainty: Uncertainty
-) -> ParameterTable:
-    """The table in which what sits on a bound, or rests on priors, is known (not under jit)."""
-    share = uncertainty.prior_share
-    held = np.asarray(at_bound) | (share is not None and np.asarray(share) > MOSTLY)
-    return table.settled({n: jnp.asarray(theta[j]) for j, n in enumerate(table.free) if held[j]})
-
-
 class Estimate(Saved, eqx.Module):
     """Parameters with units and uncertainty, and how they were obtained.
 
@@ -210,8 +201,11 @@ class Estimate(Saved, eqx.Module):
 
     @property
     def told_by_data(self) -> ParameterTable:
-        """The table in which all that bounds or priors tell rather than data is known."""
-        return told_by_data(self.table, self.theta, self.at_bound, self.uncertainty)
+        """The table in which what sits on a bound, or rests on priors, is known (not under jit)."""
+        share, held = self.uncertainty.prior_share, np.asarray(self.at_bound)
+        held = held if share is None else held | (np.asarray(share) > MOSTLY)
+        values = {name: self.theta[j] for j, name in enumerate(self.parameters) if held[j]}
+        return self.table.settled({name: jnp.asarray(value) for name, value in values.items()})
 
     @property
     def known(self) -> dict[str, Any]:
@@ -372,6 +366,8 @@ class Estimate(Saved, eqx.Module):
         covariance = xp.where(both, self.covariance, xp.nan)
         return covariance / scale[..., :, None] / scale[..., None, :]
 
+    # What has no error, or an infinite one, is passed over.
+    @np.errstate(divide="ignore", invalid="ignore")
     def findings(self) -> list[Finding]:
         """What a user should know before trusting this (not under jit).
 
@@ -413,33 +409,23 @@ class Estimate(Saved, eqx.Module):
                 f"{float(self.condition_number):.2g}); the least certain combination is "
                 f"{weakest}.",
             )
-        yield from (*self.constrained(), *self.few_blocks())
+        yield from (*self._constrained(), *self._few_blocks())
+        # A parameter near zero is well determined if its term could not matter.
         sizes = np.concatenate([np.asarray(stage.relative_size) for stage in self.stages])
-        ends = self.interval_by_name()
-        for name, size in zip(self.parameters, sizes):
-            low, high = ends[name]
-            # A parameter near zero is well determined if its term could not matter.
-            matters = (high - low) / 2 * float(size) > MATTERING_SHARE
-            if high - low > 2 * abs(float(self[name])) and matters:
-                yield Finding(
-                    "interval_wider_than_estimate",
-                    f"the interval of {name} reaches from {low:.4g} to {high:.4g}: these data "
-                    f"hardly determine it.",
-                    parameters=(name,),
-                )
+        low, high = self.intervals()
+        yield from self._wide((high - low) / 2 * sizes > MATTERING_SHARE, "interval")
         # Springs in series whose lag c / K is not told from none, and with it K from infinity.
-        for name, error in zip(self.parameters, self.standard_errors):
-            value = float(self[name])
-            of_spring = isinstance(self.table[name].element, SpringParameters)
-            if of_spring and abs(value) < TOLD_LAG * float(error):
-                yield Finding(
-                    "series_spring_not_carried",
-                    f"the lag behind {name} is {abs(value) / float(error):.2g} standard errors "
-                    f"away from none: any stiffer spring would do, whatever the interval says. "
-                    f"Leave it out.",
-                    parameters=(name,),
-                )
-        yield from self.negative_values()
+        springs = [isinstance(self.table[n].element, SpringParameters) for n in self.parameters]
+        errors_away = np.abs(self.theta) / self.standard_errors
+        yield from each_finding(
+            "series_spring_not_carried",
+            self.parameters,
+            springs & (errors_away < TOLD_LAG),
+            "the lag behind {name} is {errors_away:.2g} standard errors away from none: any "
+            "stiffer spring would do, whatever the interval says. Leave it out.",
+            errors_away=errors_away,
+        )
+        yield from self._negative_values()
         for name, equation in self.equations.items():
             if (share := float(equation.relative_rms)) > LARGE_RESIDUAL:
                 yield Finding(
@@ -463,7 +449,7 @@ class Estimate(Saved, eqx.Module):
                     f"line: --set NAME=VALUE).",
                     parameters=equation.parameters,
                 )
-        yield from (*self.disagreement(), *self._coverage())
+        yield from (*self._disagreement(), *self._coverage())
         # What moments leave of data that fit to their rounding says nothing of errors.
         rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
         told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
@@ -486,7 +472,7 @@ class Estimate(Saved, eqx.Module):
                 f"length, and those from {low:.4g} to {high:.4g} s were taken. Summarise anew with "
                 f"these as alpha and beta for exactly that band.",
             )
-        yield from (*self.rarely_excited(), *self._precision())
+        yield from (*self._rarely_excited(), *self._precision())
 
     def _without_answer(self) -> Iterator[Finding]:
         """What `identify` refuses where it can look at values; of a batch it is found here."""
@@ -561,23 +547,12 @@ class Estimate(Saved, eqx.Module):
                 f"Adaptive with an implicit solver, a force that jumps as sign(v) a width.",
                 parameters=tuple(changes),
             )
-        yield from self.constrained()
+        yield from self._constrained()
         # What the data hardly determine, or not at all.
-        silent = []
-        ends = self.interval_by_name()
-        for name, reached in zip(self.parameters, self.at_bound):
-            low, high = ends[name]
-            if bool(reached):
-                continue
-            if not (np.isfinite(low) and np.isfinite(high)):
-                silent.append(name)
-            elif high - low > 2 * abs(float(self[name])):
-                yield Finding(
-                    "interval_wider_than_estimate",
-                    f"the refined interval of {name} reaches from {low:.4g} to {high:.4g}: these "
-                    f"data hardly determine it.",
-                    parameters=(name,),
-                )
+        some = ~np.asarray(self.at_bound)
+        finite = np.all(np.isfinite(self.intervals()), axis=0)
+        yield from self._wide(some & finite, "refined interval")
+        silent = [name for name, lost in zip(self.parameters, some & ~finite) if lost]
         if len(silent) == 1:
             message = f"these data say nothing about {silent[0]}."
             yield Finding("undetermined", message, parameters=(silent[0],))
@@ -590,11 +565,11 @@ class Estimate(Saved, eqx.Module):
                 f"{silent[0]}=VALUE), or compare another signal.",
                 parameters=tuple(silent),
             )
-        yield from (*self.negative_values(), *self.few_blocks())
-        yield from (*self.rarely_excited(), *self.disagreement())
+        yield from (*self._negative_values(), *self._few_blocks())
+        yield from (*self._rarely_excited(), *self._disagreement())
 
-    def constrained(self) -> Iterator[Finding]:
-        """Parameters that bounds or priors tell, and not data (not under jit)."""
+    def _constrained(self) -> Iterator[Finding]:
+        """Parameters that bounds or priors tell, and not data."""
         if names := [n for n, reached in zip(self.parameters, self.at_bound) if bool(reached)]:
             yield Finding(
                 "at_bound",
@@ -612,22 +587,36 @@ class Estimate(Saved, eqx.Module):
                 parameters=tuple(rest),
             )
 
-    def negative_values(self) -> Iterator[Finding]:
-        """Masses and dampers whose whole interval lies below zero (not under jit)."""
-        ends = self.interval_by_name()
-        for name, (low, high) in ends.items():
-            row = self.table[name]
-            if row.sign and high < 0:
-                yield Finding(
-                    "negative_value",
-                    f"{name} is below zero, from {low:.4g} to {high:.4g} {row.unit}: {row.sign}. "
-                    f"Check the signs of the signals against the equation's, and the direction of "
-                    f"time.",
-                    parameters=(name,),
-                )
+    def _wide(self, which: Bool[np.ndarray, " p"], interval: str) -> list[Finding]:
+        """Some parameters whose interval is wider than they are large."""
+        low, high = self.intervals()
+        return each_finding(
+            "interval_wider_than_estimate",
+            self.parameters,
+            which & (high - low > 2 * np.abs(self.theta)),
+            f"the {interval} of {{name}} reaches from {{low:.4g}} to {{high:.4g}}: these data "
+            f"hardly determine it.",
+            low=low,
+            high=high,
+        )
 
-    def few_blocks(self) -> Iterator[Finding]:
-        """Intervals by a small-sample sandwich, and those that lean (not under jit)."""
+    def _negative_values(self) -> list[Finding]:
+        """Masses and dampers whose whole interval lies below zero."""
+        low, high = self.intervals()
+        rows = [self.table[name] for name in self.parameters]
+        return each_finding(
+            "negative_value",
+            self.parameters,
+            (high < 0) & np.array([row.sign != "" for row in rows]),
+            "{name} is below zero, from {low:.4g} to {high:.4g} {row.unit}: {row.sign}. Check the "
+            "signs of the signals against the equation's, and the direction of time.",
+            low=low,
+            high=high,
+            row=rows,
+        )
+
+    def _few_blocks(self) -> Iterator[Finding]:
+        """Intervals by a small-sample sandwich, and those that lean."""
         freedom, told = self.uncertainty.degrees_of_freedom, self.told_by_data.free
         yield from finding(
             "few_blocks",
@@ -650,14 +639,14 @@ class Estimate(Saved, eqx.Module):
             "record for longer.",
         )
 
-    def rarely_excited(self) -> Iterator[Finding]:
-        """Parameters that many of the bootstrap's replicates leave undetermined (not under jit)."""
+    def _rarely_excited(self) -> list[Finding]:
+        """Parameters that many of the bootstrap's replicates leave undetermined."""
         replicates = self.uncertainty.studentized
         if replicates is None:
-            return
+            return []
         lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
         lost = np.where(self.uncertainty.few_blocks, 0.0, lost)
-        yield from finding(
+        return finding(
             "rarely_excited",
             self.parameters,
             lost > LOST_SHARE,
@@ -668,19 +657,18 @@ class Estimate(Saved, eqx.Module):
             " %",
         )
 
-    def disagreement(self) -> Iterator[Finding]:
-        """Parameters on which recordings disagree by more than chance (not under jit)."""
-        for name, factor in zip(self.parameters, self.inflation):
-            if float(factor) > NOTABLE_INFLATION:
-                yield Finding(
-                    "records_disagree",
-                    f"the recordings do not agree on {name}: they differ by more than the "
-                    f"scatter within each explains, so its interval is {float(factor):.2g} times "
-                    f"as wide. The model leaves out something that differs between them; a "
-                    f"parameter that may differ, such as an offset, can have a value in each "
-                    f"(per_record=, --per-record).",
-                    parameters=(name,),
-                )
+    def _disagreement(self) -> list[Finding]:
+        """Parameters on which recordings disagree by more than chance."""
+        return each_finding(
+            "records_disagree",
+            self.parameters,
+            np.asarray(self.inflation) > NOTABLE_INFLATION,
+            "the recordings do not agree on {name}: they differ by more than the scatter within "
+            "each explains, so its interval is {factor:.2g} times as wide. The model leaves out "
+            "something that differs between them; a parameter that may differ, such as an offset, "
+            "can have a value in each (per_record=, --per-record).",
+            factor=self.inflation,
+        )
 
     def _of(self, values: Float[Array, "*batch p"], name: str) -> Float[Array, "*batch"]:
         index = self._index(name)
@@ -707,13 +695,27 @@ def finding(
     numbers: ArrayLike,
     message: str,
     unit: str = "",
-) -> Iterator[Finding]:
+) -> list[Finding]:
     """One on some parameters, if there are any, that lists each with its number."""
     chosen = np.flatnonzero(which).tolist()
     values = np.asarray(numbers)[chosen]
     listed = ", ".join(f"{names[i]} ({value:.2g}{unit})" for i, value in zip(chosen, values))
-    if listed:
-        yield Finding(code, message.format(listed), parameters=tuple(names[i] for i in chosen))
+    message = message.format(listed)
+    return [Finding(code, message, parameters=tuple(names[i] for i in chosen))] if chosen else []
+
+
+def each_finding(
+    code: str, names: Sequence[str], which: ArrayLike, message: str, **said: Sequence[Any] | Array
+) -> list[Finding]:
+    """One on each of some parameters, with what its `message` says of each by name."""
+    return [
+        Finding(
+            code,
+            message.format(name=names[i], **{key: values[i] for key, values in said.items()}),
+            parameters=(names[i],),
+        )
+        for i in np.flatnonzero(which).tolist()
+    ]
 
 
 def span(values: ArrayLike, form: str = ".3g") -> str:

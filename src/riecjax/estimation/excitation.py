@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.compilation import kept_jit
+from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
-from riecjax.estimation.estimate import combination, weighing
+from riecjax.estimation.constant_target import constant_targets
+from riecjax.estimation.estimate import Estimate, combination, weighing
 from riecjax.estimation.parameters import Parameter, ParameterTable
-from riecjax.estimation.stages import StageSolution, largest_share, stages_over_records
+from riecjax.estimation.stages import largest_share, stages_over_records
 from riecjax.findings import Finding
 from riecjax.leaves import on_host
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
@@ -53,22 +55,30 @@ def not_excited(stage_name: str, row: Parameter) -> Finding:
     )
 
 
-def raise_if_unidentifiable(solutions: Sequence[StageSolution], table: ParameterTable) -> None:
+def raise_if_constant(model: Model, fit: Estimate, summary: Summary) -> None:
+    """Raise `IdentifiabilityError` for a target that says nothing of the parameters that data tell,
+    unless sums that were made under jit have no constant to tell means from motion by."""
+    if all(one.stages[0][0].constant is not None for one in summary.recordings):
+        for finding in constant_targets(model, fit.told_by_data, summary):
+            raise IdentifiabilityError(finding.message, finding.code)
+
+
+def raise_if_unidentifiable(fit: Estimate) -> None:
     """Raise `IdentifiabilityError` for a stage whose regressors are collinear."""
-    for stage in solutions:
+    for stage in fit.stages:
         if int(stage.solution.rank) == len(stage.parameters):
             continue
-        label, _ = table.stages[stage.stage]
+        label, _ = fit.table.stages[stage.stage]
         for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
             if size == 0:
-                silent = not_excited(label, table[name])
+                silent = not_excited(label, fit.table[name])
                 raise IdentifiabilityError(silent.message, silent.code)
         direction = np.asarray(stage.solution.weakest_direction)
         which = combination(stage.parameters, direction)
+        rows = [fit.table[name] for name in weighing(stage.parameters, direction)]
         raise IdentifiabilityError(
             f"{label}: the record cannot tell these apart (collinear regressors): {which}, in "
-            f"units of each regressor's size. "
-            f"{excite_or_hold([table[n] for n in weighing(stage.parameters, direction)])}"
+            f"units of each regressor's size. {excite_or_hold(rows)}"
         )
 
 

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,11 +11,14 @@ from jaxtyping import Array, Float
 from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.model import Model, as_model
-from riecjax.errors import IdentifiabilityError, ModelError
-from riecjax.estimation.constant_target import constant_targets
-from riecjax.estimation.constraints import Bounds, Constraints, scatter_of_priors
-from riecjax.estimation.estimate import Estimate, told_by_data
-from riecjax.estimation.excitation import raise_if_nothing_to_fit, raise_if_unidentifiable
+from riecjax.errors import ModelError
+from riecjax.estimation.constraints import NONE, Bounds, Constraints, constrained_uncertainty
+from riecjax.estimation.estimate import Estimate
+from riecjax.estimation.excitation import (
+    raise_if_constant,
+    raise_if_nothing_to_fit,
+    raise_if_unidentifiable,
+)
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
@@ -34,7 +36,7 @@ from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
 from riecjax.summaries.task import ready, signals_read, task
-from riecjax.uncertainty.covariances import naive_covariance, slope
+from riecjax.uncertainty.covariances import naive_covariance
 from riecjax.uncertainty.intervals import (
     AbstractIntervals,
     estimate_uncertainty,
@@ -148,13 +150,11 @@ def estimated(
     summary: Summary,
     table: ParameterTable,
     intervals: AbstractIntervals,
-    constraints: Constraints | None = None,
+    constraints: Constraints = NONE,
 ) -> Estimate:
     """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
     equations, short = summary.equations(), summary.short_blocks
     window = jnp.asarray(summary.criterion.block_length)
-    if constraints is not None and not constraints.bounded and not constraints.with_prior:
-        constraints = None
     # Draws are an argument: compiled in, every seed would be compiled anew.
     drawn = intervals.drawn(short.number.shape[0])
     data = _Data(equations, summary.noise_freedom, short, window)
@@ -183,18 +183,13 @@ def estimated(
         fit = dataclasses.replace(fit, uncertainty=uncertainty)
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(table, totals)
-        # Sums that were made under jit have no constant to tell means from motion by.
-        with_constant = all(one.stages[0][0].constant is not None for one in summary.recordings)
-        if with_constant and modes is None:
-            told = told_by_data(table, fit.theta, fit.at_bound, fit.uncertainty)
-            for finding in constant_targets(model, told, summary):
-                raise IdentifiabilityError(finding.message, finding.code)
+        if modes is None:
+            raise_if_constant(model, fit, summary)
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
-        condition = max(float(stage.solution.condition_number) for stage in fit.stages)
-        poor = modes is None and condition > gram_condition_limit(window.dtype)
+        poor = modes is None and float(fit.condition_number) > gram_condition_limit(window.dtype)
         if poor and (rows := _rows(summary, equations, table)):
             fit, _ = _solve(data._replace(rows=rows), *given)
-        raise_if_unidentifiable(fit.stages, table)
+        raise_if_unidentifiable(fit)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
     whole = [summary.band == summary.in_law] * len(model.stages)
@@ -203,7 +198,6 @@ def estimated(
     each = [len(of) if known else np.nan for of, known in zip(model.stages, whole)]
     return dataclasses.replace(
         fit,
-        table=table,
         criterion=summary.criterion,
         stage_names=tuple(table.stages[stage.stage][0] for stage in fit.stages),
         equation_names=tuple(model.equation_names[stage.stage] for stage in fit.stages),
@@ -229,7 +223,7 @@ def _solve(
     data: _Data,
     table: ParameterTable,
     intervals: AbstractIntervals,
-    constraints: Constraints | None,
+    constraints: Constraints,
 ) -> tuple[Estimate, list[NormalEquations]]:
     """What recordings tell by themselves; and of each stage of the model, those that find nothing
     included, the totals to refuse it by."""
@@ -242,31 +236,22 @@ def _solve(
     solutions, values = solve_stages(flat, known, data.rows, apart, *weighing)
     totals = [stage.total() for stage in flat]
     for solution in solutions:
-        stages[solution.stage] = solution.constrain(stages[solution.stage], values)
+        place = solution.stage
+        stages[place] = solution.constrain(stages[place], values, constraints)
     # What belongs to one recording cannot differ between recordings.
     common = np.array([table[n].recording is None for s in solutions for n in s.parameters])
     uncertainty, inflation, statistics = estimate_uncertainty(
         stages, known, values, short, longest_window, common, intervals
     )
     uncertainty = uncertainty.widened(level_covariance(statistics, data.freedom))
+    theta, curvature, at_bound = (
+        jnp.concatenate(parts)
+        for parts in zip(*((s.solution.theta, s.prior_curvature, s.at_bound) for s in solutions))
+    )
+    uncertainty = constrained_uncertainty(uncertainty, statistics, constraints, curvature, at_bound)
+    # Nothing is said of the uncertainty of what is held.
     naive = jnp.sqrt(jnp.diagonal(naive_covariance(statistics)))
-    theta = jnp.concatenate([stage.solution.theta for stage in solutions])
-    at_bound: Leaf = jnp.zeros(theta.shape, bool)
-    if constraints is not None:
-        information, at_bound = (
-            jnp.concatenate([jnp.asarray(getattr(stage, field)) for stage in solutions])
-            for field in ("information", "at_bound")
-        )
-        if constraints.with_prior:
-            whole = slope([stage.total() for stage in statistics.blocks], statistics.unknowns)
-            names = [name for stage in solutions for name in stage.parameters]
-            weight = constraints.on(names).prior_weight
-            uncertainty = uncertainty.with_priors(*scatter_of_priors(whole, information, weight))
-        # Nothing is said of the uncertainty of what is held.
-        naive = jnp.where(at_bound, jnp.nan, naive)
-        held = at_bound[:, None] | at_bound[None, :]
-        covariance = jnp.where(held, jnp.nan, uncertainty.covariance)
-        uncertainty = eqx.tree_at(lambda u: u.covariance, uncertainty, covariance)
+    naive = jnp.where(at_bound, jnp.nan, naive)
     block_count = jnp.sum(statistics.used)
     fit = Estimate(
         theta=theta,

@@ -14,11 +14,13 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.equations.model import Model
 from riecjax.estimation.constraints import (
+    NONE,
     Constraints,
+    constrained_blocks,
     diagonal_block,
+    holding,
     prior_curvature,
     sides_of_bounds,
-    spread,
 )
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, namespace
@@ -143,8 +145,8 @@ class StageSolution(eqx.Module):
     **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
     the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
     per unit of its parameter, and where it acts if that is in bursts; `equations`, what is left of
-    each; `parameters` found here; `stage` its place in the model; of constraints, `information`,
-    what priors add to the curvature, and which are `at_bound`, `None` where there are none.
+    each; `prior_curvature`, what priors add to the curvature; which are `at_bound`; `parameters`
+    found here; `stage` its place in the model.
     """
 
     solution: Solution
@@ -153,54 +155,40 @@ class StageSolution(eqx.Module):
     count: Float[Array, ""]
     relative_size: Float[Array, " p"]
     equations: tuple[EquationFit, ...]
+    prior_curvature: Float[Array, " p"]
+    at_bound: Bool[Array, " p"]
     parameters: tuple[str, ...] = eqx.field(static=True)
     stage: int = eqx.field(static=True)
-    information: Float[Array, " p"] | None = eqx.field(default=None, kw_only=True)
-    at_bound: Bool[Array, " p"] | None = eqx.field(default=None, kw_only=True)
 
-    def constrain(self, blocks: NormalEquations, values: Mapping[str, Array]) -> NormalEquations:
-        """Blocks of the stage with what priors and bounds add, so that scores add up to zero.
-
-        Of what is held nothing is left but its value.
-        """
-        if self.information is None or self.at_bound is None:
+    def constrain(
+        self, blocks: NormalEquations, values: Mapping[str, Array], constraints: Constraints
+    ) -> NormalEquations:
+        """Blocks of the stage with what priors and bounds of its parameters add."""
+        if not {*self.parameters} & {*constraints.priors, *constraints.bounds}:
             return blocks
-        names = blocks.parameters
-        place = np.array([names.index(name) for name in self.parameters])
-        at = jnp.stack([jnp.asarray(values[name]) for name in names])
-        held = jnp.zeros(len(names), bool).at[place].set(self.at_bound)
-        curvature = jnp.zeros_like(at).at[place].set(self.information)
-        mix = _holding(held, at)
-        blocks = blocks.in_columns(lambda matrix: mix @ matrix @ mix.T, names)
-        total = blocks.flattened().total()
-        curvature = jnp.where(held, 1.0, curvature)
-        pull = jnp.where(curvature > 0, curvature * at - (total.moment - total.gram @ at), 0.0)
-        energy = 2 * pull @ at - curvature @ at**2
-        return spread(blocks, diagonal_block(names, curvature, pull, energy))
-
-
-def _holding(
-    held: Bool[Array, " p"], values: Float[Array, " p"]
-) -> Float[Array, "columns columns"]:
-    """What makes columns of what is held zero, and joins them at these values to the target."""
-    target = jnp.concatenate([jnp.ones(1, values.dtype), -jnp.where(held, values, 0.0)])
-    return jnp.diag(jnp.pad(jnp.where(held, 0.0, 1.0), (1, 0))).at[0].set(target)
+        place = np.array([blocks.parameters.index(name) for name in self.parameters])
+        at = jnp.stack([jnp.asarray(values[name]) for name in blocks.parameters])
+        held = jnp.zeros(at.shape, bool).at[place].set(self.at_bound)
+        curvature = jnp.zeros_like(at).at[place].set(self.prior_curvature)
+        return constrained_blocks(blocks, at, held, curvature)
 
 
 def _constrained(
     equations: NormalEquations,
     rows: Rows | None,
-    limits: Constraints,
-    information: Float[Array, " p"],
+    constraints: Constraints,
+    curvature: Float[Array, " p"],
 ) -> tuple[Solution, Bool[Array, " p"]]:
     """The solution with priors and within bounds, and which parameters are held at one.
 
     Rank and conditioning are those without bounds, which tell nothing apart.
+
+    **Arguments:** `curvature` of the priors.
     """
     names = equations.parameters
 
     def solved(held: Array, values: Array, curvature: Array, moment: Array) -> Solution:
-        mix, block = _holding(held, values), diagonal_block(names, curvature, moment)
+        mix, block = holding(held, values), diagonal_block(names, curvature, moment)
         if rows is None:
             return solve(equations.in_columns(lambda m: mix @ m @ mix.T, names) + block)
         root = jnp.sqrt(curvature)
@@ -209,15 +197,15 @@ def _constrained(
         columns = jnp.concatenate([mix @ rows.columns, further], axis=1)
         return solve_rows(Rows(columns, jnp.arange(columns.shape[1]), names))
 
-    held, moment = jnp.zeros(len(names), bool), information * limits.prior_mean
-    solution = solved(held, moment, information, moment)
-    if limits.bounded:
-        side = sides_of_bounds(equations + diagonal_block(names, information, moment), limits)
-        held, bound = side != 0, jnp.where(side < 0, limits.lower, limits.upper)
-        curvature, moment = jnp.where(held, 1.0, information), jnp.where(held, bound, moment)
+    held, moment = jnp.zeros(len(names), bool), curvature * constraints.prior(names)[0]
+    solution = solved(held, moment, curvature, moment)
+    if {*names} & {*constraints.bounds}:
+        side = sides_of_bounds(equations + diagonal_block(names, curvature, moment), constraints)
+        lower, upper = constraints.limits(names)
+        held, bound = side != 0, jnp.where(side < 0, lower, upper)
+        curvature, moment = jnp.where(held, 1.0, curvature), jnp.where(held, bound, moment)
         theta = jnp.where(held, bound, solved(held, bound, curvature, moment).theta)
-        theta = jnp.clip(theta, limits.lower, limits.upper)
-        solution = dataclasses.replace(solution, theta=theta)
+        solution = dataclasses.replace(solution, theta=jnp.clip(theta, lower, upper))
     return solution, held
 
 
@@ -226,7 +214,7 @@ def solve_stages(
     known: Mapping[str, Array],
     rows: list[Rows] | None = None,
     apart: list[list[NormalEquations]] | None = None,
-    constraints: Constraints | None = None,
+    constraints: Constraints = NONE,
     short: ShortBlocks | None = None,
     longest_window: Float[Array, ""] | None = None,
 ) -> tuple[list[StageSolution], dict[str, Array]]:
@@ -244,52 +232,50 @@ def solve_stages(
     for i, blocks in enumerate(stages):
         equations = blocks.total().fix(found)
         informed.append(blocks)
-        if not equations.parameters:
+        names = equations.parameters
+        if not names:
             continue
         of_stage = None if rows is None else rows[i].fix(found)
         solution = solve(equations) if of_stage is None else solve_rows(of_stage)
-        before, information, held = found, None, None
-        if constraints is not None:
-            limits = constraints.on(equations.parameters)
-            information = jnp.zeros_like(solution.theta)
-            if limits.with_prior:
-                assert short is not None
-                assert longest_window is not None
-                earlier = [s.information for s in solutions if s.information is not None]
-                every = [name for s in solutions for name in s.parameters]
-                information = prior_curvature(
-                    informed,
-                    known,
-                    found | dict(zip(limits.names, solution.theta)),
-                    jnp.asarray(constraints.on([*every, *limits.names]).prior_weight),
-                    jnp.concatenate([*earlier, jnp.zeros(0)]),
-                    short,
-                    longest_window,
-                )
-            solution, held = _constrained(equations, of_stage, limits, information)
-            information = jnp.where(held, 0.0, information)
-        found = found | dict(zip(equations.parameters, solution.theta))
+        before, curvature = found, jnp.zeros_like(solution.theta)
+        held = jnp.zeros(curvature.shape, bool)
+        if {*names} & {*constraints.priors}:
+            assert short is not None
+            assert longest_window is not None
+            every = [name for stage in solutions for name in stage.parameters]
+            curvature = prior_curvature(
+                informed,
+                known,
+                found | dict(zip(names, solution.theta)),
+                jnp.asarray(constraints.prior([*every, *names])[1]),
+                jnp.concatenate([jnp.zeros(0), *(stage.prior_curvature for stage in solutions)]),
+                short,
+                longest_window,
+            )
+        if {*names} & {*constraints.priors, *constraints.bounds}:
+            solution, held = _constrained(equations, of_stage, constraints, curvature)
+            curvature = jnp.where(held, 0.0, curvature)
+        found = found | dict(zip(names, solution.theta))
         whole = _fit(equations, solution.theta, equations.energy)
         several = apart[i] if apart else []
         fits = [_fit_of_part(part.total(), equations, before, found) for part in several]
-        curvature = jnp.diagonal(equations.gram)
-        curvature = curvature if information is None else curvature + information
         reference = jnp.where(equations.energy > 0, equations.energy, 1.0)
+        size = jnp.sqrt((jnp.diagonal(equations.gram) + curvature) / reference)
         solutions.append(
             StageSolution(
                 solution,
                 whole.relative_rms,
                 whole.residual_rms,
                 equations.count,
-                jnp.sqrt(curvature / reference),
+                size,
                 tuple(fits) or (whole,),
-                equations.parameters,
+                curvature,
+                held,
+                names,
                 i,
-                information=information,
-                at_bound=held,
             )
         )
-        informed[-1] = solutions[-1].constrain(blocks, found)
+        informed[-1] = solutions[-1].constrain(blocks, found, constraints)
     return solutions, found
 
 

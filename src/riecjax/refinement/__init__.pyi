@@ -1,5 +1,4 @@
 from .integral_error import AbstractBalance as AbstractBalance
-from .objective import AbstractParametric as AbstractParametric
 from .objective import ByFunction as ByFunction
 from .objective import as_parametric_system as as_parametric_system
 from .optimum import RefinementStatus as RefinementStatus

@@ -47,11 +47,9 @@ from riecjax.equations.term import Term, combined, samples_of
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import all_normal_equations
-from riecjax.leaves import as_leaf
 from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
     AbstractObjective,
-    AbstractParametric,
     AbstractResiduals,
     ByFunction,
     Energies,
@@ -116,7 +114,7 @@ class AbstractBalance(eqx.Module):
 
 
 def expanded(
-    model: AbstractParametric, record: Record, values: Values, free: Sequence[str], smoothness: int
+    model: ByFunction, record: Record, values: Values, free: Sequence[str], smoothness: int
 ) -> tuple[Equation, Record]:
     """First-order expansion about `values` of an equation of motion, for a criterion that takes so
     many derivatives off.
@@ -127,14 +125,14 @@ def expanded(
     **Raises:** `DataError` for a missing signal, or a derivative that is neither recorded nor taken
     off; `ModelError` for a balance that holds nothing or fails.
     """
-    held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in model.parameters}
+    held = {n: jnp.asarray(values[n], record.time_step.dtype) for n in model.names}
     levels = _levels(model, record, held, smoothness)
     name, unit, where = _label(model, held)
     # The error is the equation's target, so that its rows are those of [r, dr/dtheta].
     parts: list[tuple[float | str, str, int, Any]] = [
         (-1.0, f"~:{order}", order, level.values) for order, level in levels.items()
     ]
-    for parameter in (name for name in model.parameters if name in free):
+    for parameter in (name for name in model.names if name in free):
         along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
         _, slopes = jax.jvp(
             lambda at: {
@@ -151,7 +149,7 @@ def expanded(
     return equation, record.with_signals(signals)
 
 
-def _label(model: AbstractParametric, values: Values) -> tuple[str, str, Any]:
+def _label(model: ByFunction, values: Values) -> tuple[str, str, Any]:
     """Name and unit of an equation, and where it is to be trusted."""
     built = model.build(values)
     where = built.where if isinstance(built, Equation) else type(built).where
@@ -159,7 +157,7 @@ def _label(model: AbstractParametric, values: Values) -> tuple[str, str, Any]:
 
 
 def _levels(
-    model: AbstractParametric, record: Record, values: Values, smoothness: int
+    model: ByFunction, record: Record, values: Values, smoothness: int
 ) -> dict[int, Signal]:
     """Samples of what is left to be differentiated so many times."""
     levels: dict[int, Signal] = {}
@@ -203,11 +201,11 @@ def _levels(
     return {order: Signal(level.values, present) for order, level in levels.items()}
 
 
-Balances = Equation | Model | AbstractBalance | AbstractParametric | Sequence["Balances"]
+Balances = Equation | Model | AbstractBalance | ByFunction | Sequence["Balances"]
 """What equation errors can be formed of: one equation of motion or several."""
 
 
-def as_balances(model: Balances) -> tuple[AbstractParametric, ...]:
+def as_balances(model: Balances) -> tuple[ByFunction, ...]:
     """Every equation of motion behind a model, for every value of its parameters.
 
     **Raises:** `ModelError` for something that holds none, or hidden elements.
@@ -216,7 +214,7 @@ def as_balances(model: Balances) -> tuple[AbstractParametric, ...]:
         require_no_slip(model)
     if isinstance(model, AbstractBalance):
         return (by_fields(model),)
-    if isinstance(model, AbstractParametric):
+    if isinstance(model, ByFunction):
         return (model,)
     if isinstance(model, Equation):
         return (_by_terms(model),)
@@ -237,9 +235,8 @@ def as_balances(model: Balances) -> tuple[AbstractParametric, ...]:
 
 def _by_terms(equation: Equation) -> ByFunction:
     """An equation that is linear in its parameters: the same whatever these are."""
-    units, known = tuple(equation.units.items()), map(as_leaf, equation.known.values())
-    defaults = dict(zip(equation.known, known))
-    return ByFunction(_itself, equation.parameters, units, defaults, equation)
+    units = tuple(equation.units.items())
+    return ByFunction(_itself, equation.parameters, units, equation.known, equation)
 
 
 def _itself(equation: Equation, values: Values) -> Equation:
@@ -252,7 +249,7 @@ class IntegralResiduals(AbstractResiduals):
     `labels` are the equations; `units` theirs, times seconds for each integration.
     """
 
-    models: tuple[AbstractParametric, ...]
+    models: tuple[ByFunction, ...]
     records: list[Record]
     criterion: AbstractCriterion
     keys: list[Key[Array, ""] | None]
@@ -333,7 +330,7 @@ class IntegralError(AbstractObjective):
         band = getattr(model, "band", None) or DEFAULT_BAND
         return IntegralError(RIEC.of_band(band)) if self.criterion is None else self
 
-    def models(self, model: Any, record: Record) -> tuple[AbstractParametric, ...]:
+    def models(self, model: Any, record: Record) -> tuple[ByFunction, ...]:
         """The equations of motion.
 
         **Raises:** `ModelError` for a function that does not name its parameters.
@@ -348,7 +345,7 @@ class IntegralError(AbstractObjective):
 
     def over(
         self,
-        models: Sequence[AbstractParametric],
+        models: Sequence[ByFunction],
         records: list[Record],
         table: ParameterTable,
         start: Theta,
@@ -363,7 +360,7 @@ class IntegralError(AbstractObjective):
         criterion = criterion.fitted(records)
         free = {*table.free_somewhere}
         # An equation without free parameters would only add a constant.
-        models = tuple(model for model in models if free & {*model.parameters})
+        models = tuple(model for model in models if free & {*model.names})
         values = table.values_at(start, 0)
         labels = [_label(model, values) for model in models]
         rows = [[criterion.row_count(record) or 0.0 for record in records] for _ in models]

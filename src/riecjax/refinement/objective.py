@@ -40,60 +40,27 @@ Energies = Float[Array, " quantities"]
 """Sums of squares."""
 
 
-class AbstractParametric(eqx.Module):
-    """A model that is built anew for each value of its parameters."""
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the parameters that it knows of; empty where any name may be given."""
-        raise NotImplementedError
-
-    @property
-    def defaults(self) -> Values:
-        """Values that it carries already."""
-        return {}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of the parameters, as far as they are known."""
-        return {}
-
-    def build(self, values: Values) -> Any:
-        """The model with these values, which may be traced."""
-        raise NotImplementedError
+def _as_leaves(values: Mapping[str, Leaf | float]) -> Values:
+    return {name: as_leaf(value) for name, value in values.items()}
 
 
-class ByFunction(AbstractParametric):
-    """A function of the parameters by name that returns the model.
+class ByFunction(eqx.Module):
+    """A model that is built anew for each value of its parameters, by a function of these by name.
 
-    **Fields:** `function`; `names` of the parameters, if they are known, pairs of name and unit,
-    and `default_values`; `held`, what the function takes before the values, if it is not `None`:
-    arrays that a closure would compile in.
+    **Fields:** `function` that returns the model; `names` of the parameters, none where any may be
+    given; pairs of name and unit, as far as they are known; `defaults`, values that it carries
+    already; `held`, what the function takes before the values, if it is not `None`: arrays that a
+    closure would compile in.
     """
 
     function: Callable[..., Any] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True, default=())
     unit_pairs: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
-    default_values: Mapping[str, Leaf | float] = eqx.field(default_factory=dict)
+    defaults: Values = eqx.field(default_factory=dict, converter=_as_leaves)
     held: Any = None
 
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names, if they were given."""
-        return self.names
-
-    @property
-    def defaults(self) -> Values:
-        """Values that were given."""
-        return {name: as_leaf(value) for name, value in self.default_values.items()}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units that were given."""
-        return dict(self.unit_pairs)
-
     def build(self, values: Values) -> Any:
-        """What the function returns."""
+        """The model with these values, which may be traced."""
         return self.function(values) if self.held is None else self.function(self.held, values)
 
 
@@ -136,19 +103,17 @@ def _with_coefficients(system: EquationSystem, values: Values) -> EquationSystem
     return eqx.tree_at(lambda s: s.values, system, {**system.values, **given})
 
 
-Simulated = (
-    AbstractParametric | AbstractSystem | Equation | Model | Callable[[Values], AbstractSystem]
-)
+Simulated = ByFunction | AbstractSystem | Equation | Model | Callable[[Values], AbstractSystem]
 """What output errors can be formed of."""
 
 
-def as_parametric_system(model: Simulated, record: Record) -> AbstractParametric:
+def as_parametric_system(model: Simulated, record: Record) -> ByFunction:
     """The system behind a model, for every value of its parameters.
 
     **Raises:** `ModelError` if it cannot be simulated.
     """
     require_no_slip(model)
-    if isinstance(model, AbstractParametric):
+    if isinstance(model, ByFunction):
         return model
     if isinstance(model, EquationSystem):
         units = {name: unit for e in model.equations for name, unit in e.units.items()}
@@ -305,11 +270,11 @@ class AbstractObjective(eqx.Module):
         """
         models = self.models(model, records[0])
         # No names where any may be given.
-        names = tuple(dict.fromkeys(name for model in models for name in model.parameters))
+        names = tuple(dict.fromkeys(name for model in models for name in model.names))
         defaults: dict[str, Leaf] = {}
         units: dict[str, str] = {}
         for model in models:
-            units |= {name: unit for name, unit in model.units.items() if unit or name not in units}
+            units |= {n: unit for n, unit in model.unit_pairs if unit or n not in units}
             defaults |= model.defaults
         carried: Mapping[str, float | Array] = {}
         elements: list[Any] = []
@@ -346,13 +311,13 @@ class AbstractObjective(eqx.Module):
         theta = namespace(free).stack(free)
         return self.over(models, records, table, theta, record_keys(key, len(records)))
 
-    def models(self, model: Any, record: Record) -> Sequence[AbstractParametric]:
+    def models(self, model: Any, record: Record) -> Sequence[ByFunction]:
         """What a model consists of: its system, or its equations of motion."""
         raise NotImplementedError
 
     def over(
         self,
-        models: Sequence[AbstractParametric],
+        models: Sequence[ByFunction],
         records: list[Record],
         table: ParameterTable,
         start: Theta,

@@ -77,27 +77,14 @@ changes neither a sum of squares nor a step. So nothing carried from step to ste
 record. Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20
 windows two to three times as fast: benchmarks/NOTES.md.
 
-Coordinates without bounds for parameters that have some, and priors.
-
-A search that knows no bounds is given coordinates z in which there are none. With scale c,
-
-    free                theta = c z                         d theta / dz = c
-    above l             theta = l + c log(1 + e^z)          c (1 - e^(-(theta - l) / c))
-    below u             theta = u - c log(1 + e^z)          -c (1 - e^(-(u - theta) / c))
-    between l and u     theta = l + (u - l) / (1 + e^-z)    (theta - l) (u - theta) / (u - l)
-
-Towards a bound the slope falls with the distance d from it. A Gauss-Newton step of theta by -x is
-one of z by -x over the slope, the longer the nearer the bound: where data push against a bound, d
-falls by a constant factor or faster at each step, and a few steps reach it. A map with a turning
-point (a sine) has slope zero on the bound itself and turns back beyond it, so that it would be
-reached and left in turn.
-
-No finite z lies on a bound. z = -16 leaves d = c e^-16, 1e-7 of the scale: there the bound counts
-as reached, and the coordinate is held (see `Problem`). Float32 has no more digits to tell a
-parameter from its bound.
+**Bounds.** The search is of parameters in units of their start, clipped to the bounds. A trial that
+would go beyond one is set on it, and what the slope pushes against its bound is held there: its
+columns are zero, for this step and for all else that is said of the optimum. So bounds that hold
+nothing change nothing.
 """
 
 import dataclasses
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -112,12 +99,11 @@ from jaxtyping import Array, Bool, Float, Int
 from riecjax.compilation import kept_jit
 from riecjax.estimation.constraints import (
     Constraints,
-    diagonal_block,
-    scatter_of_priors,
-    spread,
+    constrained_blocks,
+    constrained_uncertainty,
 )
 from riecjax.estimation.estimate import RefinementStatus
-from riecjax.leaves import Leaf, held_still
+from riecjax.leaves import held_still
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
 from riecjax.refinement.objective import AbstractResiduals, Energies, Initial, Theta
 from riecjax.uncertainty.intervals import AbstractIntervals, estimate_uncertainty
@@ -140,8 +126,8 @@ NO_STEP = 1e-13
 class Point(eqx.Module):
     """Where a refinement stands.
 
-    **Fields:** `parameters` in the coordinates of `Coordinates`; `initial` states that are
-    estimated, one row for each window, in units of their scale.
+    **Fields:** `parameters`, and `initial` states that are estimated, one row for each window; both
+    in units of their scale.
     """
 
     parameters: Float[Array, " p"]
@@ -323,63 +309,6 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {}
 
 
-AT_BOUND = 1e-6
-"""Distance from a bound, as a share of the parameter's scale, at which it is called reached."""
-FARTHEST = 16.0
-"""Coordinate at which a bound is that near: further out its slope would be nothing."""
-
-
-class Coordinates(eqx.Module):
-    """Smooth maps between parameters and coordinates that may take any value; see the module.
-
-    **Fields:** `scale` of each parameter; `lower` and `upper` bounds, infinite where there is none.
-    """
-
-    scale: Float[Array, " p"]
-    lower: Leaf
-    upper: Leaf
-
-    def _kinds(self) -> tuple[Array, Array, Array, Array]:
-        """Which have a lower and an upper bound, and these, 0 for none."""
-        below, above = jnp.isfinite(self.lower), jnp.isfinite(self.upper)
-        return below, above, jnp.where(below, self.lower, 0.0), jnp.where(above, self.upper, 0.0)
-
-    def values(self, z: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Parameters in their units."""
-        below, above, low, high = self._kinds()
-        rise = self.scale * jax.nn.softplus(z)
-        between = low + (high - low) * jax.nn.sigmoid(z)
-        one_sided = jnp.where(below, low + rise, jnp.where(above, high - rise, self.scale * z))
-        return jnp.where(below & above, between, one_sided)
-
-    def inverse(self, values: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Coordinates of parameters strictly within their bounds."""
-        below, above, low, high = self._kinds()
-        both = below & above
-        share = jnp.where(both, (values - low) / jnp.where(both, high - low, 1.0), 0.5)
-        share = jnp.clip(share, jnp.finfo(share.dtype).tiny, 1 - jnp.finfo(share.dtype).epsneg)
-        distance = jnp.where(below, values - low, high - values) / self.scale
-        distance = jnp.where(below ^ above, distance, 1.0)
-        distance = jnp.maximum(distance, jnp.finfo(share.dtype).tiny)
-        # z = log(e^d - 1) = d + log(1 - e^-d), which neither overflows nor cancels.
-        root = distance + jnp.log(-jnp.expm1(-distance))
-        bounded = jnp.where(both, jnp.log(share) - jnp.log1p(-share), root)
-        free = values / self.scale
-        return jnp.where(below | above, jnp.clip(bounded, -FARTHEST, None), free)
-
-    def limits(self) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-        """Lowest and highest coordinates that need ever be tried."""
-        below, above, _, _ = self._kinds()
-        lowest = jnp.where(below | above, -FARTHEST, -jnp.inf)
-        return lowest, jnp.where(below & above, FARTHEST, jnp.inf)
-
-    def at_bound(self, values: Float[Array, " p"]) -> Bool[Array, " p"]:
-        """Which parameters sit on one of their bounds."""
-        below, above, low, high = self._kinds()
-        near = AT_BOUND * jnp.where(below & above, high - low, self.scale)
-        return (values - self.lower < near) | (self.upper - values < near)
-
-
 SILENT = 1e-20
 """Share of what is left that a parameter must be able to move by its own size to count at all."""
 COLLINEAR = 1e-12
@@ -436,35 +365,40 @@ def begun(residuals: AbstractResiduals, initial: Initial) -> SearchResult:
 
 
 class Problem(eqx.Module):
-    """Residuals in coordinates without bounds, with priors.
+    """Residuals with priors and bounds, of parameters in units of their scale.
 
-    **Fields:** `residuals`; `coordinates`; `constraints`; `variance` of a residual.
+    **Fields:** `residuals`; `constraints`; `scale` of the parameters; `variance` of a residual.
     """
 
     residuals: AbstractResiduals
-    coordinates: Coordinates
     constraints: Constraints
+    scale: Float[Array, " p"]
     variance: Float[Array, ""]
+
+    def limits(self) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+        """Bounds of the parameters in their units."""
+        lower, upper = self.constraints.limits(self.residuals.table.free)
+        return jnp.asarray(lower, self.scale.dtype), jnp.asarray(upper, self.scale.dtype)
+
+    def sides(self, point: Point) -> Float[Array, " p"]:
+        """Which parameters are at their lower (-1) or upper (1) bound, or beyond it."""
+        lower, upper = self.limits()
+        below = jnp.where(point.parameters <= lower / self.scale, -1.0, 0.0)
+        return jnp.where(point.parameters >= upper / self.scale, 1.0, below)
 
     def values(self, point: Point) -> tuple[Float[Array, " p"], Float[Array, "windows s"]]:
         """Parameters and initial states in their units."""
-        initial = point.initial * self.residuals.initial_scale()[None, :]
-        return self.coordinates.values(point.parameters), initial
-
-    def point(self, theta: Theta, initial: Initial) -> Point:
-        """The point of parameters and initial states in their units."""
-        return Point(
-            self.coordinates.inverse(theta), initial / self.residuals.initial_scale()[None, :]
+        (lower, upper), side = self.limits(), self.sides(point)
+        theta = jnp.where(
+            side < 0, lower, jnp.where(side > 0, upper, point.parameters * self.scale)
         )
+        return theta, point.initial * self.residuals.initial_scale()[None, :]
 
     def linearised(self, point: Point) -> Linearised:
-        """The residuals in coordinates, to first order."""
+        """The residuals by the parameters in units of their scale, to first order."""
         theta, initial = self.values(point)
-        ones = jnp.ones_like(point.parameters)
-        _, slope = jax.jvp(self.coordinates.values, (point.parameters,), (ones,))
-        scale = jnp.concatenate(
-            [jnp.ones(1, slope.dtype), slope, self.residuals.initial_scale().astype(slope.dtype)]
-        )
+        sizes = jnp.ones(1), self.scale, self.residuals.initial_scale()
+        scale = jnp.concatenate([size.astype(theta.dtype) for size in sizes])
         expansion = self.residuals.expansion(theta, initial)
         moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
         # A trial point that the model cannot stand is a poor one, and nothing else.
@@ -472,50 +406,35 @@ class Problem(eqx.Module):
         poor = jnp.zeros(moments.shape[1:], moments.dtype)
         poor = poor.at[0, 0].set(jnp.sqrt(jnp.finfo(moments.dtype).max))
         moments = jnp.where(finite, moments, poor[None])
-        weight = jnp.asarray(self.constraints.prior_weight) * jnp.sqrt(self.variance)
-        prior, prior_slope = weight * (theta - self.constraints.prior_mean), weight * slope
-        lowest, highest = self.coordinates.limits()
+        mean, weight = map(jnp.asarray, self.constraints.prior(self.residuals.table.free))
+        weight = weight * jnp.sqrt(self.variance)
+        prior, slope = weight * (theta - mean), weight * self.scale
         # A parameter that is pushed against its bound is held there.
         p = theta.shape[0]
-        push = -jnp.sum(moments[:, 1 : 1 + p, 0], axis=0) - prior_slope * prior
-        free = ~((point.parameters <= lowest) & (push < 0))
-        free = (free & ~((point.parameters >= highest) & (push > 0))).astype(moments.dtype)
+        push = -jnp.sum(moments[:, 1 : 1 + p, 0], axis=0) - slope * prior
+        free = (self.sides(point) * push <= 0).astype(moments.dtype)
         moving = jnp.concatenate([jnp.ones(1), free, jnp.ones(moments.shape[-1] - 1 - p)])
-        return Linearised(
-            moments * (moving[:, None] * moving[None, :])[None],
-            prior,
-            prior_slope * free,
-            lowest,
-            highest,
-            expansion,
-        )
+        moments = moments * (moving[:, None] * moving[None, :])[None]
+        lower, upper = self.limits()
+        ends = lower / self.scale, upper / self.scale
+        return Linearised(moments, prior, slope * free, *ends, expansion)
 
 
-@eqx.filter_custom_jvp
 def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
     """Residuals of each window, reduced to as many as there are columns; see the module.
 
-    **Returns:** these, and the linearised problem that they come from.
+    **Returns:** these, and the linearised problem that they come from, which is looked at and never
+    differentiated.
     """
-    at = problem.linearised(point)
-    return (at.factors()[:, :, 0], at.prior), at
-
-
-@reduced_residual.def_jvp
-def _reduced_residual_jvp(primals: Any, tangents: Any) -> Any:
-    point, problem = primals
-    along = tangents[0]
-    at = problem.linearised(point)
-    factors = at.factors()
-    p = point.parameters.shape[0]
-    parameters = jnp.zeros_like(point.parameters) if along.parameters is None else along.parameters
-    initial = jnp.zeros_like(point.initial) if along.initial is None else along.initial
-    moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], parameters)
-    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], initial)
-    # What comes beside the residual is looked at, never differentiated.
-    aside = jax.tree.map(jnp.zeros_like, at)
-    residual = factors[:, :, 0], at.prior
-    return (residual, at), ((moved, at.prior_slope * parameters), aside)
+    here = held_still(point)
+    at = held_still(problem.linearised(here))
+    factors, p = at.factors(), here.parameters.shape[0]
+    # Zero, whose derivative is one: the Jacobian is that of the moments.
+    change = jax.tree.map(operator.sub, point, here)
+    moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], change.parameters)
+    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], change.initial)
+    prior = at.prior + at.prior_slope * change.parameters
+    return (factors[:, :, 0] + moved, prior), at
 
 
 @eqx.filter_custom_jvp
@@ -559,9 +478,9 @@ def search(
     """The optimum, searched from a place that was reached before."""
     scale = jnp.where(residuals.start != 0, jnp.abs(residuals.start), 1.0)
     variance = residual_variance(residuals, before.energy)
-    coordinates = Coordinates(scale, constraints.lower, constraints.upper)
-    problem = Problem(residuals, coordinates, constraints, variance)
-    still, first = held_still((problem, problem.point(before.theta, before.initial)))
+    problem = Problem(residuals, constraints, scale, variance)
+    states = before.initial / residuals.initial_scale()[None, :]
+    still, first = held_still((problem, Point(before.theta / scale, states)))
     if solver is None:  # at the tolerance that the precision allows
         rtol = 1e-6 if first.parameters.dtype == jnp.float64 else 1e-4
         solver = LevenbergMarquardt(rtol, report=progress)
@@ -586,7 +505,7 @@ def search(
     ):
         status = RefinementStatus.where(ended, reason, status)
     expansion = solution.aux.aside
-    at_bound = problem.coordinates.at_bound(theta)
+    at_bound = problem.sides(point) != 0
     blocks, short = residuals.blocks(residuals.curved(theta, initial, expansion))
     variance = residual_variance(residuals, expansion.energy)
     # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
@@ -594,7 +513,9 @@ def search(
     total = blocks.flattened().total()
     gram = total.gram
     curvature = jnp.diagonal(gram)
-    known = variance * jnp.asarray(constraints.prior_weight) ** 2
+    names = residuals.table.free
+    _, weight = map(jnp.asarray, constraints.prior(names))
+    known = variance * weight**2
     tiny = SILENT * jnp.sum(expansion.energy)
     silent = (curvature * theta**2 <= tiny) & (theta != 0) | (curvature == 0)
     held = at_bound | silent & (known == 0)
@@ -607,21 +528,14 @@ def search(
     weak = sizes < COLLINEAR * gram.shape[0]
     held = held | jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)
     information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
-    # Scores add up to zero with the priors' own.
-    pull = known * (jnp.asarray(constraints.prior_mean) - theta)
-    blocks = spread(blocks, diagonal_block(blocks.parameters, information, pull))
-    names = residuals.table.free
-    zero = {name: jnp.zeros(()) for name in names}
+    nowhere = jnp.zeros_like(theta)
+    blocks = constrained_blocks(blocks, nowhere, held, known)
     shared = np.array([residuals.table[name].recording is None for name in names])
+    changes = dict(zip(names, nowhere))
     uncertainty, inflation, statistics = estimate_uncertainty(
-        [blocks], {}, zero, short, residuals.longest_window, shared, intervals
+        [blocks], {}, changes, short, residuals.longest_window, shared, intervals
     )
     used = jnp.sum(statistics.used)
-    if constraints.with_prior:
-        weight = constraints.prior_weight
-        priors = scatter_of_priors(gram + jnp.diag(information), known, weight)
-        uncertainty = uncertainty.with_priors(*priors)
-    covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, uncertainty.covariance)
     return SearchResult(
         theta,
         initial,
@@ -629,7 +543,7 @@ def search(
         residuals.rms(expansion.energy),
         status,
         before.steps + solution.stats["num_steps"],
-        eqx.tree_at(lambda u: u.covariance, uncertainty, covariance),
+        constrained_uncertainty(uncertainty, statistics, constraints, known, held),
         inflation,
         at_bound,
         used,

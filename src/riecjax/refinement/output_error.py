@@ -67,8 +67,8 @@ from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, Signal, both, filled_up, shared_length
 from riecjax.refinement.objective import (
     AbstractObjective,
-    AbstractParametric,
     AbstractResiduals,
+    ByFunction,
     Energies,
     Expansion,
     Initial,
@@ -405,7 +405,7 @@ class OutputResiduals(AbstractResiduals):
     between samples may be taken of a method that the user left open, else 0.
     """
 
-    system: AbstractParametric
+    system: ByFunction
     recorded: list[Recorded]
     table: ParameterTable
     start: Theta
@@ -687,13 +687,13 @@ class OutputError(AbstractObjective):
                 f"differentiate the result in reverse."
             )
 
-    def models(self, model: Any, record: Record) -> tuple[AbstractParametric]:
+    def models(self, model: Any, record: Record) -> tuple[ByFunction]:
         """The system to simulate."""
         return (as_parametric_system(model, record),)
 
     def over(
         self,
-        models: Sequence[AbstractParametric],
+        models: Sequence[ByFunction],
         records: list[Record],
         table: ParameterTable,
         start: Theta,

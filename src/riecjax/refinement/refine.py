@@ -213,7 +213,7 @@ def refine(
     # residuals at the optimum, which the first search knows only from its start; the next ones take
     # it from the search before, a fixed-point iteration.
     initial, before = residuals.first_initial(), None
-    rounds = FURTHER_ROUNDS if constraints.with_prior else 0
+    rounds = FURTHER_ROUNDS if constraints.priors else 0
     while True:
         first = begun(residuals, initial)
         optimum = search(residuals, constraints, (before or first).place, *settings)

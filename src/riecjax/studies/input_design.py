@@ -29,7 +29,7 @@ from riecjax import Adaptive, FixedStep, ModelError, Record, Signal, simulate
 from riecjax.errors import refuse_unknown
 from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_scaled
-from riecjax.refinement import AbstractParametric, as_parametric_system
+from riecjax.refinement import ByFunction, as_parametric_system
 from riecjax.simulation import AbstractSystem, multisine, suitable_steps
 
 
@@ -45,7 +45,7 @@ class _Experiment(eqx.Module):
     - `method` of simulation.
     """
 
-    model: AbstractParametric
+    model: ByFunction
     values: Float[Array, " p"]
     known: dict[str, Array]
     initial_state: Float[Array, " states"]
@@ -56,7 +56,7 @@ class _Experiment(eqx.Module):
 
     def __init__(
         self,
-        model: AbstractParametric,
+        model: ByFunction,
         values: Mapping[str, float | Array],
         inputs: Record,
         channels: Sequence[str],
@@ -65,7 +65,7 @@ class _Experiment(eqx.Module):
     ):
         """Checked. `settings`: `known`, `initial_state` and `method`, or None."""
         known, initial_state = settings["known"] or {}, settings["initial_state"] or {}
-        if names := model.parameters:
+        if names := model.names:
             refuse_unknown([name for name in {**known, **values} if name not in names], names)
         if not values or not channels:
             raise ModelError(
