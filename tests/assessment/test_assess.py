@@ -89,7 +89,7 @@ def test_findings_of_a_file_are_those_of_signals_that_are_read():
         (("quarter-car",), {}, "rx.find_model('quarter-car')"),
         ((AXIS, "least-squares"), {}, "Write 'riec' or 'dols'"),
         ((AXIS, HATS), {"refine": "simulation"}, "'integral' or 'output-error'"),
-        ((AXIS, HATS), {"bounds": {"m": (0, 1)}, "refine": None}, "refine="),
+        ((AXIS, HATS), {"bounds": {"m": (1, 0)}, "refine": None}, "wrong order: 1 to 0"),
         ((AXIS, HATS), {"hold_out": "0.2"}, "hold_out is the text '0.2'. Write a number"),
         ((AXIS, HATS), {"known": {"mass": 1.0}}, "unknown parameter 'mass'"),
     ],

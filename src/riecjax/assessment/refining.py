@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +19,6 @@ from jaxtyping import Array
 from riecjax.compilation import kept_jit
 from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
-from riecjax.estimation.constraints import Bounds, Constraints
 from riecjax.estimation.estimate import (
     Estimate,
     identified_entries,
@@ -378,7 +376,7 @@ def _search(
     refined = refine(
         problem.model,
         problem.records,
-        within(estimate, settings.bounds),
+        estimate,
         by,
         **limits,
         key=settings.key,
@@ -544,8 +542,6 @@ STRANGE = 3.0
 """Standard deviations past which a prior contradicts the data: one time in 370 by chance."""
 TELLING = 1e-9
 """Share that is rounding: of what is known of a parameter, or of a target."""
-INSIDE = 0.1
-"""Share of the way between bounds, or of the way to the only one, by which a start stands off."""
 
 
 def against_priors(
@@ -572,21 +568,6 @@ def against_priors(
                 f"between two values of which one is wrong."
             )
             yield Finding("prior_disagrees", message, parameters=(name,), doubt=1.0)
-
-
-def within(start: Estimate, bounds: Mapping[str, Bounds]) -> Estimate:
-    """A start between the bounds, which a search approaches and never crosses."""
-    limits = Constraints.of(start.table, bounds, refined=True)
-    theta, low, high = map(np.asarray, (start.theta, limits.lower, limits.upper))
-    nearest = np.clip(theta, low, high)
-    far = np.maximum(np.abs(theta - nearest), np.abs(nearest))
-    # On a bound of zero, the value at which its term would be the target.
-    sizes = [np.asarray(stage.relative_size) for stage in start.stages]
-    whole = 1 / np.maximum(np.concatenate(sizes), TELLING) if sizes else far
-    way = np.where(np.isfinite(high - low), high - low, np.where(far > 0, far, whole))
-    inside = nearest + INSIDE * way * np.where(nearest == low, 1, -1)
-    theta = np.where((low < theta) & (theta < high), theta, inside)
-    return eqx.tree_at(lambda estimate: estimate.theta, start, jnp.asarray(theta))
 
 
 LIKELIER = float(np.log(100))

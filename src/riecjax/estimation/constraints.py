@@ -140,10 +140,11 @@ class Constraints(eqx.Module):
                 )
             if start is None or not is_concrete(low, high, start[name]):
                 continue
-            if not low < float(start[name]) < high:
+            at = np.asarray(start[name])
+            if at != np.clip(at, np.asarray(low, at.dtype), np.asarray(high, at.dtype)):
                 raise ModelError(
-                    f"{name} starts at {float(start[name]):g}, which is not between its bounds "
-                    f"{low:g} and {high:g}. Widen them, or start strictly between them."
+                    f"{name} starts at {at:g}, which is not between its bounds {low:g} and "
+                    f"{high:g}. Widen them, or start between them."
                 )
         for name, prior in known.items():
             if not is_pair(prior) or (is_concrete(prior[0]) and not np.isfinite(float(prior[0]))):
