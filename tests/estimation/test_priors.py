@@ -129,6 +129,46 @@ def test_a_prior_of_a_shared_parameter_counts_once():
     assert abs(float(both["offset[1]"])) < 1e-5 > abs(float(both["offset[2]"]))
 
 
+def test_a_prior_that_says_nothing_is_none_and_one_that_says_all_a_known_value():
+    alone = rx.identify(BODY, record(), RIEC, **PLAIN)
+    wide = rx.identify(BODY, record(), RIEC, priors={"d": (5.0, 1e8)}, **PLAIN)
+    known = rx.identify(BODY, record(), RIEC, known={"k": 29.5}, **PLAIN)
+    narrow = rx.identify(BODY, record(), RIEC, priors={"k": (29.5, 1e-7)}, **PLAIN)
+    np.testing.assert_allclose(wide.theta, alone.theta, rtol=1e-9)
+    np.testing.assert_allclose(wide.covariance, alone.covariance, rtol=1e-9)
+    np.testing.assert_allclose(narrow.theta[:3], known.theta, rtol=1e-5)
+    np.testing.assert_allclose(narrow.covariance[:3, :3], known.covariance, rtol=1e-5)
+
+
+def test_a_prior_of_a_later_stage_of_random_windows_and_of_single_precision():
+    other = rx.Equation(rx.Term("m", "a"), rx.Term("b", "v"), -rx.Term(1.0, "G"), name="other")
+    push = 2.0 * A + 3.0 * V + NOISE * np.random.default_rng(9).standard_normal(X.size)
+    both, model = record().with_signals({"G": push}), rx.staged(BODY, other)
+    windows = rx.RIEC(rx.RandomWindows(0.1, 0.5, 4000))
+
+    def found(key, **priors):
+        return rx.identify(model, both, windows, key=key, priors=priors, **PLAIN)
+
+    keys = jax.random.split(jax.random.key(0), 2)
+    alone = found(keys[1])
+    value, error = float(alone["b"]), float(alone.standard_error("b"))
+    prior = (value + 2 * error, error)
+    batch = jax.vmap(lambda key: found(key, b=prior))(keys)
+    # What earlier stages find stays as it is.
+    np.testing.assert_allclose(batch.theta[1, :4], alone.theta[:4], rtol=1e-9)
+    assert float(batch.theta[1, 4]) == pytest.approx(value + error, abs=0.1 * error)
+    assert float(batch.standard_errors[1, 4]) == pytest.approx(error / 2**0.5, rel=0.05)
+    with jax.enable_x64(False):
+        single = rx.identify(BODY, record(), RIEC, priors={"m": (2.01, 1e-3)}, **PLAIN)
+        assert single.theta.dtype == jnp.float32
+    double = rx.identify(BODY, record(), RIEC, priors={"m": (2.01, 1e-3)}, **PLAIN)
+    place = NAMES.index("m")
+    assert float(single.theta[place]) == pytest.approx(float(double["m"]), abs=1e-4)
+    np.testing.assert_allclose(
+        np.diag(single.covariance)[place], np.diag(double.covariance)[place], rtol=0.05
+    )
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
 def test_bounds_are_held_as_of_all_active_sets_the_best(count):
     """Of collinear columns too, in any units."""
@@ -176,7 +216,8 @@ def test_what_is_held_at_a_bound_is_known_to_the_others(intervals):
     np.testing.assert_allclose(found.interval("d"), known.interval("d"), rtol=1e-6)
     free = rx.identify(BODY, record(), RIEC, bounds={"k": (0, 40), "m": (0, None)}, **settings)
     plain = rx.identify(BODY, record(), RIEC, **settings)
-    np.testing.assert_allclose(free.covariance, plain.covariance, rtol=1e-9)
+    np.testing.assert_array_equal(free.theta, plain.theta)
+    np.testing.assert_array_equal(free.covariance, plain.covariance)
 
 
 def test_an_estimate_follows_priors_and_bounds_as_differences_do():

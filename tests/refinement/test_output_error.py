@@ -195,15 +195,15 @@ def test_bounds_of_a_records_own_parameter_hold_in_each_or_in_one(two_masses):
     free = refine(oscillator(), two_masses, START, per_record=("m",))
     assert refine(oscillator(), two_masses, free, max_steps=1).parameters == free.parameters
     wide = fit({"m": (0.0, 9.0)})
-    np.testing.assert_allclose(wide.theta, free.theta, rtol=1e-5)
+    np.testing.assert_array_equal(wide.theta, free.theta)
     both = fit({"m": (0.5, 1.4)})
-    assert 1.39 < float(both["m[2]"]) <= 1.4
+    assert float(both["m[2]"]) == 1.4
     one_by_one = fit({"m[1]": (0.5, 1.4), "m[2]": (0.5, 1.4)})
     np.testing.assert_array_equal(both.theta, one_by_one.theta)
     # What is said of one recording goes before what is said of all, in either order.
     for bounds in ({"m": (0.0, 9.0), "m[2]": (0.0, 2.0)}, {"m[2]": (0.0, 2.0), "m": (0.0, 9.0)}):
         one = fit(bounds)
-        assert 1.99 < float(one["m[2]"]) <= 2.0
+        assert float(one["m[2]"]) == 2.0
         named = fit({"m[1]": (0.0, 9.0), "m[2]": (0.0, 2.0)})
         np.testing.assert_array_equal(one.theta, named.theta)
 
@@ -220,15 +220,16 @@ def test_missing_samples_of_outputs_do_not_count_and_those_of_inputs_cut():
 @pytest.mark.raises_finding("at_bound")
 def test_a_bound_is_kept_and_said(noisy, whole):
     refined = refine(oscillator(), noisy, START, bounds={"k": (5.0, 15.0), "m": (0.0, None)})
-    assert 14.99 < float(refined["k"]) <= 15.0
+    assert float(refined["k"]) == 15.0
     assert refined.findings()[0].code == "at_bound"
     held = refine(oscillator(), noisy, START, known={"k": 15.0})
-    # The bound is reached to a millionth of its range.
     np.testing.assert_allclose(refined.theta[:3], held.theta, rtol=1e-4)
     np.testing.assert_allclose(refined.standard_errors[:3], held.standard_errors, rtol=1e-3)
+    again = refine(oscillator(), noisy, refined, bounds={"k": (5.0, 15.0)})
+    np.testing.assert_allclose(again.theta, refined.theta, rtol=1e-4)
     free = refine(oscillator(), noisy, START, bounds={"k": (5.0, 30.0), "m": (0.0, None)})
-    np.testing.assert_allclose(free.theta, whole.theta, rtol=1e-6)
-    np.testing.assert_allclose(free.covariance, whole.covariance, rtol=1e-4)
+    np.testing.assert_array_equal(free.theta, whole.theta)
+    np.testing.assert_array_equal(free.covariance, whole.covariance)
 
 
 @pytest.mark.parametrize(("name", "below", "std"), [("r", 0.03, 0.01), ("r2", 0.005, 0.0015)])

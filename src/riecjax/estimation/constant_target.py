@@ -100,8 +100,8 @@ def wrong_zeros(model: Model, table: ParameterTable, summary: Summary) -> Iterat
             continue
         if not seen.share(seen.target) > seen.rounding:  # nothing of it moves
             continue
-        left, (fitted, noise) = seen.left_by_motion(), seen.left_by_all()
-        if not fitted > max(DISAGREEING * np.hypot(left, noise) + SLIGHT, LEAST):
+        left = seen.left_by_motion()
+        if not (fitted := seen.left_by_means(left)) > LEAST:
             continue
         inputs = seen.inputs
         remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
@@ -164,10 +164,8 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
     columns = seen.columns
     left = seen.left_by_motion() if varying > seen.rounding * size else 1.0
     if left**2 < 1 - EXPLAINED:
-        fitted, noise = seen.left_by_all()
         # What other equations tell of a parameter, this one's means do not settle.
-        alone = elsewhere.isdisjoint(columns)
-        if alone and fitted > DISAGREEING * np.hypot(left, noise) + SLIGHT:
+        if elsewhere.isdisjoint(columns) and (fitted := seen.left_by_means(left)) > 0:
             return (
                 f"the constant parts disagree with the motion, as with a wrong zero of a sensor: "
                 f"together they leave {100 * fitted:.2g} % of how the input varies, motion alone "
@@ -184,21 +182,18 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
                 _norm(columns[n]) > 0 and seen.share(columns[n]) <= seen.rounding for n in hidden
             ):
                 return ""
-            still = all(seen.rounding < seen.share(columns[name]) <= STILL for name in names)
-            who = ", ".join(names)
-            others = ", ".join(hidden)
-            alone = len(names) == 1
-            explains, leaves = ("explains", "leaves") if alone else ("explain", "leave")
-            if still:
+            who, others = ", ".join(names), ", ".join(hidden)
+            one, other = ("s" if len(group) == 1 else "" for group in (names, hidden))
+            if all(seen.rounding < seen.share(columns[name]) <= STILL for name in names):
                 why = (
                     f"neither the input nor what {who} multiplies varies, so {who} alone "
-                    f"{explains} the input, as a ratio of two constants that every sensor's zero "
-                    f"shifts, and {others} follow{'s' * (len(hidden) == 1)} from that."
+                    f"explain{one} the input, as a ratio of two constants that every sensor's zero "
+                    f"shifts, and {others} follow{other} from that."
                 )
             else:
                 why = (
-                    f"the input never varies, so {who} alone {explains} all of it and {leaves} "
-                    f"{others} at zero: the record cannot tell {who} from the rest."
+                    f"the input never varies, so {who} alone explain{one} all of it and "
+                    f"leave{one} {others} at zero: the record cannot tell {who} from the rest."
                 )
             return (
                 f"{why} Record from before the step on, excite the system more richly, or hold "
@@ -282,19 +277,19 @@ class _Averaged:
         free = self.independent - 1
         return left * np.sqrt(free / (free - len(there))) if free > len(there) else 1.0
 
-    def left_by_all(self) -> tuple[float, float]:
-        """Share, rms, of how the target varies that a fit with the means leaves, and its noise.
+    def left_by_means(self, left: float) -> float:
+        """Share, rms, of how the target varies that a fit with the means leaves, where that is more
+        than what is left by motion, and noise, explain; else 0.
 
         Motion alone attenuates the coefficient of a noisy regressor where others replace it, and
         so leaves less than noise would at the coefficients of this fit.
         """
-        theta = _fit(self.target, [*self.columns.values()])
-
-        def left(target: Rows, columns: Mapping[str, Rows]) -> float:
-            return _norm(self.moving(target - np.stack([*columns.values()], axis=1) @ theta))
-
-        size = _norm(self.moving(self.target))
-        return left(self.target, self.columns) / size, left(*self.noise) / size
+        theta, size = _fit(self.target, [*self.columns.values()]), _norm(self.moving(self.target))
+        fitted, noise = (
+            _norm(self.moving(target - np.stack([*columns.values()], axis=1) @ theta)) / size
+            for target, columns in ((self.target, self.columns), self.noise)
+        )
+        return fitted if fitted > DISAGREEING * np.hypot(left, noise) + SLIGHT else 0.0
 
     def moved_by_means(self) -> dict[str, float]:
         """How far each coefficient is from that of motion alone, as a share of it in the fit."""

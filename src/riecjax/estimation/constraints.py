@@ -57,20 +57,8 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, is_concrete, is_number, namespace
 from riecjax.linear_algebra import eliminate, solve_scaled, unit_diagonal, unit_scale
-from riecjax.summaries.normal_equations import (
-    NormalEquations,
-    ShortBlocks,
-    blocks_in_use,
-    sum_blocks,
-)
-from riecjax.uncertainty.covariances import (
-    BlockStatistics,
-    block_length,
-    politis_white,
-    scores,
-    slope,
-    unknowns_of,
-)
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
+from riecjax.uncertainty.covariances import BlockStatistics, block_statistics, slope
 from riecjax.uncertainty.intervals import Uncertainty
 
 Bounds = tuple[float | None, float | None]
@@ -257,28 +245,28 @@ def prior_curvature(
     stages: list[NormalEquations],
     known: Mapping[str, Array],
     values: Mapping[str, Array],
-    weight: Float[Array, " found"],
-    earlier: Float[Array, " earlier"],
+    constraints: Constraints,
+    earlier: Sequence[Float[Array, " earlier"]],
     short: ShortBlocks,
     longest_window: Float[Array, ""],
 ) -> Float[Array, " p"]:
     """Curvature of each prior of the last of some stages, 0 where there is none; see the module.
 
     **Arguments:** `stages`, short blocks of all records along the leading axis, all but the last
-    with their priors; `values`, their solution, of the last one without priors; `weight` of the
-    priors of all that they find; `earlier` curvatures.
+    with their priors; `values`, their solution, of the last one without priors; `earlier`
+    curvatures, of each stage before that finds something.
     """
-    unknowns, totals = unknowns_of(stages, known), [stage.total() for stage in stages]
-    whole, series = slope(totals, unknowns), scores(stages, unknowns, values)
-    ridge, place = float(np.cbrt(jnp.finfo(whole.dtype).eps)), slice(earlier.shape[0], None)
-    influence = solve_scaled(whole, series.T, ridge).T
-    influence = influence.reshape(short.number.shape[0], -1, influence.shape[-1])
-    length = block_length(short, longest_window, politis_white(influence, short))
-    used = blocks_in_use(short, length)
+    records = short.number.shape[0]
+    by_record = [s.in_blocks(lambda v: v.reshape(records, -1, *v.shape[1:])) for s in stages]
+    ridge = float(np.cbrt(jnp.finfo(stages[-1].moments.dtype).eps))
+    statistics = block_statistics(by_record, known, values, short, longest_window, ridge)
+    totals, used = [stage.total() for stage in stages], jnp.sum(statistics.used)
+    names = [name for _, found in statistics.unknowns for name in found]
+    weight = jnp.asarray(constraints.prior(names)[1])
+    whole, place = slope(totals, statistics.unknowns), slice(sum(map(len, earlier)), None)
     # Influences of n blocks sum to zero, which takes one of n squares.
-    variance = jnp.sum(sum_blocks(influence, short, used) ** 2, axis=0)
-    variance = variance * jnp.sum(used) / jnp.maximum(jnp.sum(used) - 1, 1)
-    before = jnp.concatenate([earlier, jnp.zeros_like(variance[place])])
+    variance = jnp.sum(statistics.influence**2, axis=0) * used / jnp.maximum(used - 1, 1)
+    before = jnp.concatenate([*earlier, jnp.zeros_like(variance[place])])
     variance = variance + jnp.diagonal(scatter_of_priors(whole, before, weight, ridge)[0])
     gram = whole[place, place]
     inverse = solve_scaled(gram, jnp.eye(gram.shape[0], dtype=gram.dtype), ridge)

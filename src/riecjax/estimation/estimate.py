@@ -705,7 +705,7 @@ def finding(
 
 
 def each_finding(
-    code: str, names: Sequence[str], which: ArrayLike, message: str, **said: Sequence[Any] | Array
+    code: str, names: Sequence[str], which: ArrayLike, message: str, **said: Sequence[Any] | Leaf
 ) -> list[Finding]:
     """One on each of some parameters, with what its `message` says of each by name."""
     return [

@@ -8,6 +8,7 @@ all recordings, with zeros for what the recording does not hold, and then add up
 Names are for readers: they are written here, and what a parameter is stands in its row.
 """
 
+import dataclasses
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -148,7 +149,7 @@ class ParameterTable(eqx.Module):
 
     def holding(self, known: Mapping[str, Any]) -> "ParameterTable":
         """The table with these values known, and no others."""
-        return ParameterTable(self.rows, dict(known), self.stages)
+        return dataclasses.replace(self, known=dict(known))
 
     def settled(self, values: Mapping[str, Any]) -> "ParameterTable":
         """The table with these values known as well, which no stage finds."""

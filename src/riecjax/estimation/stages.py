@@ -9,10 +9,9 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.criteria.criterion import AbstractCriterion, Rows
-from riecjax.equations.model import Model
+from riecjax.criteria.criterion import Rows
 from riecjax.estimation.constraints import (
     NONE,
     Constraints,
@@ -25,14 +24,11 @@ from riecjax.estimation.constraints import (
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, namespace
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
-from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import (
     NormalEquations,
     ShortBlocks,
-    stack_normal_equations,
     sum_of_equations,
 )
-from riecjax.summaries.one_pass import stage_normal_equations
 from riecjax.uncertainty.covariances import BlockStatistics, scores, slope
 
 
@@ -242,13 +238,12 @@ def solve_stages(
         if {*names} & {*constraints.priors}:
             assert short is not None
             assert longest_window is not None
-            every = [name for stage in solutions for name in stage.parameters]
             curvature = prior_curvature(
                 informed,
                 known,
                 found | dict(zip(names, solution.theta)),
-                jnp.asarray(constraints.prior([*every, *names])[1]),
-                jnp.concatenate([jnp.zeros(0), *(stage.prior_curvature for stage in solutions)]),
+                constraints,
+                [stage.prior_curvature for stage in solutions],
                 short,
                 longest_window,
             )
@@ -332,21 +327,6 @@ def _fit_of_part(
     return dataclasses.replace(fit, shrinkage=jnp.where(has_target, 0.0, share))
 
 
-def all_normal_equations(
-    model: Model,
-    table: ParameterTable,
-    records: list[Record],
-    criterion: AbstractCriterion,
-    keys: list[Key[Array, ""] | None],
-) -> list[NormalEquations]:
-    """Normal equations of each stage over all records, leading axes `(records, short blocks)`."""
-    every = [
-        stage_normal_equations(model, record, criterion, key, blocks=True)
-        for record, key in zip(records, keys)
-    ]
-    return [_over_records(stack_normal_equations(parts), table) for parts in zip(*every)]
-
-
 def stages_over_records(
     equations: list[list[NormalEquations]], table: ParameterTable
 ) -> tuple[list[NormalEquations], list[list[NormalEquations]]]:
@@ -354,11 +334,11 @@ def stages_over_records(
 
     **Arguments:** `equations` of each stage, with a leading axis of records.
     """
-    apart = [[_over_records(e, table) for e in stage] for stage in equations]
+    apart = [[over_records(e, table) for e in stage] for stage in equations]
     return [sum_of_equations(stage) for stage in apart], apart
 
 
-def _over_records(equations: NormalEquations, table: ParameterTable) -> NormalEquations:
+def over_records(equations: NormalEquations, table: ParameterTable) -> NormalEquations:
     """Normal equations with a leading axis of records, among the parameters of all of them."""
     names = equations.parameters
     if not table.per_record:

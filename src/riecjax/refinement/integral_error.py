@@ -46,7 +46,7 @@ from riecjax.equations.model import Model, require_no_slip, told_apart
 from riecjax.equations.term import Term, combined, samples_of
 from riecjax.errors import DataError, ModelError, users_code
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.estimation.stages import all_normal_equations
+from riecjax.estimation.stages import over_records
 from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
     AbstractObjective,
@@ -59,7 +59,13 @@ from riecjax.refinement.objective import (
     Values,
     by_fields,
 )
-from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, short_blocks
+from riecjax.summaries.normal_equations import (
+    NormalEquations,
+    ShortBlocks,
+    short_blocks,
+    stack_normal_equations,
+)
+from riecjax.summaries.one_pass import stage_normal_equations
 
 
 class AbstractBalance(eqx.Module):
@@ -257,8 +263,13 @@ class IntegralResiduals(AbstractResiduals):
     start: Theta
     count: Float[Array, " equations"]
     longest_window: Float[Array, ""]
+    initial: Initial
+    scale: Float[Array, " s"]
     labels: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
+    initial_state_names: tuple[str, ...] = eqx.field(static=True, default=())
+    method: Any = None
+    most_steps: int = eqx.field(static=True, default=0)
 
     def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Of each equation."""
@@ -297,17 +308,12 @@ class IntegralResiduals(AbstractResiduals):
         names, free = self.table.free, self.table.free_somewhere
         every = []
         for model in self.models:
-            expansions = [
-                expanded(model, record, values, free, self.criterion.smoothness)
-                for record, values in zip(self.records, known)
-            ]
-            (equations,) = all_normal_equations(
-                Model(stages=((expansions[0][0],),)),
-                self.table,
-                [record for _, record in expansions],
-                self.criterion,
-                self.keys,
-            )
+            parts = []
+            for record, values, key in zip(self.records, known, self.keys):
+                equation, error = expanded(model, record, values, free, self.criterion.smoothness)
+                alone = Model(stages=((equation,),))
+                parts += stage_normal_equations(alone, error, self.criterion, key, blocks=True)
+            equations = over_records(stack_normal_equations(parts), self.table)
             # What is free in some record may be fixed in another: it does not change.
             fixed = {name: jnp.zeros(()) for name in equations.parameters if name not in names}
             every.append(equations.fix(fixed).embed(names))
@@ -373,6 +379,8 @@ class IntegralError(AbstractObjective):
             start=start,
             count=np.array(rows).sum(axis=1),
             longest_window=jnp.asarray(criterion.block_length),
+            initial=jnp.zeros((1, 0)),
+            scale=jnp.ones(0),
             labels=told_apart([name for name, *_ in labels]),
             units=tuple(criterion.row_unit(unit) for _, unit, _ in labels),
         )

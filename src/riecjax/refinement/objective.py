@@ -8,9 +8,10 @@ blocks of time, the scores whose scatter is the uncertainty of theta. They are o
 unknowns, however long the record.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -184,41 +185,25 @@ class AbstractResiduals(eqx.Module):
     longest_window: eqx.AbstractVar[Float[Array, ""]]
     """Seconds after which two residuals share no data."""
 
-    @property
-    def initial_state_names(self) -> tuple[str, ...]:
-        """Names of the states whose initial values are estimated."""
-        return ()
+    initial: eqx.AbstractVar[Initial]
+    """First guess of the initial states that are estimated."""
+    scale: eqx.AbstractVar[Float[Array, " s"]]
+    """Size of these states."""
+    initial_state_names: eqx.AbstractVar[tuple[str, ...]]
+    """Their names."""
+    method: eqx.AbstractVar[Any]
+    """By which method of simulation; `None` where nothing is simulated."""
+    most_steps: eqx.AbstractVar[int]
+    """Steps that may be taken between samples without being asked; 0 of a user's own method."""
 
-    def first_initial(self) -> Initial:
-        """First guess of the initial states that are estimated."""
-        return jnp.zeros((1, 0))
-
-    def initial_scale(self) -> Float[Array, " s"]:
-        """Size of these states."""
-        return jnp.ones(0)
-
-    @property
-    def steps_label(self) -> str:
-        """How finely it is simulated; empty where nothing is."""
-        return ""
-
-    @property
-    def step_factor_limit(self) -> int:
-        """How many times as short its steps may be made without being asked; 1 for not at all."""
-        return 1
-
-    def finer(self, factor: int) -> Self | None:
-        """These simulated in steps so many times as short; `None` where there are no steps."""
-        return None
-
+    @abstractmethod
     def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Sum of squared residuals of each of `labels`, at the initial states that leave least;
         `initial` is a guess of these."""
-        raise NotImplementedError
 
+    @abstractmethod
     def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """The residuals at a point, to first order."""
-        raise NotImplementedError
 
     def curved(self, theta: Theta, initial: Initial, expansion: Expansion) -> Expansion:
         """An expansion at an optimum, with the curvature of what is made small.
@@ -227,20 +212,20 @@ class AbstractResiduals(eqx.Module):
         """
         return expansion
 
+    @abstractmethod
     def rms(self, energy: Energies) -> Energies:
         """Root mean square of what is left of each of `labels`, in its unit."""
-        raise NotImplementedError
 
+    @abstractmethod
     def independent_rows(self) -> Float[Array, ""]:
         """Number of residuals that may be taken as independent, for the weight of priors."""
-        raise NotImplementedError
 
+    @abstractmethod
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """Normal equations of the changes of the parameters, in short blocks of time.
 
         Leading axes `(records, short blocks)`; initial states are projected out.
         """
-        raise NotImplementedError
 
 
 class AbstractObjective(eqx.Module):
@@ -311,10 +296,11 @@ class AbstractObjective(eqx.Module):
         theta = namespace(free).stack(free)
         return self.over(models, records, table, theta, record_keys(key, len(records)))
 
+    @abstractmethod
     def models(self, model: Any, record: Record) -> Sequence[ByFunction]:
         """What a model consists of: its system, or its equations of motion."""
-        raise NotImplementedError
 
+    @abstractmethod
     def over(
         self,
         models: Sequence[ByFunction],
@@ -324,8 +310,7 @@ class AbstractObjective(eqx.Module):
         keys: list[Key[Array, ""] | None],
     ) -> AbstractResiduals:
         """The residuals of `models` along records, whose parameters are those of a table."""
-        raise NotImplementedError
 
+    @abstractmethod
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
-        raise NotImplementedError

@@ -392,12 +392,12 @@ class Problem(eqx.Module):
         theta = jnp.where(
             side < 0, lower, jnp.where(side > 0, upper, point.parameters * self.scale)
         )
-        return theta, point.initial * self.residuals.initial_scale()[None, :]
+        return theta, point.initial * self.residuals.scale[None, :]
 
     def linearised(self, point: Point) -> Linearised:
         """The residuals by the parameters in units of their scale, to first order."""
         theta, initial = self.values(point)
-        sizes = jnp.ones(1), self.scale, self.residuals.initial_scale()
+        sizes = jnp.ones(1), self.scale, self.residuals.scale
         scale = jnp.concatenate([size.astype(theta.dtype) for size in sizes])
         expansion = self.residuals.expansion(theta, initial)
         moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
@@ -479,7 +479,7 @@ def search(
     scale = jnp.where(residuals.start != 0, jnp.abs(residuals.start), 1.0)
     variance = residual_variance(residuals, before.energy)
     problem = Problem(residuals, constraints, scale, variance)
-    states = before.initial / residuals.initial_scale()[None, :]
+    states = before.initial / residuals.scale[None, :]
     still, first = held_still((problem, Point(before.theta / scale, states)))
     if solver is None:  # at the tolerance that the precision allows
         rtol = 1e-6 if first.parameters.dtype == jnp.float64 else 1e-4

@@ -46,6 +46,7 @@ standard errors were too small: by a fifth of a normal law at c = 1.345.
 
 import dataclasses
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -111,6 +112,7 @@ def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows 
 class AbstractShooting(eqx.Module):
     """How a recording is cut into windows to simulate."""
 
+    @abstractmethod
     def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
         """The windows of one recording, unbroken in its inputs.
 
@@ -120,11 +122,10 @@ class AbstractShooting(eqx.Module):
         **Raises:** `DataError` if the record has no such window; `ModelError` where a length
         depends on a time step that is being traced.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
-        raise NotImplementedError
 
 
 class WholeRecord(AbstractShooting):
@@ -290,62 +291,58 @@ def _filled(record: Record) -> Record:
 @kept_jit
 def _cut(
     system: AbstractSystem,
-    records: Sequence[Record],
-    counts: Sequence[Int[Array, ""]],
-    shots: Sequence[Shots],
+    record: Record,
+    sample_count: Int[Array, ""],
+    shots: Shots,
     compared: Compared,
-) -> tuple[list[Recorded], list[Along], Float[Array, " states"]]:
-    """What recordings hold in their windows; states and inputs at points spread over them; and the
-    mean square of each state over the first.
+) -> tuple[Recorded, Along, Float[Array, " states"]]:
+    """What a recording holds in its windows; states and inputs at points spread over them; and the
+    mean square of each state.
 
-    **Arguments:** `counts`, samples of each; what lies behind only fills it up.
+    **Arguments:** `sample_count` of the recording; what lies behind only fills it up.
     """
     channels, given, every, joined, smooth = compared
-    recorded, along, squares = [], [], []
-    for record, sample_count, cut in zip(records, counts, shots):
-        states, n = measured_states(system, record), record.sample_count
-        inputs = jnp.zeros((n, 0), record.time_step.dtype)
-        if system.input_names:
-            inputs = jnp.stack([record[name] for name in system.input_names], axis=-1)
-        samples = cut.samples.reshape(-1)
-        samples = samples[spread_points(samples.shape[0])]
-        along.append((states[samples], inputs[samples]))
-        position = cut.samples[:, ::every]
-        initial = states[cut.first]
-        for name, value in given.items():
-            place = system.state_names.index(name)
-            initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
-        # An initial state that is taken from the record leaves no error there.
-        inside = within(cut.length, cut.longest)[:, ::every]
-        inside = inside.at[:, 0].set(inside[:, 0] & (not joined))
-        masks = (record.present((name,)) for name in channels)
-        present = [inside if mask is None else inside & mask[position] for mask in masks]
-        # As many as where the record is filled up, which under jit it is not.
-        shared = shared_length(n)
-        short = -(-shared // SHORT_BLOCKS_OF_ROWS)
-        bends = None
-        if smooth is not None:
-            # Of the whole record: a window's neighbours tell what its inputs do at its ends.
-            bends = bends_of(inputs, record.present(system.input_names), smooth)[cut.samples]
-        held = jnp.arange(n) < sample_count
-        squares.append(jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count)
-        own = Recorded(
-            inputs[cut.samples],
-            bends,
-            jnp.stack([record[name][position] for name in channels], axis=-1),
-            jnp.stack(present, axis=-1),
-            initial,
-            position,
-            jnp.asarray(cut.length),
-            record.time_step,
-            sample_count,
-            short,
-            max(-(-shared // short), 2),
-            every,
-            min(max(short // every, 1), position.shape[1]),
-        )
-        recorded.append(own)
-    return recorded, along, squares[0]
+    states, n = measured_states(system, record), record.sample_count
+    inputs = jnp.zeros((n, 0), record.time_step.dtype)
+    if system.input_names:
+        inputs = jnp.stack([record[name] for name in system.input_names], axis=-1)
+    samples = shots.samples.reshape(-1)
+    samples = samples[spread_points(samples.shape[0])]
+    position = shots.samples[:, ::every]
+    initial = states[shots.first]
+    for name, value in given.items():
+        place = system.state_names.index(name)
+        initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
+    # An initial state that is taken from the record leaves no error there.
+    inside = within(shots.length, shots.longest)[:, ::every]
+    inside = inside.at[:, 0].set(inside[:, 0] & (not joined))
+    masks = (record.present((name,)) for name in channels)
+    present = [inside if mask is None else inside & mask[position] for mask in masks]
+    # As many as where the record is filled up, which under jit it is not.
+    shared = shared_length(n)
+    short = -(-shared // SHORT_BLOCKS_OF_ROWS)
+    bends = None
+    if smooth is not None:
+        # Of the whole record: a window's neighbours tell what its inputs do at its ends.
+        bends = bends_of(inputs, record.present(system.input_names), smooth)[shots.samples]
+    held = jnp.arange(n) < sample_count
+    squares = jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count
+    recorded = Recorded(
+        inputs[shots.samples],
+        bends,
+        jnp.stack([record[name][position] for name in channels], axis=-1),
+        jnp.stack(present, axis=-1),
+        initial,
+        position,
+        jnp.asarray(shots.length),
+        record.time_step,
+        sample_count,
+        short,
+        max(-(-shared // short), 2),
+        every,
+        min(max(short // every, 1), position.shape[1]),
+    )
+    return recorded, (states[samples], inputs[samples]), squares
 
 
 THRESHOLD = 1.345
@@ -399,10 +396,9 @@ MOST_TRIALS = 8
 class OutputResiduals(AbstractResiduals):
     """Simulated minus recorded channels, in units of `sigma`, over all windows of all records.
 
-    `labels` are the channels.
-    `threshold` of Huber's loss by channel, in units of sigma; `None` for squares.
-    `longest_window` is 0: no residual counts twice. `most_steps`
-    between samples may be taken of a method that the user left open, else 0.
+    `labels` are the channels; `estimated`, the places of the states whose initial values are
+    estimated; `threshold` of Huber's loss by channel, in units of sigma, `None` for squares.
+    `longest_window` is 0: no residual counts twice.
     """
 
     system: ByFunction
@@ -410,20 +406,16 @@ class OutputResiduals(AbstractResiduals):
     table: ParameterTable
     start: Theta
     sigma: Float[Array, " channels"]
+    initial: Initial
     scale: Float[Array, " s"]
     longest_window: Float[Array, ""]
-    method: AbstractMethod
+    method: Any
     threshold: Float[Array, "1 channels"] | None
     labels: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
+    initial_state_names: tuple[str, ...] = eqx.field(static=True)
     estimated: tuple[int, ...] = eqx.field(static=True)
-    state_names: tuple[str, ...] = eqx.field(static=True)
     most_steps: int = eqx.field(static=True)
-
-    @property
-    def initial_state_names(self) -> tuple[str, ...]:
-        """Names of the states whose initial values are estimated."""
-        return tuple(self.state_names[i] for i in self.estimated)
 
     @property
     def work(self) -> int:
@@ -434,33 +426,8 @@ class OutputResiduals(AbstractResiduals):
         fixed = self.method if isinstance(self.method, FixedStep) else FixedStep()
         samples = sum(math.prod(part.levels.shape[:2]) for part in self.recorded)
         tangents = 1 + len(self.table.free) + len(self.estimated)
-        return samples * fixed.steps_per_sample * len(self.state_names) * tangents
-
-    def first_initial(self) -> Initial:
-        """As recorded."""
-        return jnp.concatenate(
-            [part.initial[:, np.array(self.estimated, int)] for part in self.recorded]
-        )
-
-    def initial_scale(self) -> Float[Array, " s"]:
-        """Size of each estimated state."""
-        return self.scale
-
-    @property
-    def steps_label(self) -> str:
-        """The method."""
-        return self.method.label
-
-    def finer(self, factor: int) -> "OutputResiduals | None":
-        """By the method in shorter steps."""
-        method = self.method.finer(factor)
-        return None if method is None else eqx.tree_at(lambda m: m.method, self, method)
-
-    @property
-    def step_factor_limit(self) -> int:
-        """As many as `most_steps` leaves."""
-        steps = self.method.steps_per_sample if isinstance(self.method, FixedStep) else 1
-        return max(self.most_steps // steps, 1)
+        states = self.recorded[0].initial.shape[1]
+        return samples * fixed.steps_per_sample * states * tangents
 
     def energy(self, theta: Theta, initial: Initial) -> Energies:
         """Of each channel, in units of sigma, profiled over initial states by Gauss and Newton,
@@ -726,27 +693,26 @@ class OutputError(AbstractObjective):
             fixed = {name for name in names if all(s[name] == "measured" for s in sources)}
         # Places of the states whose initial values are estimated.
         estimated = tuple(i for i, name in enumerate(system.state_names) if name not in fixed)
-        joined = not estimated
-        # A missing sample of an input breaks the motion; of a free motion, one of any signal.
-        inputs = [system.input_names or tuple(record.arrays) for record in records]
-        shots = [
-            self.shooting.shots(record, unbroken, joined=joined)
-            for record, unbroken in zip(records, inputs)
-        ]
         smooth = smooth_inputs(self.intersample, system.input_names)
         # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
         bent = smooth if any(smooth) or (smooth and self.method is None) else None
-        cut = Compared(channels, dict(given), self.every, joined, bent)
-        counts = [jnp.asarray(record.sample_count) for record in records]
-        longer = [_filled(record) for record in records] if is_concrete(records) else records
-        recorded, along, squares = _cut(system, longer, counts, shots, cut)
+        compared = Compared(channels, dict(given), self.every, not estimated, bent)
+        parts = []
+        for record in records:
+            # A missing sample of an input breaks the motion; of a free motion, one of any signal.
+            unbroken = system.input_names or tuple(record.arrays)
+            shots = self.shooting.shots(record, unbroken, joined=compared.joined)
+            longer = _filled(record) if is_concrete(records) else record
+            count = jnp.asarray(record.sample_count)
+            parts.append(_cut(system, longer, count, shots, compared))
+        recorded, along, squares = map(list, zip(*parts))
         told = not any("zero" in by_state.values() for by_state in sources)
         method, simulated = _method(system, recorded, along, told, self.method)
         units = dict(system.states) | dict(system.outputs)
         motion = None if simulated is None else (tuple(sources[0].values()), simulated)
         given_sigma = dict(self.sigma or {})
         sigma, deviation, scale = _scales(
-            recorded, given_sigma, channels, estimated, squares, motion
+            recorded, given_sigma, channels, estimated, squares[0], motion
         )
         threshold = None
         if self.loss == "huber":
@@ -758,14 +724,17 @@ class OutputError(AbstractObjective):
             table=table,
             start=start,
             sigma=sigma,
+            initial=jnp.concatenate(
+                [part.initial[:, np.array(estimated, int)] for part in recorded]
+            ),
             scale=scale,
             longest_window=jnp.zeros_like(scale, shape=()),
             method=method,
             threshold=threshold,
             labels=channels,
             units=tuple(units.get(name, "") for name in channels),
+            initial_state_names=tuple(system.state_names[i] for i in estimated),
             estimated=estimated,
-            state_names=system.state_names,
             most_steps=MOST_STEPS if self.method is None else 0,
         )
 
@@ -826,17 +795,15 @@ def _method(
     recording tells.
     """
     free = asked is None and is_concrete(system, recorded)
-    method = FixedStep(_steps(system, recorded, along)) if free else asked or FixedStep()
+    steps = _steps(system, recorded, along) if free else 1
+    method = FixedStep(steps) if free else asked or FixedStep()
     if told:
         return method, None
     simulated, kept = _trajectories(system, recorded, method)
-    if not isinstance(method, FixedStep) or not free:
-        return method, simulated[0]
-    steps = method.steps_per_sample
-    while not all(kept) and steps < MOST_STEPS:
+    while free and steps < MOST_STEPS and not all(kept):
         steps = min(4 * steps, MOST_STEPS)
         simulated, kept = _trajectories(system, recorded, FixedStep(steps))
-    if not all(kept):
+    if not free or not all(kept):
         return method, simulated[0]
     along = []
     for states, part in zip(simulated, recorded):

@@ -25,6 +25,7 @@ whose standard errors are themselves made of such changes, beside the parameter.
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
@@ -57,6 +58,12 @@ HELPED = 0.5
 """Share of a change that may be left after steps were made shorter."""
 
 
+def in_finer_steps(residuals: AbstractResiduals, factor: int) -> AbstractResiduals | None:
+    """These simulated in steps so many times as short; `None` where there are no steps."""
+    method = None if residuals.method is None else residuals.method.finer(factor)
+    return None if method is None else eqx.tree_at(lambda those: those.method, residuals, method)
+
+
 # Where a search diverged no number is finite, and the result says so.
 @np.errstate(all="ignore")
 def halve_steps(residuals: AbstractResiduals, at: SearchResult) -> SearchResult:
@@ -65,7 +72,7 @@ def halve_steps(residuals: AbstractResiduals, at: SearchResult) -> SearchResult:
 
     Parameters that are not determined are passed over.
     """
-    start, theta, finer = residuals.start, at.theta, residuals.finer(2)
+    start, theta, finer = residuals.start, at.theta, in_finer_steps(residuals, 2)
     xp = namespace(at, start)
     if finer is None:
         zero = xp.zeros(theta.shape, theta.dtype)
@@ -116,7 +123,8 @@ def with_finer_steps(
     They are left where they do not matter, where the user chose them, at their limit, and where
     shortening them after `before` did not help: no step ends at a kink.
     """
-    limit = residuals.step_factor_limit
+    steps = getattr(residuals.method, "steps_per_sample", 1)
+    limit = max(residuals.most_steps // steps, 1)
     if not is_concrete(at) or limit == 1 or not np.any(at.coarse):
         return None
     excess = worst_excess(at.step_change, at.allowed)
@@ -125,7 +133,7 @@ def with_finer_steps(
         if worst_excess(at.step_change, before.allowed) > HELPED * earlier:
             return None
     factor = np.ceil(min(excess, MOST_EXCESS) ** (1 / ORDER))
-    return residuals.finer(int(min(max(factor, LEAST_FACTOR), limit)))
+    return in_finer_steps(residuals, int(min(max(factor, LEAST_FACTOR), limit)))
 
 
 # What diverged has no finite change, which counts as coarse.
@@ -192,27 +200,28 @@ def refine(
     """
     recordings = as_records(records)
     require_settings(key, known, per_record)
+    by, intervals = by or OutputError(), intervals or Sandwich()
     require("start", start, (Estimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
-    require("by", by or OutputError(), AbstractObjective, "by=rx.OutputError(), an object")
-    require("intervals", intervals or Sandwich(), AbstractIntervals, "intervals=rx.Sandwich()")
+    require("by", by, AbstractObjective, "by=rx.OutputError(), an object")
+    require("intervals", intervals, AbstractIntervals, "intervals=rx.Sandwich()")
     if solver is not None:
         write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
         require("the solver", solver, Solver, write)
     if isinstance(model, type):
         write = f"{model.__name__}(...), with a value for each of its fields"
         require("the model", model, (), write)
-    objective = (by or OutputError()).suited(model)
+    objective = by.suited(model)
     residuals = objective.residuals(model, recordings, start, known or {}, per_record, key)
     table = residuals.table
     constraints = Constraints.of(
         table, bounds, priors, start=dict(zip(table.free, residuals.start))
     )
-    settings = (intervals or Sandwich(), solver, max_steps, progress)
+    settings = intervals, solver, max_steps, progress
     # Searches, in ever shorter steps for as long as these change the answer. With priors each
     # search is followed by others: the variance that priors are weighed against is that of the
     # residuals at the optimum, which the first search knows only from its start; the next ones take
     # it from the search before, a fixed-point iteration.
-    initial, before = residuals.first_initial(), None
+    initial, before = residuals.initial, None
     rounds = FURTHER_ROUNDS if constraints.priors else 0
     while True:
         first = begun(residuals, initial)
@@ -242,7 +251,7 @@ def refine(
             step_change=optimum.step_change,
             coarse=optimum.coarse,
             residuals=residuals if is_concrete(residuals, optimum) else None,
-            steps_label=residuals.steps_label,
+            steps_label="" if residuals.method is None else residuals.method.label,
             quantities=residuals.labels,
             quantity_units=residuals.units,
             initial_state_names=residuals.initial_state_names,

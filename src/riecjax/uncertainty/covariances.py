@@ -182,13 +182,14 @@ def block_statistics(
     values: Mapping[str, Array],
     short: ShortBlocks,
     longest_window: Float[Array, ""],
+    ridge: float = 0.0,
 ) -> BlockStatistics:
     """Statistics of blocks whose length is chosen from the short blocks' influence.
 
     **Arguments:** `stages`, normal equations with leading axes `(records, short blocks)`;
-    `values`, their solution, by name.
+    `values`, their solution, by name; `ridge` of the slope, with its diagonal scaled to ones.
     """
-    flat = block_influence([stage.flattened() for stage in stages], known, values)
+    flat = block_influence([stage.flattened() for stage in stages], known, values, ridge)
     influence = flat.reshape(short.number.shape[0], -1, flat.shape[-1])
     length = block_length(short, longest_window, politis_white(influence, short))
     used = blocks_in_use(short, length)
@@ -265,12 +266,15 @@ def slope(totals: list[NormalEquations], unknowns: Unknowns) -> Float[Array, "p 
 
 
 def block_influence(
-    stages: list[NormalEquations], known: Mapping[str, Array], values: Mapping[str, Array]
+    stages: list[NormalEquations],
+    known: Mapping[str, Array],
+    values: Mapping[str, Array],
+    ridge: float = 0.0,
 ) -> Float[Array, "blocks p"]:
     """How far each block of time moves each parameter of all stages, slope^-1 times its score."""
     unknowns = unknowns_of(stages, known)
     totals = [stage.total() for stage in stages]
-    return solve_scaled(slope(totals, unknowns), scores(stages, unknowns, values).T).T
+    return solve_scaled(slope(totals, unknowns), scores(stages, unknowns, values).T, ridge).T
 
 
 # Covariances: the jackknife, a HAC sandwich, and least squares' own.

@@ -5,6 +5,7 @@ of that value's distance from the truth.
 """
 
 import dataclasses
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
@@ -140,9 +141,9 @@ class Uncertainty(eqx.Module):
 class AbstractIntervals(eqx.Module):
     """How covariance and intervals are made of block statistics."""
 
+    @abstractmethod
     def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
         """Covariance of the estimates, and what intervals need besides."""
-        raise NotImplementedError
 
     def drawn(self, records: int) -> "AbstractIntervals":
         """The same for so many records, with what it draws at random drawn.
