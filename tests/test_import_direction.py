@@ -182,8 +182,8 @@ def test_a_module_beside_the_packages_imports_none_and_only_one_knows_the_group_
     assert violations(stage, Path("shows.py"))
     for_types = f"if TYPE_CHECKING:\n    {stage}"
     assert violations(for_types, Path("shows.py"))
-    assert not violations(for_types, Path("settings/tree.py"))
-    assert violations(for_types.replace("records", "fleets"), Path("settings/tree.py"))
+    assert not violations(for_types, Path("settings/answers.py"))
+    assert violations(for_types.replace("records", "fleets"), Path("settings/answers.py"))
 
 
 @pytest.mark.parametrize(

@@ -192,9 +192,8 @@ def assert_few(counts: dict[str, int], most: int, exceptions: dict[str, int]) ->
 
 def modules_named(path: Path) -> set[str]:
     """Modules of the package that a file takes anything from, be it for types alone; a public name
-    counts as where it is defined. What settings are of is known to types alone."""
-    where, text = path.relative_to(ROOT), path.read_text(encoding="utf-8")
-    names = imported_names(text, where, for_types=where.parts[0] != "settings")
+    counts as where it is defined."""
+    names = imported_names(path.read_text(encoding="utf-8"), path.relative_to(ROOT))
     defined = [PUBLIC.get(name, name) for name in names]
     found = {name if name in NAMES else name.rpartition(".")[0] for name in defined}
     return found & NAMES.keys() - {name_of(path)}

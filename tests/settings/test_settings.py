@@ -16,17 +16,17 @@ import pytest
 import riecjax as rx
 from riecjax.cli.command import Given, SettingsCommand, settings_command
 from riecjax.cli.main import COMMANDS, cli, run
-from riecjax.settings import Contradiction, Job, Read, Settings, many, taking, tree
+from riecjax.settings import Contradiction, Job, Read, Settings, many, taking
 from riecjax.settings.kinds import TEXT, choice
 from riecjax.settings.option import Option
 from riecjax.settings.toml import form
 
 VERBS = {
-    rx.read_recording: tree.Reading,
-    rx.check: tree.Check,
-    rx.identify: tree.Identify,
-    rx.assess: tree.Assess,
-    rx.discover: tree.Discover,
+    rx.read_recording: rx.settings.Reading,
+    rx.check: rx.settings.Check,
+    rx.identify: rx.settings.Identify,
+    rx.assess: rx.settings.Assess,
+    rx.discover: rx.settings.Discover,
     rx.fleet: rx.fleets.Fleets,
 }
 
@@ -94,7 +94,7 @@ def test_documentation_shows_fields_as_they_stand():
     page = Path(__file__).parents[2] / "docs" / "reference" / "settings.md"
     shown = page.read_text(encoding="utf-8")
     for kind in Settings.__subclasses__():
-        if kind.__module__ == tree.__name__:
+        if kind.__module__.startswith(rx.settings.__name__):
             assert f"::: riecjax.settings.{kind.__name__}\n" in shown
 
 
@@ -175,17 +175,17 @@ def test_jobs_of_results_that_are_kept_say_the_same_again():
     ("settings", "keywords", "typed"),
     [
         (
-            lambda: tree.Fit(band=(1.0, 2.0), alpha=0.1, beta=0.2),
+            lambda: rx.settings.Fit(band=(1.0, 2.0), alpha=0.1, beta=0.2),
             "band sets the same lengths as alpha and beta: leave out one of them.",
             "--band sets the same lengths as --alpha and --beta: leave out one of them.",
         ),
         (
-            lambda: tree.Refine(loss="huber"),
+            lambda: rx.settings.Refine(loss="huber"),
             "loss goes with refine='output-error'.",
             "--loss goes with --refine output-error.",
         ),
         (
-            lambda: tree.Assess(per_record=("k",), validate_on=[Path("b.csv")]),
+            lambda: rx.settings.Assess(per_record=("k",), validate_on=[Path("b.csv")]),
             "per_record gives a parameter no value on the recordings of validate_on: use one of",
             "--per-record gives a parameter no value on the recordings of --validate: use one of",
         ),
@@ -218,30 +218,38 @@ def test_names_stand_for_objects(name):
 @pytest.mark.parametrize(
     ("kind", "settings", "words"),
     [
-        (tree.Fit, {"windows": 1.5}, "Write a whole number or 'all'"),
-        (tree.Fit, {"windows": "most"}, "windows is the text 'most'"),
-        (tree.Fit, {"alpha": np.ones(2)}, "alpha is a ndarray. Write a number"),
-        (tree.Fit, {"quadrature": 3}, None),
-        (tree.Read, {"columns": ("a", 1)}, "a name in columns is an int"),
-        (tree.Read, {"columns": "a,b"}, r"Write columns=\('a', 'b'\), a tuple"),
-        (tree.Read, {"delimiter": 3}, "delimiter is an int. Write it as text"),
-        (tree.Prepare, {"align": np.array(["x", "y"])}, "align is a ndarray"),
-        (tree.Prepare, {"notches": ("50",)}, "Write a number or 'auto'"),
-        (tree.Prepare, {"notches": (50, 0)}, "^a value of notches: 0 must be .* than zero"),
-        (tree.Prepare, {"every": 0}, "^every: 0 must be from 1 on"),
-        (tree.Refine, {"horizon": jnp.array(-1.0)}, "^horizon: -1 must be a finite number"),
-        (tree.Select, {"scale": {"x": np.nan}}, "^scale of 'x': nan is not a finite number"),
-        (tree.Select, {"time_step": np.float32(-0.5)}, "^time_step: -0.5 must be"),
-        (tree.Fit, {"windows": 0}, "^windows: 0 must be from 1 to 100000000"),
-        (tree.Validate, {"hold_out": 1.0}, "^hold_out: 1 must lie between 0 and 1"),
-        (tree.Discover, {"least": 0.0}, "^least: 0 must lie between 0 and 1"),
-        (tree.Validate, {"sweep": 1}, "Write sweep=False"),
-        (tree.Fit, {"band": (1.0, 2.0, 3.0)}, r"^band has 3 values. Write band=\(1.0, 10.0\)"),
-        (tree.Constrained, {"bounds": {"k": 3}}, r"^bounds of 'k' is an int. Write \(0.0, None\)"),
-        (tree.Elements, {"modes": ["dy"]}, r"the text 'dy'. Write \('x', None\)"),
-        (tree.Seed, {"seed": np.int64(2**62)}, None),
-        (tree.Fit, {"windows": np.int64(100), "band": np.array([1.0, 9.0])}, None),
-        (tree.Validate, {"sweep": np.bool_(True)}, None),
+        (rx.settings.Fit, {"windows": 1.5}, "Write a whole number or 'all'"),
+        (rx.settings.Fit, {"windows": "most"}, "windows is the text 'most'"),
+        (rx.settings.Fit, {"alpha": np.ones(2)}, "alpha is a ndarray. Write a number"),
+        (rx.settings.Fit, {"quadrature": 3}, None),
+        (rx.settings.Read, {"columns": ("a", 1)}, "a name in columns is an int"),
+        (rx.settings.Read, {"columns": "a,b"}, r"Write columns=\('a', 'b'\), a tuple"),
+        (rx.settings.Read, {"delimiter": 3}, "delimiter is an int. Write it as text"),
+        (rx.settings.Prepare, {"align": np.array(["x", "y"])}, "align is a ndarray"),
+        (rx.settings.Prepare, {"notches": ("50",)}, "Write a number or 'auto'"),
+        (rx.settings.Prepare, {"notches": (50, 0)}, "^a value of notches: 0 must be .* than zero"),
+        (rx.settings.Prepare, {"every": 0}, "^every: 0 must be from 1 on"),
+        (rx.settings.Refine, {"horizon": jnp.array(-1.0)}, "^horizon: -1 must be a finite number"),
+        (rx.settings.Select, {"scale": {"x": np.nan}}, "^scale of 'x': nan is not a finite number"),
+        (rx.settings.Select, {"time_step": np.float32(-0.5)}, "^time_step: -0.5 must be"),
+        (rx.settings.Fit, {"windows": 0}, "^windows: 0 must be from 1 to 100000000"),
+        (rx.settings.Validate, {"hold_out": 1.0}, "^hold_out: 1 must lie between 0 and 1"),
+        (rx.settings.Discover, {"least": 0.0}, "^least: 0 must lie between 0 and 1"),
+        (rx.settings.Validate, {"sweep": 1}, "Write sweep=False"),
+        (
+            rx.settings.Fit,
+            {"band": (1.0, 2.0, 3.0)},
+            r"^band has 3 values. Write band=\(1.0, 10.0\)",
+        ),
+        (
+            rx.settings.Constrained,
+            {"bounds": {"k": 3}},
+            r"^bounds of 'k' is an int. Write \(0.0, None\)",
+        ),
+        (rx.settings.Elements, {"modes": ["dy"]}, r"the text 'dy'. Write \('x', None\)"),
+        (rx.settings.Seed, {"seed": np.int64(2**62)}, None),
+        (rx.settings.Fit, {"windows": np.int64(100), "band": np.array([1.0, 9.0])}, None),
+        (rx.settings.Validate, {"sweep": np.bool_(True)}, None),
     ],
 )
 def test_values_of_python_are_checked_where_they_are_given(kind, settings, words):
@@ -253,7 +261,7 @@ def test_values_of_python_are_checked_where_they_are_given(kind, settings, words
 
 
 def test_a_traced_number_has_no_size():
-    traced = jax.jit(lambda value: tree.Known(known={"m": value}).known["m"] / value)
+    traced = jax.jit(lambda value: rx.settings.Known(known={"m": value}).known["m"] / value)
     assert traced(jnp.array(2.0)) == 1.0
 
 
@@ -297,8 +305,8 @@ def test_arguments_that_look_like_options_stand_last():
 
 
 def test_what_says_nothing():
-    assert tree.Prepare(offsets=None, every=None) == tree.Prepare()  # pyright: ignore
-    assert tree.Fit(criterion=None).criterion is None
+    assert rx.settings.Prepare(offsets=None, every=None) == rx.settings.Prepare()  # pyright: ignore
+    assert rx.settings.Fit(criterion=None).criterion is None
     with pytest.raises(ValueError, match="'nan' is no end of a range"):
         OPTIONS["--bound NAME=LOW:HIGH"].parsed("k=nan:2")
 
@@ -314,4 +322,6 @@ def test_a_job_may_ask_for_one_document(tmp_path, monkeypatch, capsys):
 
 def test_an_element_that_is_near_no_frequency():
     with pytest.raises(rx.ModelError, match="offset:u is near no frequency: leave out =3"):
-        rx.find_model("drag-oscillator").with_elements(tree.Elements(added=[("offset", "u", 3.0)]))
+        rx.find_model("drag-oscillator").with_elements(
+            rx.settings.Elements(added=[("offset", "u", 3.0)])
+        )

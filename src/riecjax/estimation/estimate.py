@@ -581,9 +581,9 @@ class Estimate(Saved, eqx.Module):
         if rest:
             yield Finding(
                 "rests_on_prior",
-                f"the recordings tell less of {', '.join(rest)} than priors do, whose values and "
-                f"intervals these are more than a measurement's. Excite the system more richly, "
-                f"or make sure of the priors.",
+                f"the recordings tell less of {', '.join(rest)} than the prior does: value and "
+                f"interval are the prior's rather than a measurement. Excite the system more "
+                f"richly, or make sure of the prior.",
                 parameters=tuple(rest),
             )
 
