@@ -1,6 +1,6 @@
 """Steps of the simulation behind a refinement: chosen along the record, and judged by halving."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import diffrax
 import equinox as eqx
@@ -10,10 +10,8 @@ import scipy.integrate
 import scipy.signal
 
 from riecjax.errors import ModelError
-from riecjax.estimation.parameters import Parameter, ParameterTable
 from riecjax.models.catalogue import built_in_model
 from riecjax.records.record import Record
-from riecjax.refinement.objective import AbstractResiduals
 from riecjax.refinement.optimum import RefinementStatus, SearchResult
 from riecjax.refinement.output_error import OutputError
 from riecjax.refinement.refine import halve_steps, refine, worst_excess
@@ -85,24 +83,11 @@ def test_a_slow_motion_takes_one_step(hardening):
     assert method == FixedStep(1)
 
 
-class Stepped(AbstractResiduals):
-    """Residuals of which nothing matters but its steps."""
+class Stepped(eqx.Module):
+    """What halving asks of residuals."""
 
-    table: ParameterTable = eqx.field(
-        default_factory=lambda: ParameterTable((Parameter("a", "a"), Parameter("b", "b")))
-    )
-    start: np.ndarray = eqx.field(default_factory=lambda: np.array([1.0, 2.0]))  # pyright: ignore[reportIncompatibleVariableOverride]
-    labels: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    longest_window: np.ndarray = eqx.field(default_factory=lambda: np.zeros(()))  # pyright: ignore[reportIncompatibleVariableOverride]
-    steps: int = 2
-
-    @property
-    def step_factor_limit(self) -> int:
-        return 64 // self.steps
-
-    def finer(self, factor: int) -> "Stepped":
-        return Stepped(steps=self.steps * factor)
+    start: np.ndarray
+    method: FixedStep
 
 
 class Covered(NamedTuple):
@@ -127,7 +112,7 @@ def test_what_diverged_is_halved_without_a_warning(monkeypatch):
         moment=infinite[0],
         information=array([none, none]),
     )
-    halved = halve_steps(Stepped(), lost)
+    halved = halve_steps(cast(Any, Stepped(theta, FixedStep(2))), lost)
     assert not np.isfinite(halved.step_change).any()
     assert not halved.coarse.any()
     assert worst_excess(infinite[0], infinite[0]) == np.inf

@@ -101,23 +101,22 @@ def naming_copies(
     try:
         yield
     except IdentifiabilityError as error:
-        for one in recordings:
-            names = read_of(model, one, criterion)
-            found = check_signals(one.record, names, computed=one.computed)
-            for copy in (finding for finding in found if finding.about.explains_refusal):
-                raise IdentifiabilityError(f"{copy.message} {error}", copy.code) from None
+        for recording in recordings:
+            names = read_of(model, recording, criterion)
+            for finding in check_signals(recording.record, names, computed=recording.computed):
+                if finding.about.explains_refusal:
+                    message = f"{finding.message} {error}"
+                    raise IdentifiabilityError(message, finding.code) from None
         raise
 
 
 def refusal_by(findings: Iterable[Finding]) -> Finding | None:
     """What rules an answer out, or else why; `None` if nothing does."""
-    findings = list(findings)
+    findings, importance = list(findings), [*CODES].index
     refusals = [finding for finding in findings if finding.about.refuses]
-    if not refusals:
-        return None
-    importance = [*CODES].index
+    first = min(refusals, key=lambda finding: importance(finding.code), default=None)
     reasons = (finding for finding in findings if finding.about.explains_refusal)
-    return next(reasons, min(refusals, key=lambda finding: importance(finding.code)))
+    return None if first is None else next(reasons, first)
 
 
 @taking(CheckSettings)

@@ -67,19 +67,19 @@ Bounds = tuple[float | None, float | None]
 class Prior(NamedTuple):
     """What is known of a parameter beforehand: a normal distribution, in its unit."""
 
-    mean: Leaf | float
-    std: Leaf | float
+    mean: float
+    std: float
 
 
 class Constraints(eqx.Module):
     """Bounds and priors of free parameters, by name.
 
-    **Fields:** `bounds`, infinite where there is none to one side; `priors`. Both hold arrays,
-    which may be traced.
+    **Fields:** `bounds`, infinite where there is none to one side; `priors`, mean and standard
+    deviation. Both hold arrays, which may be traced.
     """
 
     bounds: dict[str, tuple[Leaf, Leaf]] = eqx.field(default_factory=dict)
-    priors: dict[str, Prior] = eqx.field(default_factory=dict)
+    priors: dict[str, tuple[Leaf, Leaf]] = eqx.field(default_factory=dict)
 
     @classmethod
     def of(
@@ -142,7 +142,7 @@ class Constraints(eqx.Module):
                 )
             if is_concrete(prior[1]) and not prior[1] > 0:
                 raise ModelError(f"the prior of {name} needs a positive standard deviation.")
-            known[name] = Prior(*map(as_array, prior))
+            known[name] = as_array(prior[0]), as_array(prior[1])
         return cls(limits, known)
 
     def limits(self, names: Sequence[str]) -> tuple[Float[Leaf, " p"], Float[Leaf, " p"]]:
@@ -222,7 +222,7 @@ def constrained_uncertainty(
         _, weight = constraints.prior([n for _, names in statistics.unknowns for n in names])
         uncertainty = uncertainty.with_priors(*scatter_of_priors(whole, curvature, weight))
     covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, uncertainty.covariance)
-    return eqx.tree_at(lambda u: u.covariance, uncertainty, covariance)
+    return dataclasses.replace(uncertainty, covariance=covariance)
 
 
 def scatter_of_priors(

@@ -547,9 +547,7 @@ class OutputResiduals(AbstractResiduals):
     ) -> Float[Array, "compared channels"]:
         """Of one window of record number `index`."""
         system = self.system.build(self.table.values_at(theta, index))
-        first = window.initial
-        if self.estimated:
-            first = first.at[np.array(self.estimated)].set(initial)
+        first = window.initial.at[np.array(self.estimated, int)].set(initial)
         states, kept = window.trajectory(self.method, system, first)
         states, levels = states[:: window.every], window.levels[:: window.every]
         # A state goes before an output of its name, and that before a state's derivative.
@@ -858,8 +856,6 @@ def _scales(
     deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 1.0)
     chosen = [sigma.get(name, deviation[i]) for i, name in enumerate(channels)]
     weights = jnp.stack([jnp.asarray(each, deviation.dtype) for each in chosen])
-    if not estimated:
-        return weights, deviation, jnp.ones(0)
     # Root mean square of each state: recorded, else simulated; 1 of one that rests.
     if simulated is not None:
         sources, states = simulated
@@ -869,7 +865,7 @@ def _scales(
         squares = jnp.where(told, squares, motion / jnp.sum(recorded[0].length))
     usable = jnp.isfinite(squares) & (squares > 0)
     scale = jnp.sqrt(jnp.where(usable, jnp.where(usable, squares, 1.0), 1.0))
-    return weights, deviation, scale[np.array(estimated)]
+    return weights, deviation, scale[np.array(estimated, int)]
 
 
 def _counts(recorded: Sequence[Recorded]) -> Float[Array, " channels"]:

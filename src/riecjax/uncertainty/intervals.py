@@ -76,14 +76,9 @@ class Uncertainty(eqx.Module):
             return SMALL_SAMPLE
         return f"{self.method}; {SMALL_SAMPLE} of few blocks" if few.any() else self.method
 
-    def inflated(self, inflation: Float[Array, " p"]) -> "Uncertainty":
-        """With standard errors multiplied by these factors."""
-        covariance = self.covariance * inflation[:, None] * inflation[None, :]
-        return eqx.tree_at(lambda u: u.covariance, self, covariance)
-
     def widened(self, further: Float[Array, "p p"]) -> "Uncertainty":
         """With the covariance of something else that scatters besides."""
-        return eqx.tree_at(lambda u: u.covariance, self, self.covariance + further)
+        return dataclasses.replace(self, covariance=self.covariance + further)
 
     def with_priors(
         self, scatter: Float[Array, "p p"], prior_share: Float[Array, " p"]
@@ -305,4 +300,6 @@ def estimate_uncertainty(
     statistics = block_statistics(stages, known, values, short, longest_window)
     per_record = statistics.influence.reshape(short.number.shape[0], MOST_BLOCKS, -1)
     inflation = jnp.where(shared, record_inflation(per_record, statistics.used), 1.0)
-    return intervals.uncertainty(statistics).inflated(inflation), inflation, statistics
+    uncertainty = intervals.uncertainty(statistics)
+    covariance = uncertainty.covariance * inflation[:, None] * inflation[None, :]
+    return dataclasses.replace(uncertainty, covariance=covariance), inflation, statistics
