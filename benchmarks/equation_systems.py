@@ -6,6 +6,7 @@ the motion, and of its derivative by every parameter, as refinement needs.
 """
 
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -41,7 +42,7 @@ class ByHand(AbstractSystem):
         return jnp.stack(right_hand_side(self.name, self.values, state, inputs))
 
 
-def right_hand_side(name: str, p: dict[str, jax.Array], state: jax.Array, u: jax.Array) -> list:
+def right_hand_side(name: str, p: Mapping[str, Any], state: Any, u: Any) -> list:
     if name.startswith("quarter-car"):
         x1, x2, x3, x4 = (state[i] for i in range(4))
         forces = jnp.stack([p[f"F_{i}"] for i in range(1, 5)])

@@ -234,10 +234,28 @@ assert run({arguments!r}) == 0
 print(*sys.modules, file=sys.stderr)
 """
 MOST_MODULES = [
-    (("--version",), 10),
+    (("--version",), 11),
     *nightly([(("identify", "a.csv", "--model", "duffing"), 142)]),
 ]
 """Command lines, and how many modules of this package they load at the most."""
+
+
+LIGHT = [("models",), ("models", "--json"), ("--version",), *((c, "--help") for c in ORDER)]
+
+
+def loaded_by(folder: Path, *arguments: str) -> list[str]:
+    """Modules that a command line loads."""
+    command = [sys.executable, "-c", LOADED.format(arguments=arguments)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert done.stdout
+    return line.split()
+
+
+@pytest.mark.parametrize("arguments", LIGHT, ids=" ".join)
+def test_listing_and_help_load_no_jax(tmp_path, arguments):
+    assert not {"jax", "equinox", "scipy", "matplotlib"} & {*loaded_by(tmp_path, *arguments)}
 
 
 @pytest.mark.parametrize(("arguments", "most"), MOST_MODULES)
@@ -247,10 +265,7 @@ def test_the_core_loads_neither_what_is_around_it_nor_what_that_needs(tmp_path, 
     signals = {"t": time, "y": y, "ddy": ddy, "u": ddy + 20 * y + 5 * y**3}
     rows = np.column_stack(list(signals.values()))
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(signals), comments="")
-    command = [sys.executable, "-c", LOADED.format(arguments=arguments)]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    loaded = done.stderr.splitlines()[-1].split()
+    loaded = loaded_by(tmp_path, *arguments)
     ours = [name.split(".") for name in loaded if name.split(".")[0] == "riecjax"]
     around = {"fleets", "paper", "readers", "studies"}
     assert not [name for name in ours if around & {*name[1:2]}]

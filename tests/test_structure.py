@@ -205,7 +205,7 @@ def test_no_module_names_itself_by_way_of_others():
 
 IMPORTED_BY_NAME = {
     "riecjax.cli.main": "a command is imported when it is run",
-    "riecjax.records.reading.read": "a reader is imported when a file has its ending",
+    "riecjax.records.reading.channels": "a reader is imported when a file has its ending",
     "riecjax.records.reading.child_process": "a child process is told which reader it runs",
 }
 """Extension points, and why they are some: no other module imports what only a text names."""

@@ -24,10 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+import riecjax as rx
 from benchmarks.recorded import write_json
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import AllWindows
-from riecjax.estimation.identify import identify
 from riecjax.estimation.stages import solve_stages
 from riecjax.models.quarter_car.identification import (
     quarter_car_by_body,
@@ -38,18 +36,16 @@ from riecjax.models.quarter_car.reconstruction import quarter_car_source, recons
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import TABLE_2
 from riecjax.paper.reproduction import TRUE_MASSES, identification_record
-from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
-from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.one_pass import stage_normal_equations
-from riecjax.uncertainty.intervals import BlockBootstrap, Naive, Sandwich, Uncertainty
+from riecjax.uncertainty.intervals import Uncertainty
 
 MODELS = {"W": quarter_car_by_wheel, "B": quarter_car_by_body}
 READ = ("x1", "x2", "x3", "x4", "F_t")
-WINDOWS = AllWindows(TABLE_2.alpha, TABLE_2.beta, longest_samples=128)
-INTERVALS = {"bootstrap": BlockBootstrap(), "sandwich": Sandwich(), "naive": Naive()}
+WINDOWS = rx.AllWindows(TABLE_2.alpha, TABLE_2.beta, longest_samples=128)
+INTERVALS = {"bootstrap": rx.BlockBootstrap(), "sandwich": rx.Sandwich(), "naive": rx.Naive()}
 REDUCED = {
     "K_t": 178e3,
     "M_us": 23.2,
@@ -83,7 +79,7 @@ class Road(NamedTuple):
     moments: dict[str, list[Array]]
 
 
-def noisy(record: Record, key: Key[Array, ""], shares: dict[str, float]) -> Record:
+def noisy(record: rx.Record, key: Key[Array, ""], shares: dict[str, float]) -> rx.Record:
     """White noise on signals, each of a share of its r.m.s."""
     keys = jax.random.split(key, len(READ))
     disturbed = {
@@ -91,17 +87,17 @@ def noisy(record: Record, key: Key[Array, ""], shares: dict[str, float]) -> Reco
         + shares.get(name, 0.0) * jnp.std(record[name]) * jax.random.normal(k, record[name].shape)
         for k, name in zip(keys, READ)
     }
-    return Record(disturbed, record.time_step)
+    return rx.Record(disturbed, record.time_step)
 
 
-def source_record(key: Key[Array, ""], source: QuarterCarSource, noise: float) -> Record:
+def source_record(key: Key[Array, ""], source: QuarterCarSource, noise: float) -> rx.Record:
     """The paper's record, with noise on every signal."""
     record_key, noise_key = jax.random.split(key)
     record = identification_record(source, record_key).record
     return noisy(record, noise_key, dict.fromkeys(READ, noise))
 
 
-def reduced_record(key: Key[Array, ""]) -> Record:
+def reduced_record(key: Key[Array, ""]) -> rx.Record:
     """The same from the reduced model, with noise on the tyre force."""
     road_key, noise_key = jax.random.split(key)
     step = 1 / TABLE_2.rate
@@ -109,21 +105,21 @@ def reduced_record(key: Key[Array, ""]) -> Record:
         road_key, TABLE_2.sample_count, step, bandwidth=TABLE_2.bandwidth, rms=TABLE_2.rms
     )
     model = quarter_car_system({k: jnp.asarray(v) for k, v in REDUCED.items()})
-    record = simulate(model, Record({"v_r": road}, step)).record
+    record = rx.simulate(model, rx.Record({"v_r": road}, step)).record
     return noisy(record, noise_key, {"F_t": 0.01})
 
 
 def one_road(key: Key[Array, ""], case: Case) -> Road:
     """Every variant identified on one road."""
     record = case.make(key)
-    criterion = RIEC(WINDOWS)
+    criterion = rx.RIEC(WINDOWS)
     theta, uncertainty, moments = {}, {}, {}
     for side, build in MODELS.items():
         stages = stage_normal_equations(build(), record, criterion, None)
         for masses in ("id", "true"):
             variant = f"{side}_{masses}"
             found = {
-                kind: identify(
+                kind: rx.identify(
                     build(),
                     record,
                     criterion,

@@ -11,11 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from riecjax.equations.equation import Equation
-from riecjax.equations.expressions import difference, odd
-from riecjax.equations.model import Model, as_model, simultaneous
-from riecjax.equations.term import Term
-from riecjax.records.record import Record
+import riecjax as rx
+from riecjax.equations.model import as_model
 
 RATE = 200.0
 SAMPLES = 6000
@@ -28,36 +25,36 @@ Series = Float[np.ndarray, "systems samples"]
 Values = dict[str, Float[np.ndarray, " systems"]]
 
 
-def _body(*more: Term, name: str = "body") -> Equation:
-    return Equation(
-        Term("m", "x", derivative=2, measured=("v",), unit="kg"),
-        Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
-        Term("k", "x", unit="N/m"),
+def _body(*more: rx.Term, name: str = "body") -> rx.Equation:
+    return rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
+        rx.Term("c", "x", derivative=1, measured=("v",), unit="N s/m"),
+        rx.Term("k", "x", unit="N/m"),
         *more,
-        -Term(1.0, "u"),
+        -rx.Term(1.0, "u"),
         name=name,
         unit="N",
     )
 
 
 LINEAR = _body(name="linear")
-FRICTION = _body(Term("f", odd("v", 0), unit="N"), name="friction")
-DRAG = _body(Term("r2", odd("v", 2), unit="N s^2/m^2"), name="drag")
-CUBIC = _body(Term("k3", odd("x", 3), unit="N/m^3"), name="cubic")
-COUPLED = simultaneous(
-    Equation(
-        Term("m", "x", derivative=2, measured=("v",), unit="kg"),
-        Term("k", "x", unit="N/m"),
-        Term("c2", difference("v", "v2"), unit="N s/m"),
-        Term("k2", difference("x", "x2"), unit="N/m"),
-        -Term(1.0, "u"),
+FRICTION = _body(rx.Term("f", rx.odd("v", 0), unit="N"), name="friction")
+DRAG = _body(rx.Term("r2", rx.odd("v", 2), unit="N s^2/m^2"), name="drag")
+CUBIC = _body(rx.Term("k3", rx.odd("x", 3), unit="N/m^3"), name="cubic")
+COUPLED = rx.simultaneous(
+    rx.Equation(
+        rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
+        rx.Term("k", "x", unit="N/m"),
+        rx.Term("c2", rx.difference("v", "v2"), unit="N s/m"),
+        rx.Term("k2", rx.difference("x", "x2"), unit="N/m"),
+        -rx.Term(1.0, "u"),
         name="driven",
         unit="N",
     ),
-    Equation(
-        Term("m2", "x2", derivative=2, measured=("v2",), unit="kg"),
-        -Term("c2", difference("v", "v2"), unit="N s/m"),
-        -Term("k2", difference("x", "x2"), unit="N/m"),
+    rx.Equation(
+        rx.Term("m2", "x2", derivative=2, measured=("v2",), unit="kg"),
+        -rx.Term("c2", rx.difference("v", "v2"), unit="N s/m"),
+        -rx.Term("k2", rx.difference("x", "x2"), unit="N/m"),
         name="carried",
         unit="N",
     ),
@@ -68,7 +65,7 @@ class Kind(NamedTuple):
     """A model, the physics behind the recordings, and what the model leaves out of it."""
 
     name: str
-    model: Equation | Model
+    model: rx.Equation | rx.Model
     left_out: str = ""
 
 
@@ -103,8 +100,8 @@ class Case(NamedTuple):
     kind: str
     fault: str
     noise: float
-    model: Equation | Model
-    record: Record
+    model: rx.Equation | rx.Model
+    record: rx.Record
     truth: dict[str, float]
 
 
@@ -202,7 +199,7 @@ def recorded(
     noise: float,
     rng: np.random.Generator,
     signals: tuple[str, ...],
-) -> Record:
+) -> rx.Record:
     """One system's record by sensors with noise and a fault."""
     rows = {name: np.asarray(motion[name]) for name in signals}
     step = 1 / RATE
@@ -227,7 +224,7 @@ def recorded(
         rows = {name: row[1000:2000] for name, row in rows.items()}
     if fault == "coarse":
         rows, step = {name: row[::6] for name, row in rows.items()}, 6 * step
-    return Record(rows, step)
+    return rx.Record(rows, step)
 
 
 def cases(kind: Kind, fault: str, seed: int, systems: int) -> list[Case]:

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.io
 import scipy.signal
 
+import riecjax as rx
 from benchmarks.measured.emps_axis import (
     RISE,
     StribeckAxis,
@@ -20,15 +21,7 @@ from benchmarks.measured.emps_axis import (
     stribeck_axis,
     stribeck_balance,
 )
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import AllWindows, RandomWindows
-from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.identify import identify
 from riecjax.models.catalogue import built_in_model
-from riecjax.records.preparation.filtering import differentiate
-from riecjax.records.record import Record
-from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.refine import refine
 from riecjax.simulation.system import AbstractSystem
 
 STEP = 1e-3
@@ -48,7 +41,7 @@ PUBLISHED = {"q": 0.0138, "dq": 0.229, "ddq": 8.60, "force": 5.85}
 class Rig(NamedTuple):
     time: np.ndarray
     measured: dict[str, np.ndarray]
-    reference: Record
+    reference: rx.Record
     gain: float
     voltage: np.ndarray
     position: np.ndarray
@@ -66,39 +59,39 @@ def load_rig(folder: Path) -> Rig:
     q = scipy.signal.filtfilt(coefficients[0], coefficients[1], v["qm"])
     dq, gain = difference(q), float(v["gtau"])
     measured = {"q": q, "dq": dq, "ddq": difference(dq), "force": gain * v["vir"]}
-    return Rig(v["t"], measured, Record({"qg": v["qg"]}, STEP), gain, v["vir"], v["qm"])
+    return Rig(v["t"], measured, rx.Record({"qg": v["qg"]}, STEP), gain, v["vir"], v["qm"])
 
 
 def identified_axes(rig: Rig) -> dict[str, AbstractSystem]:
     """Published values by pointwise least squares, and RIEC's on the raw record."""
-    raw = Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
-    raw = differentiate(raw, "q", "dq")
-    criterion = RIEC(RandomWindows(0.05, 0.5, 20_000))
+    raw = rx.Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
+    raw = rx.differentiate(raw, "q", "dq")
+    criterion = rx.RIEC(rx.RandomWindows(0.05, 0.5, 20_000))
     found = {}
     for name, model, published in (
         ("symmetric", built_in_model("emps"), SYMMETRIC),
         ("asymmetric", built_in_model("emps-asymmetric"), ASYMMETRIC),
     ):
         found[f"published {name}"] = model.build_system(published)
-        estimate = identify(model, raw, criterion, key=jax.random.key(0))
+        estimate = rx.identify(model, raw, criterion, key=jax.random.key(0))
         found[f"RIEC {name}"] = model.build_system({k: estimate[k] for k in published})
     return found
 
 
-def refined_axis(rig: Rig, windows: AllWindows) -> tuple[Estimate, StribeckAxis]:
+def refined_axis(rig: Rig, windows: rx.AllWindows) -> tuple[rx.Estimate, StribeckAxis]:
     """Friction that may fall or rise near rest, refined from the published asymmetric one.
 
     The sign of the velocity changes over 0.1 mm/s, the encoder's resolution over some samples: the
     sampled loop needs no width, and the data hardly tell one.
     """
-    raw = Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
+    raw = rx.Record({"q": rig.position, "force": rig.gain * rig.voltage}, STEP)
     start = {**ASYMMETRIC, **RISE}
     known = {"width": start.pop("width")}
-    refined = refine(
+    refined = rx.refine(
         stribeck_balance({**start, **known}),
-        differentiate(raw, "q", "dq"),
+        rx.differentiate(raw, "q", "dq"),
         start,
-        IntegralError(RIEC(windows)),
+        rx.IntegralError(rx.RIEC(windows)),
         known=known,
         bounds={"vs": (1e-3, 0.5)},
     )

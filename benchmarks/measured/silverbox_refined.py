@@ -20,13 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+import riecjax as rx
 from benchmarks.measured.silverbox import FACTOR, STEP, TRAIN
-from riecjax.estimation.estimate import Estimate
-from riecjax.records.record import Record
-from riecjax.refinement.output_error import OutputError, Tiles
-from riecjax.refinement.refine import refine
-from riecjax.simulation.method import FixedStep
-from riecjax.simulation.simulate import simulate
+from riecjax.refinement.output_error import Tiles
 from riecjax.simulation.system import AbstractSystem
 
 WINDOW = 1000
@@ -59,7 +55,7 @@ class Circuit(AbstractSystem):
 
 
 class Fit(NamedTuple):
-    refined: Estimate
+    refined: rx.Estimate
     seconds: float
 
 
@@ -68,35 +64,35 @@ def circuit(values: Mapping[str, float]) -> Circuit:
     return Circuit(**{name: jnp.asarray(value) for name, value in {**zero, **values}.items()})
 
 
-def fitted(fine: Record, start: Mapping[str, float], known: Mapping[str, float]) -> Fit:
+def fitted(fine: rx.Record, start: Mapping[str, float], known: Mapping[str, float]) -> Fit:
     """The circuit on a slice that was up-sampled by `FACTOR`, from a start."""
-    by = OutputError(
-        Tiles(samples=WINDOW * FACTOR), channels=("y",), method=FixedStep(1), every=FACTOR
+    by = rx.OutputError(
+        Tiles(samples=WINDOW * FACTOR), channels=("y",), method=rx.FixedStep(1), every=FACTOR
     )
     began = time.perf_counter()
-    refined = refine(circuit({**start, **known}), fine, start, by, known=known)
+    refined = rx.refine(circuit({**start, **known}), fine, start, by, known=known)
     float(refined.search.cost)
     return Fit(refined, time.perf_counter() - began)
 
 
-def slice_of(fine: Record, first: int, last: int) -> Record:
+def slice_of(fine: rx.Record, first: int, last: int) -> rx.Record:
     """Samples of the record from `first` to before `last`, up-sampled."""
     lost = round(float(fine.start_time) / STEP)
     return fine.part((first - lost) * FACTOR, (last - 1 - lost) * FACTOR + 1)
 
 
-def score(system: AbstractSystem, fine: Record, first: int, last: int) -> float:
+def score(system: AbstractSystem, fine: rx.Record, first: int, last: int) -> float:
     """Simulation error in mV on the samples of a slice, from its recorded start."""
     y, dt = np.asarray(slice_of(fine, first, last)["y"]), float(fine.time_step)
     before = np.asarray(slice_of(fine, first - 1, first + 2)["y"])
     start = {"y": y[0], "dy": (before[FACTOR + 1] - before[FACTOR - 1]) / (2 * dt)}
     part = slice_of(fine, first, last).select("u")
-    run = simulate(system, part, method=FixedStep(1), initial_state=start).checked()
+    run = rx.simulate(system, part, method=rx.FixedStep(1), initial_state=start).checked()
     error = (np.asarray(run.record["y"]) - y)[::FACTOR]
     return 1e3 * float(np.sqrt(np.mean(error[50:] ** 2)))
 
 
-def models(fine: Record, estimate: Mapping[str, float]) -> Iterator[tuple[str, Fit]]:
+def models(fine: rx.Record, estimate: Mapping[str, float]) -> Iterator[tuple[str, Fit]]:
     """Refined models, from the integral estimate of the plain one on."""
     train = slice_of(fine, *TRAIN)
     mean_square = float(np.mean(np.asarray(fine["y"]) ** 2))
@@ -108,7 +104,7 @@ def models(fine: Record, estimate: Mapping[str, float]) -> Iterator[tuple[str, F
 
 
 def damping_over_amplitude(
-    fine: Record, values: Mapping[str, float], arrow: tuple[int, int]
+    fine: rx.Record, values: Mapping[str, float], arrow: tuple[int, int]
 ) -> Iterator[tuple[float, float, float]]:
     """(r.m.s. of y in mV, change of d in %, its standard error in %) for parts of the arrow."""
     edges = np.linspace(*arrow, PARTS + 1).astype(int)

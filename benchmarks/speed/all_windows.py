@@ -7,22 +7,18 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+import riecjax as rx
 from benchmarks.speed.baselines.numpy_windows import (
     columns_of,
     random_windows_fit,
     running_integrals,
 )
 from benchmarks.speed.timing import Comparison, Size, compare
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import AllWindows, RandomWindows
-from riecjax.equations.equation import Equation
 from riecjax.equations.model import as_model
-from riecjax.equations.term import Term
 from riecjax.estimation.stages import solve
 from riecjax.models.quarter_car.identification import body_equation
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
-from riecjax.records.record import Record
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.one_pass import stage_normal_equations
 
@@ -30,14 +26,16 @@ WINDOWS, SPRUNG_MASS = 8000, 300.0
 SIGNALS = ("x2", "x3", "x4")
 
 
-def summed(equation: Equation, record: Record, criterion: RIEC) -> NormalEquations:
+def summed(equation: rx.Equation, record: rx.Record, criterion: rx.RIEC) -> NormalEquations:
     """Over all windows."""
     (equations,) = stage_normal_equations(as_model(equation), record, criterion, None)
     return equations.total()
 
 
 @eqx.filter_jit
-def moments(equation: Equation, record: Record, criterion: RIEC) -> Float[Array, "columns columns"]:
+def moments(
+    equation: rx.Equation, record: rx.Record, criterion: rx.RIEC
+) -> Float[Array, "columns columns"]:
     return summed(equation, record, criterion).moments
 
 
@@ -45,10 +43,10 @@ def long_record(size: Size) -> Comparison:
     """`all-windows-long`: six signals, windows of 50 to 500 samples, against one product A^T A."""
     columns = np.random.default_rng(0).normal(size=(size.long_samples, 6))
     names = [f"s{i}" for i in range(6)]
-    record = Record({name: columns[:, i].copy() for i, name in enumerate(names)}, 1e-3)
-    equation = Equation(*(Term(f"p{i}", f"s{i}") for i in range(5)), -Term(1.0, "s5"))
-    criterion = RIEC(AllWindows(0.05, 0.5)).fitted([record])
-    part = Record({name: record[name][:3000] for name in names}, 1e-3)
+    record = rx.Record({name: columns[:, i].copy() for i, name in enumerate(names)}, 1e-3)
+    equation = rx.Equation(*(rx.Term(f"p{i}", f"s{i}") for i in range(5)), -rx.Term(1.0, "s5"))
+    criterion = rx.RIEC(rx.AllWindows(0.05, 0.5)).fitted([record])
+    part = rx.Record({name: record[name][:3000] for name in names}, 1e-3)
     found = np.asarray(moments(equation, part, criterion))
     expected = every_window(columns[:3000], 50, 500)
     accuracy = {"largest_error_of_3000_samples": float(np.abs(found / expected - 1).max())}
@@ -75,15 +73,15 @@ def every_window(columns: np.ndarray, shortest: int, longest: int) -> np.ndarray
 
 @eqx.filter_jit
 def identified(
-    equation: Equation, record: Record, criterion: RIEC, known: dict[str, float]
+    equation: rx.Equation, record: rx.Record, criterion: rx.RIEC, known: dict[str, float]
 ) -> Float[Array, " p"]:
     """From signals to parameters."""
     return solve(summed(equation, record, criterion).fix(known)).theta
 
 
 @eqx.filter_jit
-def over_seeds(record: Record, keys: Array) -> Float[Array, "seeds 5"]:
-    criterion = RIEC(RandomWindows(0.05, 0.5, WINDOWS))
+def over_seeds(record: rx.Record, keys: Array) -> Float[Array, "seeds 5"]:
+    criterion = rx.RIEC(rx.RandomWindows(0.05, 0.5, WINDOWS))
     equation = body_equation()
 
     def one(key: Array) -> Array:
@@ -99,7 +97,7 @@ def run(size: Size) -> Iterator[Comparison]:
     record = full.select(*SIGNALS)
     signals = {name: np.asarray(record[name]) for name in SIGNALS}
     step = float(record.time_step)
-    every = RIEC(AllWindows(0.05, 0.5)).fitted([record])
+    every = rx.RIEC(rx.AllWindows(0.05, 0.5)).fitted([record])
 
     def drawn(seeds: int) -> np.ndarray:
         momentum, columns = columns_of(signals, SPRUNG_MASS)

@@ -11,21 +11,15 @@ from tests.machines import DRAG_TRUTH as TRUTH
 from tests.machines import drag_oscillator as oscillator
 from tests.machines import drag_record as record
 
+import riecjax as rx
 from benchmarks.speed.all_windows import identified
 from benchmarks.speed.baselines import pysindy_weak, scipy_drag
 from benchmarks.speed.baselines.numpy_bootstrap import replicates
 from benchmarks.speed.timing import Comparison, Size, compare
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.test_functions import Bump
-from riecjax.criteria.windows import AllWindows
-from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term
-from riecjax.estimation.identify import identify
 from riecjax.models.quarter_car.identification import quarter_car_by_body
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import identification_record
-from riecjax.records.record import Record, Signals
-from riecjax.refinement.refine import refine
+from riecjax.records.record import Signals
 from riecjax.uncertainty.intervals import Uncertainty
 
 REPLICATES = 2000
@@ -34,8 +28,8 @@ SEEDS = 20
 
 
 @eqx.filter_jit
-def judged(own: Record, criterion: RIEC) -> Uncertainty:
-    return identify(quarter_car_by_body(), own, criterion).uncertainty
+def judged(own: rx.Record, criterion: rx.RIEC) -> Uncertainty:
+    return rx.identify(quarter_car_by_body(), own, criterion).uncertainty
 
 
 def bootstrap(size: Size) -> Comparison:
@@ -44,8 +38,8 @@ def bootstrap(size: Size) -> Comparison:
     own = full.select("x1", "x2", "x3", "x4", "F_t")
     signals = {name: np.asarray(own[name]) for name in own.arrays}
     step = float(own.time_step)
-    criterion = RIEC(AllWindows(0.05, 0.5)).fitted([own])
-    ours = np.asarray(identify(quarter_car_by_body(), own, criterion).standard_errors)
+    criterion = rx.RIEC(rx.AllWindows(0.05, 0.5)).fitted([own])
+    ours = np.asarray(rx.identify(quarter_car_by_body(), own, criterion).standard_errors)
     theirs = replicates(signals, step, 500).std(axis=0)
     return compare(
         "bootstrap",
@@ -86,11 +80,11 @@ def arrays(seed: int) -> tuple[np.ndarray, ...]:
 
 def refinement(size: Size) -> Comparison:
     own, plain = record(1), arrays(1)
-    found = refine(oscillator(), own, START)
+    found = rx.refine(oscillator(), own, START)
     ours = errors([{name: float(found[name]) for name in TRUTH}])
     return compare(
         "refine",
-        lambda: refine(oscillator(), own, START).theta,
+        lambda: rx.refine(oscillator(), own, START).theta,
         "SciPy least_squares over RK45 with a fair step",
         lambda: scipy_drag.fit(*plain),
         300,
@@ -100,18 +94,18 @@ def refinement(size: Size) -> Comparison:
     )
 
 
-def drag_equation() -> Equation:
+def drag_equation() -> rx.Equation:
     """m v' + r v + r2 v|v| + k x = u.
 
     Unlike the built-in `drag-oscillator`, which needs no velocity, from that velocity which the
     baseline is given too.
     """
-    return Equation(
-        Term("m", "dx", derivative=1),
-        Term("r", "dx"),
-        Term("r2", drag),
-        Term("k", "x"),
-        -Term(1.0, "u"),
+    return rx.Equation(
+        rx.Term("m", "dx", derivative=1),
+        rx.Term("r", "dx"),
+        rx.Term("r2", drag),
+        rx.Term("k", "x"),
+        -rx.Term(1.0, "u"),
     )
 
 
@@ -121,7 +115,7 @@ def drag(signals: Signals) -> Array:
 
 def weak_peer(size: Size) -> Comparison:
     equation = drag_equation()
-    criterion = RIEC(AllWindows(0.5, 0.8), Bump(4, lengths=1)).fitted([record(0)])
+    criterion = rx.RIEC(rx.AllWindows(0.5, 0.8), rx.Bump(4, lengths=1)).fitted([record(0)])
     ours = [
         dict(zip(TRUTH, np.asarray(identified(equation, record(s), criterion, {}))))
         for s in range(SEEDS)

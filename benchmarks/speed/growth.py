@@ -13,15 +13,10 @@ from typing import Any
 
 import numpy as np
 
+import riecjax as rx
 from benchmarks.recorded import FOLDER, last_line, write_json
 from benchmarks.speed.all_windows import moments
 from benchmarks.speed.timing import seconds
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import AllWindows
-from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term
-from riecjax.records.record import Record
-from riecjax.runtime import start_jax
 
 PICTURE = FOLDER.parent / "docs" / "images" / "growth.png"
 REPEATS = 5
@@ -33,18 +28,18 @@ POINTS = {
 }
 
 
-def record_of(samples: int, columns: int) -> Record:
+def record_of(samples: int, columns: int) -> rx.Record:
     rng = np.random.default_rng(0)
-    return Record({f"s{i}": rng.normal(size=samples) for i in range(columns)}, 1e-3)
+    return rx.Record({f"s{i}": rng.normal(size=samples) for i in range(columns)}, 1e-3)
 
 
-def equation_of(parameters: int) -> Equation:
-    unknown = [Term(f"p{i}", f"s{i}") for i in range(parameters)]
-    return Equation(*unknown, -Term(1.0, f"s{parameters}"))
+def equation_of(parameters: int) -> rx.Equation:
+    unknown = [rx.Term(f"p{i}", f"s{i}") for i in range(parameters)]
+    return rx.Equation(*unknown, -rx.Term(1.0, f"s{parameters}"))
 
 
-def all_windows(record: Record, parameters: int) -> Callable[[], Any]:
-    criterion = RIEC(AllWindows(0.02, 0.2)).fitted([record])
+def all_windows(record: rx.Record, parameters: int) -> Callable[[], Any]:
+    criterion = rx.RIEC(rx.AllWindows(0.02, 0.2)).fitted([record])
     equation = equation_of(parameters)
     return lambda: moments(equation, record, criterion)
 
@@ -65,7 +60,7 @@ def parameters(count: int) -> Callable[[], Any]:
 
 
 def measured(kind: str, count: int) -> dict[str, float]:
-    start_jax()
+    rx.start_jax()
     work = {"samples": samples, "parameters": parameters}[kind](count)
     first = seconds(work)
     again = [seconds(work) for _ in range(REPEATS)]

@@ -12,7 +12,8 @@ __getattr__, __dir__ = attach(__name__, __file__)
 def _register_views() -> None:
     """Import what says how objects are shown, which registers itself: when one first is."""
     import riecjax.reporting.checking
-    import riecjax.reporting.plots
+    import riecjax.reporting.discovery
+    import riecjax.reporting.result_figures
     import riecjax.reporting.result_files
     import riecjax.reporting.views  # noqa: F401
 

@@ -5,6 +5,7 @@ anew. Numbers that users set therefore become arrays at the border; NumPy ones, 
 model at import time makes no JAX array.
 """
 
+import dataclasses
 import math
 import numbers
 from collections.abc import Mapping, Sequence
@@ -72,9 +73,11 @@ def namespace(*trees: object) -> Any:
 
 def finite(value: ArrayLike | Sequence[Any] | Mapping[Any, Any] | None) -> Any:
     """The number, or `None` where JSON has no word for it; of an array, nested lists of them; of a
-    mapping the same of all that it holds; a text as it is."""
+    mapping, and of the fields of a record, the same of all that it holds; a text as it is."""
     if value is None or isinstance(value, str):
         return value
+    if dataclasses.is_dataclass(value):
+        value = vars(value)
     if isinstance(value, Mapping):
         return {key: finite(each) for key, each in value.items()}
     if isinstance(value, tuple | list) or np.ndim(value):

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from riecjax.leaves import Leaf, namespace
 
 
-def unit_scale(diagonal: Float[Array, "*batch p"]) -> Float[Array, "*batch p"]:
+def unit_scale(diagonal: Float[Leaf, "*batch p"]) -> Float[Array, "*batch p"]:
     """Factors that bring a matrix with this diagonal to a diagonal of ones, on either side.
 
     Parameters may differ by ten powers of ten. 1 where the diagonal is zero.

@@ -7,7 +7,6 @@ each kind as soon as one is asked for, and an object of another kind brings its 
 """
 
 import functools
-import operator
 import os
 from collections.abc import Callable, ItemsView, Iterator, KeysView, Mapping
 from typing import Any
@@ -22,52 +21,33 @@ def registered_by(register: Callable[[], None]) -> None:
     _registering.append(register)
 
 
-def _case(verb: Any, thing: Any, method: str = "") -> Callable[..., Any]:
-    """What a verb does with a kind of object, looked for once everything is registered.
+def _verb(method: str = "") -> Any:
+    """A verb by the kind of its first object, cases of which are registered: an object of a kind
+    that nobody registered has a `method` for it."""
 
-    Before, every object comes here; then only those of a kind that nobody registered, which have a
-    `method` for it.
-    """
-    while _registering:
-        _registering.pop()()
-    case = verb.dispatch(type(thing))
-    return case if case is not verb.dispatch(object) else operator.methodcaller(method)
+    def unregistered(thing: Any, *rest: Any) -> Any:
+        # Before everything is registered, every object comes here.
+        while _registering:
+            _registering.pop()()
+        case = verb.dispatch(type(thing))
+        return getattr(thing, method)() if case is unregistered else case(thing, *rest)
 
-
-@functools.singledispatch
-def view_of(thing: Any) -> Any:
-    """What is said of an object, a [`View`][riecjax.reporting.View]: else what its `view()` is."""
-    return _case(view_of, thing, "view")(thing)
+    verb = functools.singledispatch(unregistered)
+    return verb
 
 
-@functools.singledispatch
-def chart_of(thing: Any) -> Any:
-    """The chart that shows an object: else what its `chart()` is."""
-    return _case(chart_of, thing, "chart")(thing)
-
-
-@functools.singledispatch
-def table_of(thing: Any) -> Any:
-    """The [`Table`][riecjax.reporting.Table] of an object that a paper has room for."""
-    return _case(table_of, thing, "table")(thing)
-
-
-@functools.singledispatch
-def draw(chart: Any, ax: Any = None) -> Any:
-    """Draw a chart by matplotlib; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
-    return _case(draw, chart)(chart, ax)
-
-
-@functools.singledispatch
-def save(thing: Any, path: str | os.PathLike[str]) -> None:
-    """Write an object to a file; see [`Saved.save`][riecjax.shows.Saved.save]."""
-    _case(save, thing)(thing, path)
-
-
-@functools.singledispatch
-def show(thing: Any) -> Any:
-    """Write the report of an object to a temporary folder, and open it in the browser."""
-    return _case(show, thing)(thing)
+view_of = _verb("view")
+"""What is said of an object, a [`View`][riecjax.reporting.View]: else what its `view()` is."""
+chart_of = _verb("chart")
+"""The chart that shows an object: else what its `chart()` is."""
+table_of = _verb("table")
+"""The [`Table`][riecjax.reporting.Table] of an object that a paper has room for."""
+draw = _verb()
+"""Draw a chart by matplotlib; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
+save = _verb()
+"""Write an object to a file; see [`Saved.save`][riecjax.shows.Saved.save]."""
+show = _verb()
+"""Write the report of an object to a temporary folder, and open it in the browser."""
 
 
 class Shown:

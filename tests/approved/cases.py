@@ -85,10 +85,6 @@ def says(kept: Kept, pattern: str) -> bool:
     return re.search(pattern, words) is not None
 
 
-def answered(kept: Kept) -> bool:
-    return kept["status"] == 0
-
-
 PLAIN = "--refine none --no-sweep --out out"
 BODY = "--model body.py:body"
 COAST = "--model coast.py:car --columns v --unit v=km/h --time-step 1 --band 0.02 0.1"

@@ -209,17 +209,7 @@ band = [0.3, 4.0]
 set = {k = 20.0}
 refine = "none"
 """,
-    "body.py": """import riecjax as rx
-
-body = rx.Equation(
-    rx.Term("m", "v", derivative=1, unit="kg"),
-    rx.Term("c", "v", unit="N s/m"),
-    rx.Term("k", "x", unit="N/m"),
-    -rx.Term(1.0, "F"),
-    name="body",
-    unit="N",
-)
-""",
+    "body.py": "from tests.machines import BODY as body",
     "cart.py": """import riecjax as rx
 
 cart = rx.Equation(

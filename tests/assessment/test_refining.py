@@ -18,7 +18,7 @@ import riecjax as rx
 from riecjax.assessment import refining
 from riecjax.assessment.assess import check_answering
 from riecjax.records.recording import as_recordings
-from riecjax.reporting.checking import check_answer
+from riecjax.reporting.checking import check_document
 from riecjax.settings import Check
 
 DRAG = rx.find_model("drag-oscillator")
@@ -138,9 +138,9 @@ def test_check_names_the_refinement_that_answers_where_windows_cannot():
     bounds = {"m": 0.00181, "r": 0.0293, "r2": 0.0144, "k": 0.00153}
     for name, share in found.by_refinement.items():
         assert share == pytest.approx(bounds[name], rel=0.35)
-    said = check_answer(found, "drag", as_recordings(record))
-    assert said.answerable
-    assert not said.error
+    said = check_document(found, "drag", as_recordings(record))
+    assert said["answerable"]
+    assert "error" not in said
     answer = rx.assess(DRAG, record, short, **QUICK).answer
     assert float(answer["m"]) == pytest.approx(1.5, rel=5 * bounds["m"])
     with pytest.raises(rx.IdentifiabilityError):

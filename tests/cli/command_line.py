@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from tests.approved import inputs
 
 from riecjax.cli.main import run
 
@@ -51,9 +52,8 @@ def rejected(capsys: pytest.CaptureFixture[str], status: int, *arguments: object
 
 
 def write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> Path:
-    table = np.column_stack(list(columns.values()))
-    rows = [",".join(repr(float(value)) for value in row) for row in table]
-    path.write_text("\n".join([",".join(columns), *rows]) + "\n")
+    """To the last bit."""
+    inputs.write_csv(path, columns, "%.17g")
     return path
 
 

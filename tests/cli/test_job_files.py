@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from command_line import call, rejected, write_csv
 from test_own_recordings import MODEL, motion
+from tests.settings.test_settings import value_of
 
 import riecjax as rx
 from riecjax.cli.command import Given
 from riecjax.cli.identify import command as identify
 from riecjax.reporting.document import sealed
-from riecjax.settings.option import Option
 from riecjax.settings.toml import assigned, form
 
 PLAIN = ("--test-function", "hat", "--no-sweep", "--refine", "none")
@@ -37,41 +37,13 @@ def rerun(toml: str, folder: Path) -> Given:
     return context(["--job", file.name])
 
 
-def example(option: Option, value: str) -> list[str]:
-    """Arguments that give an option some value it takes."""
-    if not option.flag:
-        return ["a.csv"]
-    if option.shape == "flag":
-        return [option.flag.rpartition("/")[2]]
-    if option.kind.choices:
-        value = option.kind.choices[-1]
-    elif "LOW:HIGH" in option.form:
-        value = "k=0:2.5"
-    elif "±" in option.form:
-        value = "k=2.5±0.5"
-    elif option.form.startswith("KIND"):
-        value = "mode:x=2.5"
-    elif "=" in option.form:
-        value = "x=2.5"
-    elif "test" in option.key:
-        value = "hat"
-    return [option.flag, *[value] * option.count]
-
-
 @pytest.mark.parametrize("key", [o.key for o in identify.options.values() if o.key != "job"])
 def test_every_option_has_its_line_and_comes_back(tmp_path, key):
     option = next(option for option in identify.options.values() if option.key == key)
     arguments = ["r.csv", "--model", "emps"]
     plain = context(arguments)
     assert f"\n# {key} = " in form_of(plain) or key in plain.shown()
-    for value in ("1", "0.5"):
-        try:
-            first = context([*arguments, *example(option, value)])
-            break
-        except click.UsageError:
-            continue
-    else:
-        pytest.fail(f"no value was found that --{key} takes")
+    first = context([*arguments, *option.words(value_of(option))])
     text = form_of(first)
     assert first.shown()[key] == tomllib.loads(text)[key]
     assert rerun(text, tmp_path).values == {**first.values, "job": Path("job.toml")}

@@ -1,6 +1,5 @@
 """What the memory does not hold is refused before it starts."""
 
-import json
 import os
 
 import pytest
@@ -42,6 +41,16 @@ def drive(tmp_path):
     return write_csv(tmp_path / "drive.csv", quarter_car_columns())
 
 
+def refused(capsys, drive, *options: str) -> str:
+    """The message of a document and of a line."""
+    result = call(capsys, "identify", drive, *CAR, *options, "--json")
+    assert result.status == 1
+    error = result.document["error"]
+    assert error["code"] == "memory"
+    assert result.err == f"riecjax: {error['message']}\n"
+    return error["message"]
+
+
 @pytest.mark.parametrize(
     ("options", "what"),
     [
@@ -51,13 +60,9 @@ def drive(tmp_path):
 )
 def test_what_does_not_fit_is_refused_before_it_starts(capsys, drive, monkeypatch, options, what):
     monkeypatch.setattr(memory, "free_memory", lambda: 3e6)
-    result = call(capsys, "identify", drive, *CAR, *options, "--json")
-    assert result.status == 1
-    error = json.loads(result.out)["error"]
-    assert error["code"] == "memory"
-    assert error["message"].startswith(what)
-    assert "0.003 GB are free" in error["message"]
-    assert result.err == f"riecjax: {error['message']}\n"
+    message = refused(capsys, drive, *options)
+    assert message.startswith(what)
+    assert "0.003 GB are free" in message
 
 
 def test_what_xla_cannot_allocate_is_one_line(capsys, drive, monkeypatch):
@@ -67,12 +72,9 @@ def test_what_xla_cannot_allocate_is_one_line(capsys, drive, monkeypatch):
         raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 40402639744 bytes.")
 
     monkeypatch.setattr(assess, "summarise", refuse)
-    result = call(capsys, "identify", drive, *CAR, "--json")
-    assert result.status == 1
-    error = json.loads(result.out)["error"]
-    assert error["code"] == "memory"
-    assert "40402639744 bytes" in error["message"]
-    assert "--windows" in error["message"] or "fewer windows" in error["message"]
+    message = refused(capsys, drive)
+    assert "40402639744 bytes" in message
+    assert "--windows" in message or "fewer windows" in message
 
 
 def test_on_a_terminal_a_line_says_what_is_done_and_elsewhere_each_tenth(monkeypatch, capsys):

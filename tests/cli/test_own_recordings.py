@@ -48,10 +48,6 @@ def values(document):
     return {name: entry["value"] for name, entry in document["parameters"].items()}
 
 
-def codes(document):
-    return [warning["code"] for warning in document["warnings"]]
-
-
 def identified(capsys, *arguments):
     return call(capsys, "identify", *arguments, *IDENTIFY).document
 

@@ -9,9 +9,9 @@ from collections import Counter
 from pathlib import Path
 
 import jax
-import numpy as np
 import pytest
 from command_line import call, write_csv
+from tests.approved.inputs import cart
 
 NOTING = """
 from pathlib import Path
@@ -41,22 +41,9 @@ def working_folder() -> None:
     Path("model.py").write_text(NOTING)
 
 
-def recording(name: str, samples: int, seed: int) -> float:
-    """Write a recording of a cart, and return its first p."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(samples) / 500 + seed
-    p = np.sin(3 * time) + 0.2 * np.sin(11 * time)
-    v = 3 * np.cos(3 * time) + 2.2 * np.cos(11 * time)
-    a = -9 * np.sin(3 * time) - 24.2 * np.sin(11 * time)
-    f = 2.5 * a + 0.75 * v + 40.0 * p**3
-    signals = {"p": p, "v": v, "a": a, "f": f}
-    noisy = {k: x + 1e-3 * rng.normal(size=samples) for k, x in signals.items()}
-    write_csv(Path(name), {"t": time, **noisy})
-    return float(noisy["p"][0])
-
-
 def test_one_command_sums_a_recording_once(capsys):
-    first = recording("one.csv", SAMPLES, seed=0)
+    columns = cart()
+    write_csv(Path("one.csv"), columns)
     settings = ("--model", "model.py:cart", "--alpha", 0.05, "--beta", 0.5, "--refine", "none")
     result = call(capsys, "identify", "one.csv", *settings, "--out", "results")
     assert result.status == 0, result.err
@@ -65,7 +52,7 @@ def test_one_command_sums_a_recording_once(capsys):
         assert (Path("results") / name).is_file()
     lines = [line.split() for line in Path("executions.txt").read_text().splitlines()]
     ran = Counter(
-        ("as recorded" if float(start) == first else "with noise", int(size))
+        ("as recorded" if float(start) == columns["p"][0] else "with noise", int(size))
         for size, start in lines
         if int(size) > PROBE
     )

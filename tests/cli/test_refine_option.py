@@ -15,10 +15,6 @@ def recording(tmp_path_factory):
     return write_csv(path, {"t": DRAG.shape.times, **signals})
 
 
-def codes(document):
-    return [warning["code"] for warning in document["warnings"]]
-
-
 @pytest.mark.raises_finding("prior_disagrees")
 def test_a_prior_that_the_recording_contradicts_is_the_reason(recording, capsys):
     prior = ("--refine", "integral", "--prior", "m=3.0±0.05", "--json")

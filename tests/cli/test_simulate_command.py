@@ -4,7 +4,6 @@ import scipy.integrate
 import scipy.io
 from command_line import call, write_csv
 
-COLUMNS = ["t", "v_r", "x1", "x2", "x3", "x4", "dx3", "dx4", "F_t"]
 CAR = "quarter-car-source"
 
 

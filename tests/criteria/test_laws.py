@@ -10,7 +10,7 @@ from tests.machines import MACHINES, Shape
 from nightly import nightly
 from riecjax.criteria.criterion import RIEC
 from riecjax.criteria.test_functions import Boxcar, Bump, Hat
-from riecjax.criteria.windows import AllWindows, RandomWindows, SteppedLaw, WindowSet
+from riecjax.criteria.windows import AllWindows, RandomWindows, WindowSet
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.errors import ModelError
 from riecjax.estimation.identify import identify
@@ -94,7 +94,7 @@ def test_the_estimate_is_that_of_every_window_one_by_one(law, weight):
 
 def test_a_flat_law_is_no_law_whatever_its_size():
     plain = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA)))
-    law = SteppedLaw(7.0 * np.ones(5))
+    law = 7.0 * np.ones(5)
     same = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=law)))
     np.testing.assert_allclose(same.theta, plain.theta, rtol=1e-9)
     np.testing.assert_allclose(same.stages[0].count, plain.stages[0].count, rtol=1e-12)

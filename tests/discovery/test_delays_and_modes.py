@@ -16,10 +16,11 @@ from nightly import nightly
 from riecjax.discovery.discover import discover, model_source
 from riecjax.models.catalogue import find_model
 from riecjax.reporting.discovery import (
-    discovery_answer,
+    discovery_document,
     discovery_figures,
     discovery_page,
     print_discovery,
+    sentence,
 )
 
 QUICK = {"intervals": rx.Naive(), "resamples": 0}
@@ -48,11 +49,11 @@ def test_terms_are_found_once_what_comes_late_is_in_time(late):
     assert found.delays["u"] == pytest.approx(LATE, abs=2e-4)
     assert float(found.estimate["viscous"]) == pytest.approx(0.8, rel=0.03)
     assert ("late_signal", ("u",)) in [(one.code, one.signals) for one in found.findings]
-    answer = discovery_answer(found)
-    assert answer.delays == {"u": pytest.approx(LATE, abs=2e-4)}
-    assert f"u comes {1e3 * found.delays['u']:.3g} ms late" in answer.sentence
-    assert "identify with --shift u=0.03" in answer.sentence
-    assert "mend that first" not in answer.sentence
+    assert discovery_document(found)["delays"] == {"u": pytest.approx(LATE, abs=2e-4)}
+    said = sentence(found)
+    assert f"u comes {1e3 * found.delays['u']:.3g} ms late" in said
+    assert "identify with --shift u=0.03" in said
+    assert "mend that first" not in said
 
 
 @pytest.mark.slow
@@ -61,7 +62,7 @@ def test_of_a_right_model_only_the_delay_is_found(late):
     """Hysteresis and a harder spring stand for it where it is not taken off."""
     found = discover(DRAG.model, late, **QUICK)
     assert found.names == ("delay",)
-    assert discovery_answer(found).sentence.startswith("No term is missing")
+    assert sentence(found).startswith("No term is missing")
 
 
 @pytest.mark.parametrize("noise", [*nightly([0.0]), 0.02])
@@ -72,17 +73,17 @@ def test_a_mode_is_found_instead_of_terms_that_stand_for_it(noise):
     assert found.mode.on == "v"
     for name in ("M_mode", "K_mode"):
         assert float(found.estimate[name]) == pytest.approx(TRUTH[name], rel=0.1)
-    answer = discovery_answer(found)
-    assert answer.chosen == ["mode"]
-    assert answer.terms["mode"].parameters == ["M_mode", "K_mode", "B_mode"]
-    first, last = (float(step.unexplained or 0) for step in answer.path)
+    document = discovery_document(found)
+    assert document["chosen"] == ["mode"]
+    assert document["terms"]["mode"]["parameters"] == ["M_mode", "K_mode", "B_mode"]
+    first, last = (step["unexplained"] for step in document["path"])
     assert 0 < last < 0.1 * first
-    assert answer.sentence.startswith("mode (a hidden mode on v near ")
+    assert sentence(found).startswith("mode (a hidden mode on v near ")
     # What has no error or chance is printed without.
     console = Console(width=200, record=True, file=io.StringIO())
-    print_discovery(answer, console)
+    print_discovery(found, None, console)
     assert "+ mode" in console.export_text()
-    assert discovery_page(answer).sections
+    assert discovery_page(found).sections
     assert discovery_figures(found)["path"].rows
 
 
@@ -115,5 +116,4 @@ def test_a_velocity_that_is_late_is_not_the_forces_fault():
     found = discover(DRAG.start, late, **QUICK)
     assert found.delays == {}
     assert ("late_signal", ("dx",)) in [(one.code, one.signals) for one in found.findings]
-    sentence = discovery_answer(found).sentence
-    assert "mend that first (--shift dx=0.0" in sentence
+    assert "mend that first (--shift dx=0.0" in sentence(found)

@@ -92,7 +92,7 @@ def test_the_path_goes_down_and_ends_at_what_noise_makes():
     assert left == sorted(left, reverse=True)
     assert left[-1] == pytest.approx(noise @ noise / (target @ target), rel=0.02)
     assert all(step.chance < 1e-3 for step in steps)
-    assert all(gain < 0.02 for _, gain, _ in found.next_best(found.found()))
+    assert all(rejected.gain < 0.02 for rejected in found.next_best(found.found()))
 
 
 def test_data_drawn_again_choose_what_is_sure_each_time_and_what_is_not_less_often():

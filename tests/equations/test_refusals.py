@@ -9,6 +9,7 @@ import riecjax as rx
 
 Model: Any = rx.Model
 Term: Any = rx.Term
+Equation: Any = rx.Equation
 MASS, FORCE = rx.Term("m", "x", derivative=2, unit="kg"), -rx.Term(1.0, "u")
 PUSHED, SLID = rx.Equation(MASS, FORCE), rx.Equation(MASS, rx.Term("d", "v"), FORCE)
 
@@ -27,6 +28,8 @@ def said_twice(**fields: tuple[Any, Any]) -> Any:
     ("make", "says"),
     [
         (lambda: Term("m", "x", derivative=True), "from 0 on; got True"),
+        (lambda: Term("m", "x", derivative=-1), "from 0 on; got -1"),
+        (lambda: Term(1.0, "x", known=2.0), "named coefficient"),
         (lambda: Term("m", "x", derivative=1.0), "from 0 on; got 1.0"),
         (lambda: Term("m", "x", unit=3), "unit is an int"),
         (lambda: Term("m", "x", unit=("kg", "N")), "m: 2 units for 1 coefficients"),
@@ -40,6 +43,11 @@ def said_twice(**fields: tuple[Any, Any]) -> Any:
         (lambda: said_twice(known=(2.0, 3.0)), "m is known as 2 and, in another term, as 3"),
         (lambda: said_twice(unit=("kg", "N")), "unit of m is kg and, in another term, N"),
         (lambda: rx.Equation(rx.Term(" ", "x"), FORCE), "equation: a name is empty"),
+        (lambda: rx.Equation(Term("k\x1b[31m", "x")), "must be printable"),
+        (lambda: rx.Equation(Term("k\n", "x")), "must be printable"),
+        (lambda: Equation(MASS, name=5), "must be printable"),
+        (lambda: Equation(MASS, unit=None), "must be printable"),
+        (lambda: rx.Equation(FORCE, name="wheel"), "wheel: .*at least one named coefficient"),
         (lambda: Model(PUSHED), "the name stands first"),
         (lambda: Model("mass", stages=(PUSHED, "u")), "in stages is the text 'u'"),
         (lambda: model(derived=("dx", "x")), "derived of a model is a tuple"),

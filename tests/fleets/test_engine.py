@@ -10,13 +10,10 @@ import pytest
 from fleet_tasks import dies, dies_at_first, squares
 from tests.machines import drag_fleet as drives
 
+import riecjax as rx
 from nightly import nightly
-from riecjax.errors import DataError
 from riecjax.fleets import engine as module
 from riecjax.fleets.engine import Cluster, Engine, Here, Lost, engine
-from riecjax.fleets.fleet import fleet
-from riecjax.models.catalogue import find_model
-from riecjax.records.writing import write_record
 
 USERS = """
 import riecjax as rx
@@ -66,12 +63,12 @@ def test_a_fleet_is_the_same_to_the_bit_on_processes_as_without(tmp_path, proces
     """With a model of the user's own file, which only this process has loaded."""
     (tmp_path / "drives").mkdir()
     for i, record in enumerate(drives(4, 1500, 3)):
-        write_record(tmp_path / f"drives/{i}.parquet", record)
+        rx.write_record(tmp_path / f"drives/{i}.parquet", record)
     (tmp_path / "own.py").write_text(USERS)
-    model = find_model(f"{tmp_path}/own.py:MODEL")
+    model = rx.find_model(f"{tmp_path}/own.py:MODEL")
     for workers in (0, processes):
         settings = {"intervals": "sandwich", "out": tmp_path / f"out{workers}"}
-        fleet(model, tmp_path / "drives", workers=workers, **settings)
+        rx.fleet(model, tmp_path / "drives", workers=workers, **settings)
     for name in ("summaries.parquet", "estimates.parquet"):
         alone, beside = (tmp_path / f"out{workers}" / name for workers in (0, processes))
         assert alone.read_bytes() == beside.read_bytes()
@@ -94,7 +91,7 @@ def test_a_scheduler_that_is_killed_ends_the_run_in_words():
     try:
         with Cluster(scheduler=address) as runs:
             process.send_signal(signal.SIGKILL)
-            with pytest.raises(DataError, match=r"is gone\. What was summed is kept"):
+            with pytest.raises(rx.DataError, match=r"is gone\. What was summed is kept"):
                 answers(runs, squares)
     finally:
         process.kill()
@@ -103,7 +100,7 @@ def test_a_scheduler_that_is_killed_ends_the_run_in_words():
 
 def test_a_scheduler_that_does_not_answer_is_said(monkeypatch):
     monkeypatch.setattr(module, "WAITS", 1.0)
-    with pytest.raises(DataError, match=r"no scheduler of Dask answers at tcp://127\.0\.0\.1:9"):
+    with pytest.raises(rx.DataError, match=r"no scheduler of Dask answers at tcp://127\.0\.0\.1:9"):
         Cluster(scheduler="tcp://127.0.0.1:9")
 
 
@@ -114,5 +111,5 @@ def test_processes_that_do_not_start_are_said(monkeypatch):
         raise RuntimeError("Nanny failed to start.")
 
     monkeypatch.setattr(distributed, "LocalCluster", failing)
-    with pytest.raises(DataError, match="processes do not start: Nanny failed"):
+    with pytest.raises(rx.DataError, match="processes do not start: Nanny failed"):
         Cluster(1)

@@ -13,17 +13,11 @@ from pyarrow import parquet
 from tests.machines import DRAG_TRUTH as TRUTH
 from tests.machines import drag_fleet as drives
 
-from riecjax.criteria.criterion import DOLS
-from riecjax.errors import DataError, ModelError
-from riecjax.estimation.identify import identify
+import riecjax as rx
 from riecjax.fleets import engine, groups, kept, order, sources
-from riecjax.fleets.fleet import fleet
 from riecjax.fleets.report import Fleet, sentence
-from riecjax.models.catalogue import find_model
-from riecjax.records.recording import read_recording
-from riecjax.records.writing import write_record
 
-MODEL = find_model("drag-oscillator")
+MODEL = rx.find_model("drag-oscillator")
 SAMPLES = 1500
 
 
@@ -35,7 +29,7 @@ def folder(tmp_path_factory) -> Path:
         own = place / f"vehicle={vehicle}"
         own.mkdir()
         for i, record in enumerate(drives(3, SAMPLES, 10 + vehicle)):
-            write_record(own / f"{i}.parquet", record)
+            rx.write_record(own / f"{i}.parquet", record)
     (place / "vehicle=2/broken.parquet").write_bytes(b"PAR1, but no more")
     shutil.copy(place / "vehicle=1/0.parquet", place / "vehicle=1/copy.parquet")
     return place
@@ -44,7 +38,7 @@ def folder(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def by_vehicle(folder, tmp_path_factory) -> tuple[Fleet, Path]:
     out = tmp_path_factory.mktemp("out")
-    return fleet(MODEL, folder, by="vehicle", workers=0, out=out), out
+    return rx.fleet(MODEL, folder, by="vehicle", workers=0, out=out), out
 
 
 def values(found: Fleet, group: str) -> dict[str, tuple[float, float]]:
@@ -56,11 +50,11 @@ def values(found: Fleet, group: str) -> dict[str, tuple[float, float]]:
 
 
 def test_a_group_of_one_file_is_estimated_as_identify_does(folder):
-    found = fleet(MODEL, folder / "vehicle=0", workers=0)
+    found = rx.fleet(MODEL, folder / "vehicle=0", workers=0)
     assert found.by == ("file",)
     for name in ("0.parquet", "2.parquet"):
-        recording = read_recording(folder / "vehicle=0" / name, model=MODEL)
-        alone = identify(MODEL, recording, found.criterion)
+        recording = rx.read_recording(folder / "vehicle=0" / name, model=MODEL)
+        alone = rx.identify(MODEL, recording, found.criterion)
         for n, (value, error) in values(found, name).items():
             assert value == pytest.approx(float(alone[n]), rel=1e-9)
             errors = dict(zip(alone.parameters, np.asarray(alone.standard_errors)))
@@ -94,14 +88,14 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bits(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fleet(MODEL, folder, **given, progress=interrupted)
+        rx.fleet(MODEL, folder, **given, progress=interrupted)
     parts = sorted((tmp_path / kept.PARTS).glob("*.parquet"))
     assert len(parts) == 2
     # One of them is damaged meanwhile.
     content = bytearray(parts[1].read_bytes())
     content[len(content) // 2] ^= 1
     parts[1].write_bytes(bytes(content))
-    fleet(MODEL, folder, **given, progress=lambda what, done, *_: summed.append((what, done)))
+    rx.fleet(MODEL, folder, **given, progress=lambda what, done, *_: summed.append((what, done)))
     assert ("summing", 2) in summed  # and not from none
     for name in ("summaries.parquet", "estimates.parquet"):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
@@ -119,7 +113,7 @@ def test_a_later_run_sums_only_what_is_new_or_has_changed(folder, tmp_path):
     def run() -> Fleet:
         done.clear()
         settings = {"workers": 0, "out": tmp_path / "out", "progress": count}
-        return fleet(MODEL, drives_of, **settings)
+        return rx.fleet(MODEL, drives_of, **settings)
 
     first = run()
     assert done[0] == 0
@@ -142,7 +136,7 @@ def test_what_goes_on_changing_is_told(folder, tmp_path):
             times[0] += 1
             shutil.copy(folder / f"vehicle={times[0] % 3}/1.parquet", drives_of / "1.parquet")
 
-    found = fleet(MODEL, drives_of, workers=0, progress=touched)
+    found = rx.fleet(MODEL, drives_of, workers=0, progress=touched)
     assert found.changed == ["1.parquet"]
     assert "1 recording went on changing while summed (1.parquet): run" in sentence(found)
 
@@ -151,32 +145,25 @@ def test_what_goes_on_changing_is_told(folder, tmp_path):
 def test_sums_of_an_earlier_run_are_estimated_anew(by_vehicle):
     found, out = by_vehicle
     table = out / "summaries.parquet"
-    again = fleet(MODEL, table, by="vehicle", workers=0)
+    again = rx.fleet(MODEL, table, by="vehicle", workers=0)
     assert again.entries == found.entries
-    held = fleet(MODEL, table, by="vehicle", known={"k": 20.0}, workers=0)
+    held = rx.fleet(MODEL, table, by="vehicle", known={"k": 20.0}, workers=0)
     assert set(values(held, "vehicle=0")) == {"m", "r", "r2"}
-    assert len({e.group for e in fleet(MODEL, table, workers=0).entries}) == 11
-    with pytest.raises(ModelError, match="other equations"):
-        fleet(find_model("duffing"), table, workers=0)
+    assert len({e.group for e in rx.fleet(MODEL, table, workers=0).entries}) == 11
+    with pytest.raises(rx.ModelError, match="other equations"):
+        rx.fleet(rx.find_model("duffing"), table, workers=0)
 
 
 def test_columns_of_a_file_tell_its_recordings_apart(folder, by_vehicle, tmp_path):
-    tables = [
-        parquet.read_table(folder / f"vehicle={v}/{i}.parquet").append_column(
-            "vehicle", pa.array([str(v)] * SAMPLES)
-        )
-        for v in range(2)
-        for i in range(3)
-    ]
     # A drive follows another, of another vehicle.
-    order = [0, 3, 1, 4, 2, 5]
-    parquet.write_table(pa.concat_tables([tables[i] for i in order]), tmp_path / "all.parquet")
-    found = fleet(MODEL, tmp_path, by="vehicle", workers=0)
+    runs = [(f"vehicle={v}/{i}", str(v), SAMPLES) for i in range(3) for v in range(2)]
+    parquet.write_table(several(folder, runs), tmp_path / "all.parquet")
+    found = rx.fleet(MODEL, tmp_path, by="vehicle", workers=0)
     for vehicle in ("vehicle=0", "vehicle=1"):
         for name, (value, _) in values(by_vehicle[0], vehicle).items():
             assert values(found, vehicle)[name][0] == pytest.approx(value, rel=1e-9)
-    with pytest.raises(DataError, match="no column 'truck'"):
-        fleet(MODEL, tmp_path, by="truck", workers=0)
+    with pytest.raises(rx.DataError, match="no column 'truck'"):
+        rx.fleet(MODEL, tmp_path, by="truck", workers=0)
 
 
 def test_of_a_file_with_several_recordings_parts_are_asked_for(folder, tmp_path):
@@ -185,23 +172,23 @@ def test_of_a_file_with_several_recordings_parts_are_asked_for(folder, tmp_path)
         table = parquet.read_table(folder / f"vehicle=0/{name}.parquet")
         runs[f"run{name}"] = {c: table[c].to_numpy() for c in table.column_names}
     scipy.io.savemat(tmp_path / "runs.mat", runs)
-    found = fleet(MODEL, tmp_path, workers=0, parts=["run1"])
+    found = rx.fleet(MODEL, tmp_path, workers=0, parts=["run1"])
     (row,) = found.recordings
     assert row.part == "run1"
-    alone = fleet(MODEL, folder / "vehicle=0/1.parquet", workers=0)
+    alone = rx.fleet(MODEL, folder / "vehicle=0/1.parquet", workers=0)
     for name, (value, _) in values(alone, "1.parquet").items():
         assert values(found, "runs.mat, run1")[name][0] == pytest.approx(value, rel=1e-6)
-    assert len(fleet(MODEL, tmp_path, workers=0).recordings) == 2
-    with pytest.raises(DataError, match="run7"):
-        fleet(MODEL, tmp_path, workers=0, parts=["run7"])
-    with pytest.raises(DataError, match="parts="):
-        fleet(MODEL, tmp_path, workers=0, parts="run1")
+    assert len(rx.fleet(MODEL, tmp_path, workers=0).recordings) == 2
+    with pytest.raises(rx.DataError, match="run7"):
+        rx.fleet(MODEL, tmp_path, workers=0, parts=["run7"])
+    with pytest.raises(rx.DataError, match="parts="):
+        rx.fleet(MODEL, tmp_path, workers=0, parts="run1")
 
 
 @pytest.mark.slow
 def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_path, monkeypatch):
     (record,) = drives(1, 2**17 + 70000, 5)
-    write_record(tmp_path / "whole.parquet", record)
+    rx.write_record(tmp_path / "whole.parquet", record)
     table = parquet.read_table(tmp_path / "whole.parquet")
     monkeypatch.setattr(order, "STRETCH", 2**17)
     monkeypatch.setattr(sources, "LONG", 2**40)
@@ -210,34 +197,35 @@ def test_a_data_set_of_many_files_is_one_recording_whose_windows_all_count(tmp_p
     for i, (a, b) in enumerate(itertools.pairwise(cuts)):
         parquet.write_table(table.slice(a, b - a), tmp_path / f"week.parquet/{i}.parquet")
     given = {"noise": {"u": 0.0, "x": 0.01, "dx": 0.03}, "align": "none", "outliers": "keep"}
-    parts = fleet(MODEL, tmp_path / "week.parquet", workers=0, **given)
-    whole = fleet(MODEL, tmp_path / "whole.parquet", workers=0, **given)
+    parts = rx.fleet(MODEL, tmp_path / "week.parquet", workers=0, **given)
+    whole = rx.fleet(MODEL, tmp_path / "whole.parquet", workers=0, **given)
     assert len(parts.recordings) == 2
     assert parts.samples == whole.samples == record.sample_count
     for name, (value, _) in values(whole, "whole.parquet").items():
         assert values(parts, "week.parquet")[name][0] == pytest.approx(value, rel=1e-9)
 
 
-@pytest.mark.parametrize("given", [{"criterion": DOLS()}, {"noise": "none"}], ids=str)
+@pytest.mark.parametrize("given", [{"criterion": rx.DOLS()}, {"noise": "none"}], ids=str)
 def test_sums_that_say_nothing_of_noise_are_estimated(folder, given):
-    found = fleet(MODEL, folder / "vehicle=0/0.parquet", workers=0, **given)
+    found = rx.fleet(MODEL, folder / "vehicle=0/0.parquet", workers=0, **given)
     assert values(found, "0.parquet")["k"][0] == pytest.approx(TRUTH["k"], rel=0.2)
 
 
-def several(folder: Path, runs: list[tuple[int, str, int]]) -> pa.Table:
-    """Drives of a vehicle after each other: number, what its column says, rows."""
+def several(folder: Path, runs: list[tuple[str, str, int]]) -> pa.Table:
+    """Drives after each other: file, what the column of the vehicle says, rows."""
     return pa.concat_tables(
-        parquet.read_table(folder / f"vehicle=0/{i}.parquet")
+        parquet.read_table(folder / f"{file}.parquet")
         .append_column("vehicle", pa.array([name] * SAMPLES))
         .slice(0, rows)
-        for i, name, rows in runs
+        for file, name, rows in runs
     )
 
 
 def test_one_bad_recording_of_a_file_leaves_the_others(folder, tmp_path):
-    runs = [(0, "a", SAMPLES), (1, "b", 5), (2, "c", SAMPLES)]
+    rows = {"a": SAMPLES, "b": 5, "c": SAMPLES}
+    runs = [(f"vehicle=0/{i}", name, count) for i, (name, count) in enumerate(rows.items())]
     parquet.write_table(several(folder, runs), tmp_path / "all.parquet")
-    found = fleet(MODEL, tmp_path, by="vehicle", workers=0)
+    found = rx.fleet(MODEL, tmp_path, by="vehicle", workers=0)
     assert values(found, "vehicle=a")
     assert values(found, "vehicle=c")
     (failed,) = found.failures
@@ -247,7 +235,7 @@ def test_one_bad_recording_of_a_file_leaves_the_others(folder, tmp_path):
 def test_what_a_run_writes_is_no_recording_of_the_next(folder, tmp_path):
     shutil.copytree(folder / "vehicle=0", tmp_path / "drives")
     pattern = f"{tmp_path}/**/*.parquet"
-    first, again = (fleet(MODEL, pattern, workers=0, out=tmp_path / "out") for _ in range(2))
+    first, again = (rx.fleet(MODEL, pattern, workers=0, out=tmp_path / "out") for _ in range(2))
     assert again.entries == first.entries
     assert len(again.recordings) == 3
 
@@ -263,12 +251,12 @@ def test_a_group_without_an_answer_is_counted_and_all_of_them_are_an_error(folde
 
     monkeypatch.setattr(groups, "assess_summary", failing)
     fails_from = 1
-    found = fleet(MODEL, folder, by="vehicle", workers=0)
+    found = rx.fleet(MODEL, folder, by="vehicle", workers=0)
     assert [e.status for e in found.unanswered] == ["ZeroDivisionError: by chance"] * 2
     fails_from = 0
     calls.clear()
-    with pytest.raises(DataError, match="no group can be estimated; the first: ZeroDivision"):
-        fleet(MODEL, folder, by="vehicle", workers=0)
+    with pytest.raises(rx.DataError, match="no group can be estimated; the first: ZeroDivision"):
+        rx.fleet(MODEL, folder, by="vehicle", workers=0)
 
 
 def test_of_a_part_with_a_flipped_bit_all_is_made_anew_or_nothing_has_changed(by_vehicle, tmp_path):
@@ -298,8 +286,8 @@ def test_an_interval_of_many_recordings_holds_what_differs_between_them(tmp_path
     stiffness = TRUTH["k"] * (1 + 0.02 * rng.standard_normal(12))
     for i, k in enumerate(stiffness):
         (record,) = drives(1, SAMPLES, 50 + i, k=float(k))
-        write_record(tmp_path / f"{i}.parquet", record)
-    found = fleet(MODEL, tmp_path, by="folder", workers=0)
+        rx.write_record(tmp_path / f"{i}.parquet", record)
+    found = rx.fleet(MODEL, tmp_path, by="folder", workers=0)
     (entry,) = [e for e in found.entries if e.parameter == "k"]
     scatter = float(np.std(stiffness, ddof=1)) / np.sqrt(12)
     assert entry.std_error is not None
@@ -310,10 +298,10 @@ def test_sums_are_not_read_in_another_way_and_no_other_run_replaces_them(by_vehi
     _, out = by_vehicle
     before = (out / "summaries.parquet").read_bytes()
     given = {"stop": 2.0, "cutoffs": {"x": 10.0}, "every": 1, "noise": "auto"}
-    with pytest.raises(DataError, match="cannot heed parts, stop, cutoffs"):
-        fleet(MODEL, out / "summaries.parquet", workers=0, parts=["a"], **given)
-    with pytest.raises(DataError, match=r"holds sums by another model.*delete its summaries"):
-        fleet(MODEL, folder, by="vehicle", workers=0, out=out, stop=2.0)
+    with pytest.raises(rx.DataError, match="cannot heed parts, stop, cutoffs"):
+        rx.fleet(MODEL, out / "summaries.parquet", workers=0, parts=["a"], **given)
+    with pytest.raises(rx.DataError, match=r"holds sums by another model.*delete its summaries"):
+        rx.fleet(MODEL, folder, by="vehicle", workers=0, out=out, stop=2.0)
     assert (out / "summaries.parquet").read_bytes() == before
 
 
@@ -321,13 +309,13 @@ def test_what_makes_no_answer_possible_is_said_before_anything_is_summed(folder,
     told = []
     settings = {"workers": 0, "progress": lambda *said: told.append(said)}
     for wrong in ({"by": "a,,b"}, {"span": -1.0}, {"workers": -1}):
-        with pytest.raises(ModelError, match=f"{next(iter(wrong))}[: ]"):
-            fleet(MODEL, folder, **{**settings, **wrong})
-    with pytest.raises(ModelError, match="kk"):
-        fleet(MODEL, folder, known={"kk": 20.0}, **settings)
+        with pytest.raises(rx.ModelError, match=f"{next(iter(wrong))}[: ]"):
+            rx.fleet(MODEL, folder, **{**settings, **wrong})
+    with pytest.raises(rx.ModelError, match="kk"):
+        rx.fleet(MODEL, folder, known={"kk": 20.0}, **settings)
     (tmp_path / "a.csv").write_text("nothing")
-    with pytest.raises(DataError, match="none of the first 1 recordings"):
-        fleet(MODEL, tmp_path, **settings)
+    with pytest.raises(rx.DataError, match="none of the first 1 recordings"):
+        rx.fleet(MODEL, tmp_path, **settings)
     assert told == []
-    with pytest.raises(DataError, match=r"broken\.parquet: not a readable"):
-        fleet(MODEL, folder, by="vehicle", strict=True, **settings)
+    with pytest.raises(rx.DataError, match=r"broken\.parquet: not a readable"):
+        rx.fleet(MODEL, folder, by="vehicle", strict=True, **settings)

@@ -11,14 +11,11 @@ import s3fs
 from moto.server import ThreadedMotoServer
 from tests.machines import drag_fleet as drives
 
-from riecjax.errors import DataError
+import riecjax as rx
 from riecjax.fleets import order
-from riecjax.fleets.fleet import fleet
 from riecjax.fleets.report import Fleet
-from riecjax.models.catalogue import find_model
-from riecjax.records.writing import write_record
 
-MODEL = find_model("drag-oscillator")
+MODEL = rx.find_model("drag-oscillator")
 KEYS = {"AWS_ACCESS_KEY_ID": "any", "AWS_SECRET_ACCESS_KEY": "any", "AWS_REGION": "us-east-1"}
 
 
@@ -49,7 +46,7 @@ def folder(tmp_path: Path) -> Path:
         own = tmp_path / f"drives/vehicle={vehicle}"
         own.mkdir(parents=True)
         for i, record in enumerate(drives(2, 1500, 20 + vehicle)):
-            write_record(own / f"{i}.parquet", record)
+            rx.write_record(own / f"{i}.parquet", record)
     return tmp_path / "drives"
 
 
@@ -64,7 +61,7 @@ def test_recordings_of_an_object_store_are_summed(folder, client, tmp_path, monk
         client.upload_file(str(file), "garage", file.relative_to(folder).as_posix())
     client.put_object(Bucket="garage", Key="vehicle=1/broken.parquet", Body=b"PAR1, but no more")
     out = tmp_path / "out"
-    by_vehicle = partial(fleet, MODEL, by="vehicle", intervals="sandwich")
+    by_vehicle = partial(rx.fleet, MODEL, by="vehicle", intervals="sandwich")
     found = by_vehicle("s3://garage/**/*.parquet", workers=workers, out=out)
     here = by_vehicle(folder, workers=0, out=tmp_path / "here")
     assert values(found) == values(here)
@@ -85,5 +82,5 @@ def test_a_store_that_is_gone_is_said_in_a_line(client, address, monkeypatch):
     client.put_object(Bucket="garage", Key="0.csv", Body=b"t,x\n0,1\n")
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
-    with pytest.raises(DataError, match=r"'s3://garage/\*.csv' cannot be looked at: .*endpoint"):
-        fleet(MODEL, "s3://garage/*.csv", workers=0)
+    with pytest.raises(rx.DataError, match=r"'s3://garage/\*.csv' cannot be looked at: .*endpoint"):
+        rx.fleet(MODEL, "s3://garage/*.csv", workers=0)

@@ -10,21 +10,13 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.signal
+from benchmarks.measured.emps_closed_loop import ASYMMETRIC, STEP, SYMMETRIC
 
 from conftest import measured_data
 from nightly import nightly
 from riecjax.cli.main import run
 
 GAIN = 35.1507
-STEP = 1e-3
-SYMMETRIC = {"M": 95.1089, "Fv": 203.5034, "Fc": 20.3935, "offset": -3.1648}
-ASYMMETRIC = {
-    "M": 95.1540,
-    "Fv_pos": 166.7061,
-    "Fc_pos": 20.1440,
-    "Fv_neg": 240.4236,
-    "Fc_neg": 20.6277,
-}
 FILTERED = ("--low-pass", "q=100")
 AS_COMPARED = ("--refine", "none", "--noise", "none")
 """The velocity by central differences, and nothing taken off, as in what tests compare with."""

@@ -9,41 +9,37 @@ import numpy as np
 import pytest
 import scipy.io
 
+import riecjax as rx
 from conftest import measured_data
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import RandomWindows
-from riecjax.equations.bases import roof
-from riecjax.equations.equation import Equation
-from riecjax.equations.term import Term, Terms
-from riecjax.estimation.identify import identify
-from riecjax.records.preparation.filtering import differentiate
-from riecjax.records.record import Record
 
-CRITERION = RIEC(RandomWindows(0.05, 0.5, 4000))
+CRITERION = rx.RIEC(rx.RandomWindows(0.05, 0.5, 4000))
 KEY = jax.random.key(0)
 
 
 @pytest.fixture(scope="module")
-def record() -> Record:
+def record() -> rx.Record:
     """Coil energised; displacement in mm, force in N; velocity differenced about each sample."""
     data = scipy.io.loadmat(
         measured_data("mr_damper_labcontrol") / "data_simulation_4.4_MRdamper.mat"
     )
     motion = data["x_F"]
-    raw = Record.from_samples({"x": motion[:, 0], "F": motion[:, 2]}, time_step=0.01)
-    return differentiate(raw, "x", "v")
+    raw = rx.Record.from_samples({"x": motion[:, 0], "F": motion[:, 2]}, time_step=0.01)
+    return rx.differentiate(raw, "x", "v")
 
 
-def curve(record: Record) -> Equation:
+def curve(record: rx.Record) -> rx.Equation:
     reach = float(jnp.max(jnp.abs(record["v"])))
     points = [-reach, -0.4 * reach, 0.4 * reach, reach]
-    return Equation(
-        -Terms("F", roof(points), "v", unit="N"), Term(1.0, "F"), name="damper curve", unit="N"
+    return rx.Equation(
+        -rx.Terms("F", rx.roof(points), "v", unit="N"),
+        rx.Term(1.0, "F"),
+        name="damper curve",
+        unit="N",
     )
 
 
 def test_the_damper_curve_rises_and_saturates(record):
-    estimate = identify(curve(record), record, CRITERION, key=KEY)
+    estimate = rx.identify(curve(record), record, CRITERION, key=KEY)
     low, left, right, high = np.asarray(estimate.theta)
     assert left < 0 < right
     assert abs(high - right) < 0.2 * (right - left)
@@ -55,7 +51,7 @@ def test_the_damper_curve_rises_and_saturates(record):
 def test_what_the_curve_leaves_is_hysteresis(record):
     """The residual goes with the acceleration's sign: up the stroke and down differ."""
     equation = curve(record)
-    estimate = identify(equation, record, CRITERION, key=KEY)
+    estimate = rx.identify(equation, record, CRITERION, key=KEY)
     curve_term = equation.terms[0]
     assert curve_term.basis is not None
     basis = curve_term.basis

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.equation_systems import right_hand_side
 
 from riecjax.models.catalogue import built_in_model
 from riecjax.simulation.system import AbstractSystem
@@ -22,30 +23,12 @@ PARAMETERS = {
 }
 
 
-def acceleration(model: str, x: float, v: float, u: float) -> float:
-    """Each equation of motion as its summary prints it, solved for the acceleration."""
-    p = PARAMETERS[model]
-    if model == "duffing":
-        return (u - p["d"] * v - p["k1"] * x - p["k2"] * x**2 - p["k3"] * x**3) / p["m"]
-    if model == "drag-oscillator":
-        return (u - p["r"] * v - p["r2"] * v * abs(v) - p["k"] * x) / p["m"]
-    if model == "pendulum":
-        return p["p1"] * np.sin(x) - p["p2"] * v + u
-    if model == "emps":
-        return (u - p["Fv"] * v - p["Fc"] * np.sign(v) - p["offset"]) / p["M"]
-    ahead = p["Fv_pos"] * v + p["Fc_pos"]
-    back = p["Fv_neg"] * v - p["Fc_neg"]
-    friction = ahead if v > 0 else back if v < 0 else 0.0
-    return (u - friction) / p["M"]
-
-
 @pytest.mark.parametrize("model", PARAMETERS)
 @pytest.mark.parametrize("state", [(0.3, 0.8), (-0.2, -1.5), (0.1, 0.0), (0.0, -0.01)])
 def test_derivative_is_the_printed_equation(model, state):
     system = built_in_model(model).build_system(PARAMETERS[model])
-    x, v = state
-    found = system.derivative(jnp.array([x, v]), jnp.array([13.0]))
-    expected = [v, acceleration(model, x, v, 13.0)]
+    found = system.derivative(jnp.array(state), jnp.array([13.0]))
+    expected = right_hand_side(model, PARAMETERS[model], state, [13.0])
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 

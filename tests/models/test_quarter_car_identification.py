@@ -5,23 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import riecjax as rx
 from nightly import nightly
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import AllWindows
 from riecjax.models.quarter_car.identification import (
     BREAK_POINTS,
     body_equation,
     quarter_car_system,
     wheel_equation,
 )
-from riecjax.records.record import Record
-from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import ByFunction
 from riecjax.refinement.optimum import LevenbergMarquardt
-from riecjax.refinement.refine import refine
 from riecjax.simulation.inputs import band_limited_noise
-from riecjax.simulation.method import FixedStep
-from riecjax.simulation.simulate import simulate
 
 FORCES = ("F_1", "F_2", "F_3", "F_4")
 MASSES = {"K_t": 175e3, "M_us": 28.0, "M_s": 290.0, "K_s": 22e3}
@@ -56,12 +50,16 @@ def test_integral_refinement_finds_the_break_points_of_a_map_that_has_them(equat
     names = (mass, "K_s", *FORCES, "v_2", "v_3")
     balance = ByFunction(lambda p: equation(jnp.stack([-0.8, p["v_2"], p["v_3"], 0.8])), names)
     system = quarter_car_system(truth, (-0.8, truth["v_2"], truth["v_3"], 0.8))
-    record = simulate(system, Record({"v_r": noise}, 0.005), method=FixedStep(4)).checked().record
+    record = (
+        rx.simulate(system, rx.Record({"v_r": noise}, 0.005), method=rx.FixedStep(4))
+        .checked()
+        .record
+    )
     start = {"K_s": 15e3, "v_2": -0.3, "v_3": 0.3} | {name: 0.8 * truth[name] for name in FORCES}
-    by = IntegralError(RIEC(AllWindows(0.05, 0.5)))
+    by = rx.IntegralError(rx.RIEC(rx.AllWindows(0.05, 0.5)))
     # Samples that cross a break point are kinks, at which no gradient vanishes to rounding.
     solver = LevenbergMarquardt(1e-3)
-    refined = refine(balance, record, start, by, known={mass: truth[mass]}, solver=solver)
+    refined = rx.refine(balance, record, start, by, known={mass: truth[mass]}, solver=solver)
     assert bool(refined.search.converged)
     for name in ("K_s", "v_2", "v_3"):
         np.testing.assert_allclose(refined[name], truth[name], rtol=0.02)

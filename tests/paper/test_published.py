@@ -4,15 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from riecjax.criteria.criterion import RIEC
-from riecjax.criteria.windows import RandomWindows
+import riecjax as rx
 from riecjax.models.quarter_car.identification import quarter_car_system
 from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
 from riecjax.paper.reproduction import PARAMETERS, by_body, identification_record, run_road
 from riecjax.paper.tables import contact, number_tables
-from riecjax.records.record import Record
 from riecjax.simulation.inputs import robson_road
-from riecjax.simulation.simulate import simulate
 from riecjax.studies.monte_carlo import over_keys
 from riecjax.validation.held_out import percentage_error
 
@@ -72,11 +69,11 @@ def chain(damper_rate):
     shapes = eqx.tree_at(lambda s: s.damper.low_speed_rate, reconstructed(), damper_rate)
     source = quarter_car_source(shapes)
     training = identification_record(source, jax.random.key(0)).record.part(0, 1000)
-    criterion = RIEC(RandomWindows(0.05, 0.5, 2000))
+    criterion = rx.RIEC(rx.RandomWindows(0.05, 0.5, 2000))
     parameters = dict(zip(PARAMETERS, by_body(training, criterion, jax.random.key(1))))
-    road = Record({"v_r": robson_road(jax.random.key(2), 600, 0.005)}, 0.005)
-    truth = simulate(source, road).record
-    predicted = simulate(quarter_car_system(parameters), road).record
+    road = rx.Record({"v_r": robson_road(jax.random.key(2), 600, 0.005)}, 0.005)
+    truth = rx.simulate(source, road).record
+    predicted = rx.simulate(quarter_car_system(parameters), road).record
     errors = [percentage_error(predicted[name], truth[name]) for name in ("x2", "x4")]
     return jnp.stack([*parameters.values(), *errors])
 

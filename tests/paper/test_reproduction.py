@@ -5,7 +5,7 @@ import jax
 import numpy as np
 import pytest
 
-from riecjax.estimation.identify import identify
+import riecjax as rx
 from riecjax.models.catalogue import built_in_model
 from riecjax.models.quarter_car.identification import (
     quarter_car_by_body,
@@ -16,14 +16,10 @@ from riecjax.models.quarter_car.reconstruction import Pothole, reconstructed
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper import reproduction
 from riecjax.paper.published import CRITERIA, INPUTS, TABLE_2, VARIANTS
-from riecjax.records.record import Record
 from riecjax.simulation.inputs import pothole
-from riecjax.simulation.method import FixedStep
-from riecjax.simulation.simulate import simulate
-from riecjax.uncertainty.intervals import Naive
 
 # Coarse steps: what is tested is that ways of computing agree, not how accurately.
-METHOD = FixedStep(2)
+METHOD = rx.FixedStep(2)
 KEY = jax.random.key(2024)
 SHAPE = {"depth": 0.04, "length": 1.5, "ramp": 0.4}
 SHAPES = eqx.tree_at(
@@ -40,7 +36,7 @@ def source() -> QuarterCarSource:
 
 
 @pytest.fixture(scope="module")
-def training() -> Record:
+def training() -> rx.Record:
     record_key = jax.random.split(KEY, 3)[0]
     return reproduction.identification_record(source(), record_key, method=METHOD).checked().record
 
@@ -75,8 +71,8 @@ def test_variants_equal_identify_with_its_equation_and_known_masses(criterion, v
     )
     model = quarter_car_by_wheel() if variant.startswith("W") else quarter_car_by_body()
     known = {"M_us": 30.0, "M_s": 300.0} if variant.endswith("true") else {}
-    settings = {"known": known, "intervals": Naive(), "noise": "none"}
-    expected = identify(model, training, made, key=key, **settings)
+    settings = {"known": known, "intervals": rx.Naive(), "noise": "none"}
+    expected = rx.identify(model, training, made, key=key, **settings)
     for name in reproduction.PARAMETERS:
         # The same normal equations, but in one block here and in many there.
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-8, err_msg=name)
@@ -89,11 +85,11 @@ def test_variants_equal_identify_with_its_equation_and_known_masses(criterion, v
 def test_pothole_errors_are_those_of_the_identified_model_against_the_source(variant, alone):
     step = 1 / TABLE_2.rate
     velocity = pothole(600, step, **SHAPE)
-    inputs = Record({"v_r": velocity}, step)
-    truth = simulate(source(), inputs, method=METHOD).record
+    inputs = rx.Record({"v_r": velocity}, step)
+    truth = rx.simulate(source(), inputs, method=METHOD).record
     place = CRITERIA.index("DOLS"), VARIANTS.index(variant)
     model = quarter_car_system(dict(zip(reproduction.PARAMETERS, alone.parameters[place])))
-    predicted = simulate(model, inputs, method=METHOD).record
+    predicted = rx.simulate(model, inputs, method=METHOD).record
     expected = [
         100 * np.linalg.norm(predicted[s] - truth[s]) / np.linalg.norm(truth[s])
         for s in ("x1", "x2", "x3", "x4")

@@ -5,11 +5,10 @@ import pytest
 import scipy.signal
 from tests.machines import DRAG_TRUTH as TRUTH
 from tests.machines import drag_signals as signals
+from tests.machines import waves
 
-from riecjax.estimation.identify import identify
-from riecjax.models.catalogue import find_model
+import riecjax as rx
 from riecjax.records.faults.derivative_pairs import filter_between
-from riecjax.records.record import Record
 from riecjax.records.signal import noise_level
 from riecjax.summaries.task import ready
 
@@ -57,14 +56,8 @@ def test_what_a_sensor_measured_is_not(noise):
 
 
 def test_motions_of_a_few_waves_are_not_made_of_each_other():
-    rng, t = np.random.default_rng(5), np.arange(400) / 200
-
-    def waves() -> np.ndarray:
-        each = [np.sin(w * t + rng.uniform(0, 6)) for w in rng.uniform(2, 60, 12)]
-        return np.sum(each, axis=0)
-
-    for _ in range(50):
-        x, dx = waves(), 30 * waves()
+    for seed in range(50):
+        x, _, dx = (waves(np.arange(400) / 200, seed + i, 1.0, (0.3, 9.5))[0] for i in range(3))
         assert filter_between(x, dx, float(noise_level(x))) is None
 
 
@@ -87,9 +80,9 @@ def test_gaps_and_repaired_spikes_do_not_hide_it():
     np.testing.assert_allclose(taps * 2 * STEP, [1, 0, -1], atol=0.01)
 
 
-def recording(seed: int, noise: float) -> Record:
+def recording(seed: int, noise: float) -> rx.Record:
     values = dict(signals(seed, noise))
-    return Record.from_samples({**values, "dx": np.gradient(values["x"], STEP)}, time_step=STEP)
+    return rx.Record.from_samples({**values, "dx": np.gradient(values["x"], STEP)}, time_step=STEP)
 
 
 @pytest.mark.parametrize("size", [1e200, 1e307])
@@ -102,7 +95,7 @@ def test_samples_that_no_square_holds_are_made_of_nothing(size):
 
 
 def test_slopes_of_local_polynomials_take_its_place():
-    model = find_model("drag-oscillator")
+    model = rx.find_model("drag-oscillator")
     (found,) = ready(model, recording(0, 0.01))
     assert found.steps[0].startswith("dx: computed from x, by a filter of 3 samples; in its place")
     assert found.record.noise.is_made_of("dx", "x")
@@ -117,9 +110,9 @@ def test_slopes_of_local_polynomials_take_its_place():
 
 @pytest.mark.slow
 def test_estimates_are_right():
-    model, errors = find_model("drag-oscillator"), []
+    model, errors = rx.find_model("drag-oscillator"), []
     for seed in range(20):
-        found = identify(model, recording(seed, 0.01))
+        found = rx.identify(model, recording(seed, 0.01))
         assert found.criterion.describe()["test_function"] == "bump"
         values = np.array([float(found[name]) for name in TRUTH])
         errors.append((values - list(TRUTH.values())) / np.asarray(found.standard_errors))

@@ -8,11 +8,9 @@ import scipy.signal
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.errors import DataError, ModelError
 from riecjax.records import judged, stack_records
 from riecjax.records.noise_judgement import blackman_harris
-from riecjax.records.record import Record
-from riecjax.records.signal import Noise, noise_level
+from riecjax.records.signal import noise_level
 
 STEP = 0.01
 TIME = np.arange(2001) * STEP
@@ -31,9 +29,9 @@ def std(record, name):
 def test_white_noise_on_a_smooth_signal(share):
     level = share * SMOOTH.std()
     found = [
-        std(judged(Record({"x": SMOOTH + white(level, seed)}, STEP)), "x") for seed in range(60)
+        std(judged(rx.Record({"x": SMOOTH + white(level, seed)}, STEP)), "x") for seed in range(60)
     ]
-    noise = judged(Record({"x": SMOOTH + white(level)}, STEP)).noise
+    noise = judged(rx.Record({"x": SMOOTH + white(level)}, STEP)).noise
     scatter = 1 / np.sqrt(2 * float(noise.freedom["x"]))
     # The mean of 60 lies within three of its standard errors, and they scatter as is stated.
     assert np.mean(found) == pytest.approx(level, rel=3 * scatter / np.sqrt(60) + 2e-3)
@@ -45,13 +43,13 @@ def test_white_noise_is_always_found(count):
     """The last tenth of a short spectrum falls by chance; one in 400 was said to have no noise."""
     motion = SMOOTH[:count]
     for seed in range(400):
-        found = std(judged(Record({"x": motion + white(0.05, seed, count)}, STEP)), "x")
+        found = std(judged(rx.Record({"x": motion + white(0.05, seed, count)}, STEP)), "x")
         assert 0.038 < found < 0.062
 
 
 def test_a_floor_of_the_spectrum_sees_past_motion_that_differences_take_for_noise():
     quick = 0.1 * np.sin(2 * np.pi * 22.0 * TIME)
-    record = Record({"x": SMOOTH + quick + white(0.01)}, STEP)
+    record = rx.Record({"x": SMOOTH + quick + white(0.01)}, STEP)
     assert noise_level(np.asarray(record["x"])) > 0.012
     assert std(judged(record), "x") == pytest.approx(0.01, rel=0.08)
 
@@ -68,7 +66,7 @@ def low_passed(level, seed):
 
 def test_noise_that_a_logger_low_passed():
     motion, noise = low_passed(0.02, 3)
-    record = judged(Record({"x": motion + noise, "u": motion}, STEP), "auto", "x")
+    record = judged(rx.Record({"x": motion + noise, "u": motion}, STEP), "auto", "x")
     assert noise_level(motion + noise) < 0.3 * noise.std()
     impulse = np.asarray(scipy.signal.sosfilt(FILTER, np.eye(1, 400)[0]))
     kernel = np.asarray(record.noise.kernels["x"]["x"])
@@ -81,16 +79,16 @@ def test_noise_that_a_logger_low_passed():
 def test_what_other_signals_show_too_is_no_noise():
     motion, drive = low_passed(0.02, 3)
     answer = scipy.signal.lfilter([0.5, 0.2], [1.0], drive)
-    record = judged(Record({"x": motion + drive, "u": np.asarray(answer)}, STEP), "auto", "x")
+    record = judged(rx.Record({"x": motion + drive, "u": np.asarray(answer)}, STEP), "auto", "x")
     assert std(record, "x") < 0.3 * drive.std()
 
 
 def test_quick_content_of_an_input_is_no_noise():
     drive = low_passed(1.0, 5)[1]
     assert noise_level(drive) > 0.1 * drive.std()
-    assert std(judged(Record({"u": drive}, STEP)), "u") < 1e-3 * drive.std()
+    assert std(judged(rx.Record({"u": drive}, STEP)), "u") < 1e-3 * drive.std()
     noisy = drive + 0.01 * np.random.default_rng(1).normal(size=drive.size)
-    assert std(judged(Record({"u": noisy}, STEP)), "u") == pytest.approx(0.01, rel=0.35)
+    assert std(judged(rx.Record({"u": noisy}, STEP)), "u") == pytest.approx(0.01, rel=0.35)
 
 
 def test_what_no_sensor_measured_has_no_noise():
@@ -101,13 +99,13 @@ def test_what_no_sensor_measured_has_no_noise():
         "input": white(1.0),
         "steps": np.repeat(white(1.0, size=TIME.size // 10 + 1), 10)[: TIME.size],
     }
-    noise = judged(Record(signals, STEP)).noise
+    noise = judged(rx.Record(signals, STEP)).noise
     assert {name: float(noise.std(name)) for name in signals} == dict.fromkeys(signals, 0.0)
 
 
 def test_a_converter_rounds_by_its_quantum():
     quantum = 0.01
-    record = judged(Record({"x": quantum * np.round(SMOOTH / quantum)}, STEP))
+    record = judged(rx.Record({"x": quantum * np.round(SMOOTH / quantum)}, STEP))
     assert std(record, "x") == pytest.approx(quantum / np.sqrt(12), rel=0.1)
 
 
@@ -116,21 +114,21 @@ def test_no_difference_reaches_across_a_gap():
     values[500:] += 30.0
     values[500:520] = np.nan
     values[::50] = np.nan
-    record = judged(Record.from_samples({"x": values}, time_step=STEP))
+    record = judged(rx.Record.from_samples({"x": values}, time_step=STEP))
     assert std(record, "x") == pytest.approx(0.01, rel=0.1)
-    traced = jax.jit(judged)(Record.from_samples({"x": values}, time_step=STEP))
+    traced = jax.jit(judged)(rx.Record.from_samples({"x": values}, time_step=STEP))
     assert std(traced, "x") == pytest.approx(0.01, rel=0.1)
 
 
 def test_under_vmap_each_record_has_its_own():
-    records = [Record({"x": SMOOTH + white(level)}, STEP) for level in (0.01, 0.03)]
+    records = [rx.Record({"x": SMOOTH + white(level)}, STEP) for level in (0.01, 0.03)]
     batch = jax.vmap(judged)(stack_records(records))
     alone = [float(noise_level(np.asarray(record["x"]))) for record in records]
     np.testing.assert_allclose(jnp.squeeze(batch.noise.kernels["x"]["x"]), alone, rtol=1e-9)
 
 
 def test_what_is_given_goes_before_what_is_judged():
-    record = Record({"x": SMOOTH + white(0.01), "v": SMOOTH + white(0.02, 1)}, STEP)
+    record = rx.Record({"x": SMOOTH + white(0.01), "v": SMOOTH + white(0.02, 1)}, STEP)
     some = judged(judged(record), {"x": 0.5})
     assert std(some, "x") == 0.5
     assert np.isinf(some.noise.freedom["x"])
@@ -144,16 +142,16 @@ def test_what_is_given_goes_before_what_is_judged():
 @pytest.mark.parametrize(
     ("wrong", "error", "message"),
     [
-        ({"y": 0.1}, DataError, "no such signal; there are: x"),
-        ({"x": -0.1}, DataError, "a number from 0 on"),
-        ({"x": np.nan}, DataError, "a number from 0 on"),
-        ("much", ModelError, "'auto', 'none' or a standard deviation"),
-        (3.0, DataError, "standard deviation by signal"),
+        ({"y": 0.1}, rx.DataError, "no such signal; there are: x"),
+        ({"x": -0.1}, rx.DataError, "a number from 0 on"),
+        ({"x": np.nan}, rx.DataError, "a number from 0 on"),
+        ("much", rx.ModelError, "'auto', 'none' or a standard deviation"),
+        (3.0, rx.DataError, "standard deviation by signal"),
     ],
 )
 def test_impossible_noise(wrong, error, message):
     with pytest.raises(error, match=message):
-        judged(Record({"x": SMOOTH}, STEP), wrong)
+        judged(rx.Record({"x": SMOOTH}, STEP), wrong)
 
 
 @pytest.mark.parametrize(
@@ -167,8 +165,8 @@ def test_impossible_noise(wrong, error, message):
     ],
 )
 def test_impossible_correlations(correlation, says):
-    with pytest.raises(DataError, match=says):
-        Noise.given({"x": 1.0, "v": 1.0}, correlation)
+    with pytest.raises(rx.DataError, match=says):
+        rx.Noise.given({"x": 1.0, "v": 1.0}, correlation)
 
 
 @pytest.fixture
@@ -200,7 +198,7 @@ def test_a_file_s_noise_is_that_of_its_samples(logged):
         noise={"a": 0.2},
     ).record.noise  # fmt: skip
     assert float(read.std("v")) == pytest.approx(float(given.std("v")), rel=0.1)
-    with pytest.raises(DataError, match=r"rig\.csv: noise is given for 'v'.*noise of the other"):
+    with pytest.raises(rx.DataError, match=r"rig\.csv: noise is given for 'v'.*noise of the other"):
         rx.read_recording(logged, derivatives={"v": "a"}, noise={"v": 0.2})
 
 

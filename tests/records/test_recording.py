@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
-from riecjax.errors import DataError
 from riecjax.records.recording import as_recordings
 
-MODEL = Model(
+MODEL = rx.Model(
     "cart",
     "",
     signals=(Quantity("q", "m", ""), Quantity("v", "m/s", "")),
@@ -64,13 +62,13 @@ def test_a_unit_of_another_kind_is_pointed_out():
 
 def test_a_unit_goes_to_one_column_and_not_beside_a_scale():
     write(rows("t,x", "{i}"))
-    with pytest.raises(DataError, match=r"^a\.csv: 'x' is given both a scale and a unit"):
+    with pytest.raises(rx.DataError, match=r"^a\.csv: 'x' is given both a scale and a unit"):
         rx.read_recording("a.csv", units={"x": "mm"}, scale={"x": 2.0})
-    with pytest.raises(DataError, match="'q' and 'x' is given both a scale and a unit"):
+    with pytest.raises(rx.DataError, match="'q' and 'x' is given both a scale and a unit"):
         rx.read_recording("a.csv", rename={"q": "x"}, units={"x": "mm"}, scale={"q": 2.0})
-    with pytest.raises(DataError, match="'x' and 'q' are one column, given two units"):
+    with pytest.raises(rx.DataError, match="'x' and 'q' are one column, given two units"):
         rx.read_recording("a.csv", rename={"q": "x"}, units={"x": "mm", "q": "m"})
-    with pytest.raises(DataError, match="no column 'y'"):
+    with pytest.raises(rx.DataError, match="no column 'y'"):
         rx.read_recording("a.csv", units={"y": "mm"})
 
 

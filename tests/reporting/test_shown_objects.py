@@ -102,6 +102,14 @@ def test_everything_prints_briefly_and_in_html(estimate, assessed):
     assert "&lt;b&gt;" in rx.Record({"<b>": jnp.ones(3)}, 0.1)._repr_html_()
 
 
+def test_an_object_in_a_notebook_fills_no_cell_but_its_own(monkeypatch):
+    displayed = []
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    monkeypatch.setattr("rich.jupyter.display", lambda *shown: displayed.append(shown))
+    assert "2000 samples" in str(record())
+    assert displayed == []
+
+
 def test_what_is_traced_prints():
     said = []
 
@@ -183,6 +191,14 @@ def test_a_saved_estimate_comes_back_equal(estimate, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
     refined = rx.refine(equation(), record(), estimate, rx.IntegralError(CRITERION))
     comes_back_equal(refined, tmp_path / "refined")
+
+
+def test_an_assessment_and_its_verdict_print_the_level_of_each_parameter(assessed):
+    for shown in (str(assessed), str(assessed.verdict)):
+        rows = {line.split()[0]: line for line in shown.splitlines()[1:] if line.strip()}
+        for name, judged in assessed.verdict.parameters.items():
+            assert judged.level in rows[name]
+            assert " % " in rows[name]
 
 
 def test_results_of_the_command_line_are_read(assessed, tmp_path):

@@ -18,7 +18,6 @@ from tests.machines import MACHINES, Shape
 import riecjax as rx
 from nightly import by_day, nightly
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.criteria.windows import SteppedLaw
 from riecjax.summaries import summary_files
 
 STEP = 0.01
@@ -59,7 +58,7 @@ CRITERIA: dict[str, AbstractCriterion] = {
     "hat": rx.RIEC(ALL, rx.Hat(quadrature=6)),
     "bump": rx.RIEC(ALL, rx.Bump(5, lengths=7)),
     "stepped": rx.RIEC(rx.AllWindows(0.1, 0.6, law=[1.0, 1 / 3, 0.2]), rx.Hat()),
-    "ratios": rx.RIEC(rx.AllWindows(0.1, 0.6, law=SteppedLaw([1.0, 0.1]))),
+    "ratios": rx.RIEC(rx.AllWindows(0.1, 0.6, law=jnp.array([1.0, 0.1]))),
     "fixed limit": rx.RIEC(rx.AllWindows(0.1, 0.6, longest_samples=100)),
     "random": rx.RIEC(rx.RandomWindows(0.1, 0.6, 300), rx.Hat()),
     "between": rx.RIEC(rx.RandomWindows(0.1, 0.6, 300, between_samples=True)),

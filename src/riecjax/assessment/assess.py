@@ -357,7 +357,7 @@ def check_answering(
         problem = Problem(model, recordings, [], Sandwich(), Assess(key=key))
         with contextlib.suppress(IdentifiabilityError):
             start = on_host(estimated(model, summary, table, problem.intervals))
-            refinement = answered(problem, start, True).refinement
+            refinement, _ = answered(problem, start, True)
             refined = None if refinement is None else refinement.answer
             if refined is not None:
                 errors = zip(refined.parameters, refined.standard_errors)

@@ -4,7 +4,7 @@ A finding's own step comes first, then that of its class, then what the tests of
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from riecjax.assessment.doubt import Evidence
 from riecjax.criteria.test_functions import AbstractSmoothTestFunction
@@ -15,11 +15,14 @@ from riecjax.validation.sweep import MOST
 SMOOTH = ("--test-function", "bump")
 
 
-class Step(NamedTuple):
-    """Something to do next: what for, and the options of `riecjax identify` that do it."""
+@dataclass(frozen=True)
+class Step:
+    """Something to do next: what for, the options of `riecjax identify` that do it, and the command
+    with them, where one is known."""
 
     words: str
     options: tuple[str, ...] = ()
+    command: str | None = None
 
 
 def next_step(evidence: Evidence, findings: Sequence[Finding]) -> Step | None:

@@ -21,13 +21,12 @@ from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import (
     Estimate,
-    identified_entries,
     intervals_entry,
     parameter_entries,
 )
 from riecjax.estimation.parameters import values_in_recording
 from riecjax.findings import Finding
-from riecjax.leaves import finite, on_host, told
+from riecjax.leaves import on_host, told
 from riecjax.records.faults.derivative_pairs import is_motion
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import AbstractObjective, as_parametric_system
@@ -225,10 +224,8 @@ class Refinement(NamedTuple):
         return findings
 
     def entry(self) -> dict[str, Any]:
-        """All of it, as plain data for JSON; `None` or empty what only a search would tell."""
-        refined, left = self.refined, self.whiteness
-        search: dict[str, Any] = dict.fromkeys(("by", "converged", "reason", "steps", "basis"))
-        search |= {"left": {}, "intervals": None, "at_bound": []}
+        """All of it, as plain data for JSON; of a search only where there was one."""
+        refined, left, search = self.refined, self.whiteness, {}
         if refined is not None:
             done = refined.search
             rms = done.quantities, done.rms_before, done.rms, done.quantity_units
@@ -236,20 +233,18 @@ class Refinement(NamedTuple):
                 "by": dict(done.by),
                 **told(done, "converged", "reason", "steps", "basis"),
                 "left": {
-                    name: {"before": finite(before), "after": finite(after), "unit": unit}
+                    name: {"before": before, "after": after, "unit": unit}
                     for name, before, after, unit in zip(*rms)
                 },
                 "intervals": intervals_entry(refined),
-                "at_bound": [
-                    name for name, there in zip(refined.parameters, refined.at_bound) if there
-                ],
+                "at_bound": [n for n, there in zip(refined.parameters, refined.at_bound) if there],
             }
         return {
             "chosen": self.chosen,
             "declined": self.declined or None,
-            "chi_squared": left and finite(max(left.chi_squared.values(), default=float("nan"))),
+            "chi_squared": left and max(left.chi_squared.values(), default=None),
             "whiteness": left and left.entry(),
-            "identified": identified_entries(self.start),
+            "identified": parameter_entries(self.start),
             "refined": None if refined is None else parameter_entries(refined),
             **search,
             "simulations": [
@@ -264,23 +259,15 @@ class Refinement(NamedTuple):
         }
 
 
-class Answered(NamedTuple):
-    """The refinement of an estimate, if there is one, and the validation of what answers."""
-
-    refinement: Refinement | None
-    validation: Validations
+class Declined(Exception):
+    """Why a refinement that nobody asked for is not the answer."""
 
 
-class Trial(NamedTuple):
-    """A refinement, and of output error whether it leaves white noise."""
-
-    refined: Estimate
-    whiteness: Whiteness | None
-
-
-def answered(problem: Problem, estimate: Estimate, refused: bool) -> Answered:
-    """The refinement and the validation of an estimate, which may be no more than a start (it was
-    `refused`).
+def answered(
+    problem: Problem, estimate: Estimate, refused: bool
+) -> tuple[Refinement | None, Validations]:
+    """The refinement of an estimate, which may be no more than a start (it was `refused`), if there
+    is one, and the validation of what answers.
 
     **Raises:** as `refine`, for a refinement that was asked for.
     """
@@ -290,18 +277,17 @@ def answered(problem: Problem, estimate: Estimate, refused: bool) -> Answered:
     tracks = [track.within(horizon, model, start) for track in problem.unseen]
     before = validated(model, start, tracks)
     if by is None:
-        return Answered(None, before)
+        return None, before
     if isinstance(by, str):
-        flaw = "" if refused else _left_out(estimate)
-        refinement = Refinement(estimate, declined=flaw) if flaw else _by_itself(problem, estimate)
+        refinement = _by_itself(problem, estimate, refused)
     else:
         # Over the estimate's windows if no others are asked for; its values are the answer.
         if isinstance(by, IntegralError) and by.criterion is None:
             by = IntegralError(estimate.criterion)
-        trial = _search(problem, estimate, by, MOST_STEPS, settings.progress)
-        refinement = Refinement(estimate, trial.refined, whiteness=trial.whiteness)
+        refined, left = _search(problem, estimate, by, MOST_STEPS, settings.progress)
+        refinement = Refinement(estimate, refined, whiteness=left)
     if refinement.refined is None:
-        return Answered(refinement, before)
+        return refinement, before
     values = refinement.refined.values
     after = validated(model, values, tracks)
     refinement = refinement._replace(start=estimate, simulations=_pairs(before, after))
@@ -310,7 +296,7 @@ def answered(problem: Problem, estimate: Estimate, refused: bool) -> Answered:
             seen = [track.within(None, model, start) for track in problem.seen]
             pairs = _pairs(validated(model, start, seen), validated(model, values, seen))
             refinement = refinement._replace(on_fitted=True, simulations=pairs)
-        return Answered(refinement, after)
+        return refinement, after
     # By itself not where it predicts worse what neither answer was fitted to.
     for run in refinement.simulations:
         earlier, later = run.worst_fits
@@ -319,7 +305,7 @@ def answered(problem: Problem, estimate: Estimate, refused: bool) -> Answered:
                 declined=f"it predicts {run.recording.name} worse: a fit of {later:.1f} %, where "
                 f"the linear estimate has {earlier:.1f} %"
             )
-    return Answered(refinement, after if refinement.chosen else before)
+    return refinement, after if refinement.chosen else before
 
 
 def validated(model: "Model", values: Mapping[str, Array], tracks: Sequence[Track]) -> Validations:
@@ -365,85 +351,85 @@ def _search(
     by: AbstractObjective,
     max_steps: int = STEPS_BY_ITSELF,
     progress: Callable[[float], None] | None = None,
-) -> Trial:
-    """A refinement from an estimate.
+) -> tuple[Estimate, Whiteness | None]:
+    """A refinement from an estimate, and of output error whether it leaves white noise.
 
     One that nobody asked for tells nothing of its `progress`: it takes few seconds, and a program
     that calls Python back cannot be kept for the next time.
     """
     settings = problem.settings
-    limits: Any = {"bounds": settings.bounds, "priors": settings.priors}
     refined = refine(
         problem.model,
         problem.records,
         estimate,
         by,
-        **limits,
+        bounds=settings.bounds,
+        priors=settings.priors,
         key=settings.key,
         intervals=problem.intervals,
         max_steps=max_steps,
         progress=progress,
     )
     refined = on_host(refined)
-    return Trial(refined, whiteness(refined, problem.records))
+    return refined, whiteness(refined, problem.records)
 
 
-def _by_itself(problem: Problem, estimate: Estimate) -> Refinement:
+def _by_itself(problem: Problem, estimate: Estimate, refused: bool) -> Refinement:
     """By output error where that is possible, quick and warranted."""
-    horizon, declined = problem.settings.horizon, ""
+    horizon = problem.settings.horizon
     try:
+        if not refused:
+            _require_little_left(estimate)
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
-            declined = "the estimate that it would start from is not finite"
-            return Refinement(estimate, declined=declined)
+            raise Declined("the estimate that it would start from is not finite")
         by = _objective(problem, estimate, horizon)
         if (work := by.residuals(problem.model, problem.records, estimate).work) > MOST_WORK:
-            declined = (
+            raise Declined(
                 f"a search would take {work:.2g} steps x states x tangents, more than "
                 f"{MOST_WORK:.0g}; {ASK}"
             )
-            return Refinement(estimate, declined=declined)
         refinement = _warranted(problem, estimate, by)
         if horizon is None and refinement.refined is not None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
             better = _objective(problem, refinement.refined, None)
             if better.shooting != by.shooting:
-                further = _warranted(problem, refinement.refined, better)
-                refinement = refinement if further.refined is None else further
+                with contextlib.suppress(Declined):
+                    refinement = _warranted(problem, refinement.refined, better)
         return refinement
+    except Declined as why:
+        return Refinement(estimate, declined=str(why))
     except EXPECTED as error:
-        declined = f"no output error can be formed: {str(error).rstrip('.')}"
-        return Refinement(estimate, declined=declined)
+        why = f"no output error can be formed: {str(error).rstrip('.')}"
+        return Refinement(estimate, declined=why)
 
 
-def _left_out(estimate: Estimate) -> str:
-    """Why no search is worth its time; empty where the equations leave little but noise."""
+def _require_little_left(estimate: Estimate) -> None:
+    """That a search is worth its time: equations leave little but noise."""
     for name, fit in estimate.equations.items():
         left = float(fit.model_rms)
         if left > max(LEFT_OUT, ABOVE_NOISE * float(fit.noise_rms)):
-            return (
+            raise Declined(
                 f"{name} leaves {100 * left:.2g} % of its target and noise "
                 f"{100 * float(fit.noise_rms):.2g} %, so that values would bend to make up for "
                 f"what the model leaves out; {ASK}"
             )
-    return ""
 
 
 def _warranted(problem: Problem, estimate: Estimate, by: OutputError) -> Refinement:
-    trial = _search(problem, estimate, by)
-    left = trial.whiteness
-    if flaw := _flaw(trial.refined):
-        return Refinement(estimate, declined=flaw)
+    refined, left = _search(problem, estimate, by)
+    if flaw := _flaw(refined):
+        raise Declined(flaw)
     if left is None or not (left.vanishing or left.largest == left.largest):
-        return Refinement(estimate, declined="too few residuals to tell whether they are white")
+        raise Declined("too few residuals to tell whether they are white")
     straight = {} if left.vanishing else straight_inputs(problem, estimate)
     lines = dataclasses.replace(by, intersample=straight)
-    if straight and course_shows(problem, trial.refined, lines):
-        other = _search(problem, estimate, lines)
-        likelier = surely_likelier(other.refined, trial.refined, problem.records)
-        if other.whiteness and not _flaw(other.refined) and likelier:
-            trial, left = other, other.whiteness
+    if straight and course_shows(problem, refined, lines):
+        other, left_by_other = _search(problem, estimate, lines)
+        likelier = surely_likelier(other, refined, problem.records)
+        if left_by_other and not _flaw(other) and likelier:
+            refined, left = other, left_by_other
     if left.white:
-        return Refinement(estimate, trial.refined, whiteness=left)
+        return Refinement(estimate, refined, whiteness=left)
     name = max(left.statistics, key=lambda channel: left.statistics[channel])
     cause = (
         "so little is left by the input's noise or its course between samples, too"
@@ -455,7 +441,7 @@ def _warranted(problem: Problem, estimate: Estimate, by: OutputError) -> Refinem
         f"what it leaves of {name}, {100 * left.shares[name]:.2g} % of it, is not white noise "
         f"({left.largest:.3g}, where noise stays below {left.threshold:.2g}), {cause}"
     )
-    return Refinement(estimate, trial.refined, declined, left)
+    return Refinement(estimate, refined, declined, left)
 
 
 def _flaw(refined: Estimate) -> str:
@@ -600,10 +586,8 @@ def course_shows(problem: Problem, refined: Estimate, by: OutputError) -> bool:
     What they move the simulation by, in units of what is left, is as chi-square: from a few on it
     is more than chance does to the parameters.
     """
-    other, residuals = (
-        by.residuals(problem.model, problem.records, refined),
-        refined.search.residuals,
-    )
+    residuals = refined.search.residuals
+    other = by.residuals(problem.model, problem.records, refined)
     at = jnp.asarray(refined.theta), jnp.asarray(refined.search.initial_states)
     apart = sum(
         np.sum((np.asarray(one) - np.asarray(two)) ** 2, axis=(0, 1))

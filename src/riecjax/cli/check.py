@@ -32,14 +32,18 @@ def command(given: Given) -> None:
     import jax
 
     from riecjax.assessment.assess import check_answering
-    from riecjax.reporting.checking import check_answer, print_check
+    from riecjax.reporting.checking import check_document, print_check
 
     model = given.model()
     with Progress():
         recordings = given.recordings(model)
         asked = dataclasses.replace(asked, key=jax.random.key(given.seed))
         answering = check_answering(model, recordings, asked)
-    answer = check_answer(answering, model.name, recordings)
-    reporting.emit(answer, as_json=given.as_json, out=None, show=print_check)
+    reporting.emit(
+        check_document(answering, model.name, recordings),
+        as_json=given.as_json,
+        out=None,
+        show=lambda _, console: print_check(answering, recordings, console),
+    )
     if answering.refusal is not None:
         click.get_current_context().exit(1)

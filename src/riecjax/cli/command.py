@@ -23,8 +23,6 @@ from riecjax.whole_files import read_plain, seen_from
 if TYPE_CHECKING:
     from riecjax.equations.model import Model
     from riecjax.records.recording import Recording
-    from riecjax.reporting.answer import Answer
-    from riecjax.reporting.discovery import DiscoveryAnswer
 
 RENAMED = {"own": "per-record"}
 """Keys of job files of earlier versions."""
@@ -162,12 +160,9 @@ class Given:
         held = (sorted(Path(p).iterdir()) if os.path.isdir(p) else [p] for p in found)
         return [str(file) for files in held for file in files]
 
-    def keep_in(self, answer: "Answer | DiscoveryAnswer") -> None:
-        """Write into a result what makes it again, and digests of the files that it is of."""
-        from riecjax.reporting.answer import FilePart
-
-        answer.job = self.as_job(self.out)
-        answer.provenance.files = [FilePart(**d) for d in digests(self.inputs(), self.out)]
+    def made_from(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """What makes a result again, and digests of the files that it is of."""
+        return self.as_job(self.out), digests(self.inputs(), self.out)
 
     def changed_files(self) -> list[Finding]:
         """Files that are others than those the job's results were made from, told at once.

@@ -27,7 +27,7 @@ def command(given: Given) -> None:
     from riecjax.discovery.discover import discover, model_source
     from riecjax.models.catalogue import object_of_file
     from riecjax.reporting.discovery import (
-        discovery_answer,
+        discovery_document,
         discovery_figures,
         discovery_page,
         print_discovery,
@@ -47,14 +47,14 @@ def command(given: Given) -> None:
         source = model_source(found, given.model_name, out, candidates)
         written = str(out / MODEL_FILE)
         others[MODEL_FILE] = lambda path: path.write_text(source, encoding="utf-8")
-    answer = discovery_answer(found, given.arguments, written)
-    given.keep_in(answer)
+    document = discovery_document(found, given.arguments, written)
+    document["job"], document["provenance"]["files"] = given.made_from()
     reporting.emit(
-        answer,
+        document,
         as_json=given.as_json,
         out=out,
-        show=print_discovery,
+        show=lambda _, console: print_discovery(found, written, console),
         charts=lambda: discovery_figures(found),
-        page=discovery_page,
+        page=lambda _: discovery_page(found),
         others=others,
     )

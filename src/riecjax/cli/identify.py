@@ -50,14 +50,15 @@ def command(given: Given) -> None:
         )
         assessment = assess(model, recordings, **vars(asked))
     # Not earlier: what reports are made with takes a second to import.
-    from riecjax.reporting.answer import WarningPart, answer_of, read
+    from riecjax.reporting.answer import FilePart, WarningPart, answer_of, read
     from riecjax.reporting.identification import print_everything, print_identification
 
     answer = answer_of(assessment, given.arguments, given.with_options)
     # Files that changed have been told of already.
     told = msgspec.to_builtins(answer.warnings) if given.verbose or given.as_json else []
     answer.warnings += [read(WarningPart, finding._asdict()) for finding in changed]
-    given.keep_in(answer)
+    answer.job, files = given.made_from()
+    answer.provenance.files = read(list[FilePart], files)
     reporting.emit(
         answer,
         as_json=given.as_json,

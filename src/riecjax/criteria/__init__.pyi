@@ -4,4 +4,3 @@ from .suited import criterion_for as criterion_for
 from .test_functions import AbstractSmoothTestFunction as AbstractSmoothTestFunction
 from .test_functions import AbstractTestFunction as AbstractTestFunction
 from .test_functions import GradedBump as GradedBump
-from .windows import SteppedLaw as SteppedLaw

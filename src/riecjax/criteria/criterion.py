@@ -12,7 +12,7 @@ windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar, Self
+from typing import Self
 
 import equinox as eqx
 import jax
@@ -29,16 +29,10 @@ from riecjax.criteria.windows import (
     LagBins,
     RandomWindows,
     StartBlocks,
-    SteppedLaw,
     WindowSet,
 )
 from riecjax.equations.equation import Equation
-from riecjax.equations.noisy_columns import (
-    Columns,
-    NoisyColumns,
-    noisy_columns,
-    sampled_columns,
-)
+from riecjax.equations.noisy_columns import Columns, NoisyColumns, noisy_columns, sampled_columns
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
@@ -225,15 +219,9 @@ class AbstractCriterion(eqx.Module):
         assert self.windows is not None
         return self.test_function.lags(self.windows.every, record)
 
-    corrects_noise: ClassVar[bool] = True
-    """Whether what sensor noise adds to the moments is to be taken off."""
-
     def noisy_columns(self, equation: Equation, record: Record) -> NoisyColumns:
         """An equation's columns, and what the record's noise does to them."""
-        if self.corrects_noise:
-            return noisy_columns(equation, record, self.smoothness)
-        columns = sampled_columns(equation, record, self.smoothness)
-        return NoisyColumns(columns, {}, {}, (), Noise())
+        return noisy_columns(equation, record, self.smoothness)
 
     def noise_of(
         self,
@@ -267,9 +255,13 @@ class DOLS(AbstractCriterion):
     noise adds stays in.
     """
 
-    corrects_noise: ClassVar[bool] = False
     windows: None = eqx.field(init=False, default=None)  # pyright: ignore
     test_function: Dirac = eqx.field(init=False, default=Dirac())  # pyright: ignore
+
+    def noisy_columns(self, equation: Equation, record: Record) -> NoisyColumns:
+        """An equation's columns, as if there was no noise."""
+        columns = sampled_columns(equation, record, self.smoothness)
+        return NoisyColumns(columns, {}, {}, (), Noise())
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -343,5 +335,5 @@ class RIEC(AbstractCriterion):
         return {"name": "riec", **windows, **weight, **because}
 
 
-PARTS = (AbstractCriterion, AbstractWindows, SteppedLaw, AbstractTestFunction)
+PARTS = (AbstractCriterion, AbstractWindows, AbstractTestFunction)
 """What a criterion is made of."""

@@ -35,14 +35,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.criteria.all_windows import Points, Runs, interval_weights
-from riecjax.criteria.windows import (
-    LagBins,
-    StartBlocks,
-    WindowSet,
-    each_bin,
-    sum_over_bins,
-    sum_over_lengths,
-)
+from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet, each_bin, sum_over_bins
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
 
@@ -165,25 +158,24 @@ def _end_squares(quadrature: int) -> dict[int, float]:
 
 
 def noise_weights_of_lengths(
-    of_length: Callable[[Leaf, Leaf], tuple[Float[Array, " n"], Float[Array, "orders n"]]],
-    lengths: tuple[Leaf, Leaf],
+    of_length: Callable[[LagBins], tuple[Float[Array, " n"], Float[Array, "orders n"]]],
+    lengths: LagBins,
+    orders: int,
 ) -> NoiseWeights:
     """W_kl[u] = sum over lengths and t of starts[t] w_k[u - t] w_l[u - t], by Fourier transform.
 
-    **Arguments:** `of_length`, of a window's length and its weight in the law, how much windows
-    weigh that start at each sample, and the weights w_k inside of them; `lengths` and their weight.
+    **Arguments:** `of_length`, how much windows of a length weigh that start at each sample, and
+    the weights w_k inside of them; `lengths`, bins of one each; so many `orders` k.
     """
-    starts, weights = jax.eval_shape(of_length, *(leaf[0] for leaf in lengths))
-    orders, n = weights.shape
     one, other = np.triu_indices(orders)
 
-    def products(length: Leaf, weight: Leaf) -> Array:
-        at, inside = of_length(length, weight)
-        spectrum = jnp.fft.rfft(inside[one] * inside[other], 2 * n, axis=-1)
-        return jnp.fft.rfft(at, 2 * n)[None] * spectrum
+    def products(length: LagBins) -> Array:
+        at, inside = of_length(length)
+        spectrum = jnp.fft.rfft(inside[one] * inside[other], 2 * at.size, axis=-1)
+        return jnp.fft.rfft(at, 2 * at.size)[None] * spectrum
 
-    none = jnp.zeros((one.size, n + 1), jnp.result_type(starts.dtype, jnp.complex64))
-    found = jnp.fft.irfft(sum_over_lengths(products, lengths, none), 2 * n, axis=-1)[:, :n]
+    found = jnp.fft.irfft(sum_over_bins(lengths, products), axis=-1)
+    found = found[:, : found.shape[1] // 2]
     place = np.zeros((orders, orders), int)
     place[one, other] = place[other, one] = np.arange(one.size)
     return found[place]

@@ -14,12 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
-from riecjax.criteria.test_functions import (
-    TEST_FUNCTIONS,
-    AbstractTestFunction,
-    Bump,
-    GradedBump,
-)
+from riecjax.criteria.test_functions import TEST_FUNCTIONS, AbstractTestFunction, Bump, GradedBump
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
@@ -45,9 +40,7 @@ MOST = 2
 
 
 def criterion_for(
-    fit: Fit | AbstractCriterion | None,
-    model: Model,
-    records: Sequence[Record],
+    fit: Fit | AbstractCriterion | None, model: Model, records: Sequence[Record]
 ) -> AbstractCriterion:
     """The criterion that settings ask for; the one that is [`suited`][] if they ask for none.
 

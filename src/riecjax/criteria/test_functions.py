@@ -57,7 +57,7 @@ from riecjax.criteria.windows import (
     WindowSet,
     each_bin,
     half_periods,
-    sum_over_lengths,
+    sum_over_bins,
 )
 from riecjax.equations.noisy_columns import Columns
 from riecjax.errors import ModelError
@@ -488,28 +488,26 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         return total, valid_windows(windows, columns.present)
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
-        """The law at `lengths` window lengths."""
-        n = record.sample_count
-        lengths = self._lengths(*windows.lags(n, record.time_step))
-        return LagBins(lengths, lengths, windows.weights(n, record.time_step, lengths))
+        """The law at `lengths` window lengths, 1 on average over these."""
+        bins = windows.bins(record.sample_count, record.time_step, 1)
+        lengths = self._lengths(bins.first[0], bins.last[-1])
+        length = lengths[:, None]
+        inside = (bins.first[None, :] <= length) & (length <= bins.last[None, :])
+        weights = jnp.sum(jnp.where(inside, bins.weight[None, :], 0.0), axis=1)
+        return LagBins(lengths, lengths, weights / jnp.mean(weights))
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
         everywhere = self._at_every_start(columns, blocks.unpadded)
-        count, dtype = columns.values.shape[1], columns.values.dtype
 
-        def of_length(length: Leaf, weight: Leaf) -> Moments:
-            valid = self._whole(columns, length, blocks)[None, :]
-            rows, there = jnp.where(valid, everywhere(length), 0.0), valid.astype(dtype)
+        def of_length(bin_: LagBins) -> Moments:
+            valid = self._whole(columns, bin_.first, blocks)[None, :]
+            rows = jnp.where(valid, everywhere(bin_.first), 0.0)
+            there, weight = valid.astype(rows.dtype), jnp.asarray(bin_.weight)
             number = blocks.products(there, there)[:, 0, 0]
-            return jnp.asarray(weight) * blocks.products(rows, rows), jnp.asarray(weight) * number
+            return weight * blocks.products(rows, rows), weight * number
 
-        none = (jnp.zeros((blocks.number, count, count), dtype), jnp.zeros(blocks.number, dtype))
-
-        def law_moments(law: LagBins) -> Moments:
-            return sum_over_lengths(of_length, (law.first, law.weight), none)
-
-        return each_bin(law_moments, lags)
+        return each_bin(lambda law: sum_over_bins(law, of_length), lags)
 
     def noise_weights(
         self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
@@ -518,11 +516,11 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         if not isinstance(windows, LagBins):
             return None
 
-        def of_length(length: Leaf, weight: Leaf) -> tuple[Array, Array]:
-            at = jnp.where(self._whole(columns, length, blocks), weight, 0.0)
-            return at, self._weights(length, columns)
+        def of_length(bin_: LagBins) -> tuple[Array, Array]:
+            at = jnp.where(self._whole(columns, bin_.first, blocks), bin_.weight, 0.0)
+            return at, self._weights(bin_.first, columns)
 
-        return noise_weights_of_lengths(of_length, (windows.first, windows.weight))
+        return noise_weights_of_lengths(of_length, windows, self.smoothness + 1)
 
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
         """Where a window of this length may start: in a block, with no sample missing."""

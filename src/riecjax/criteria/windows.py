@@ -79,45 +79,6 @@ class LagBins(NamedTuple):
     weight: Float[Leaf, " bins"]
 
 
-class SteppedLaw(eqx.Module):
-    """Weights that are constant over equal parts of the band from alpha to beta.
-
-    Differentiable in `weights`. The cost grows with their number, not with the number of lengths.
-
-    **Arguments:** `weights`, shape `(bins,)`, from the shortest windows to the longest; only their
-    ratios matter.
-
-    **Raises:** `ModelError` for weights below zero, not finite, or all zero.
-    """
-
-    weights: Leaf
-
-    def __init__(self, weights: ArrayLike | Array):
-        if isinstance(weights, str | type) or callable(weights):
-            write = "law=[1, 2, 1], weights from the shortest windows to the longest"
-            require(
-                "the law", weights, (), f"{write}, or leave it out for lengths that count alike"
-            )
-        self.weights = as_leaf(weights)
-        if self.weights.ndim != 1 or not self.weights.shape[0]:
-            raise ModelError("a law of window lengths in parts needs a list of weights.")
-        values = np.asarray(self.weights) if is_concrete(self.weights) else np.ones(1)
-        if not (np.isfinite(values).all() and (values >= 0).all() and values.any()):
-            raise ModelError(
-                "a law of window lengths needs weights of zero or more, not all zero, and finite."
-            )
-
-    def bins(self, low: Int[Leaf, ""], high: Int[Leaf, ""], dtype: Any) -> LagBins:
-        """One bin for each weight, from the shortest lag to the longest."""
-        xp = namespace(self.weights, low, high)
-        share = xp.linspace(0.0, 1.0, self.weights.shape[0] + 1)
-        # Real numbers: lags times bins may pass 32-bit integers.
-        first = low + rounded(share * (high - low + 1))
-        first, last, weight = first[:-1], first[1:] - 1, xp.asarray(self.weights, dtype)
-        held = (last - first + 1).astype(dtype)
-        return LagBins(first, last, weight * (xp.sum(held) / xp.sum(weight * held)))
-
-
 def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     """The nearest whole numbers."""
     return namespace(lags).round(lags).astype(np.int32)
@@ -245,17 +206,18 @@ class AllWindows(AbstractWindows):
     **Arguments:**
 
     - `alpha`, `beta`: shortest and longest window in seconds.
-    - `law`: how much each length counts: weights for equal parts of the band (differentiable, see
-      [`SteppedLaw`][]). Every length alike by default, as in eq. (14).
+    - `law`: how much each length counts: weights of equal parts of the band, from the shortest
+      windows to the longest, of which only ratios matter; differentiable. The cost grows with
+      their number, not with that of lengths. Every length alike by default, as in eq. (14).
     - `longest_samples`: an upper limit to beta in samples, which sets the size of the blocks that
       the record is worked through in. Known where beta is a plain number; under `jit` or
       `vmap` over beta it should be given, or every block spans the record.
 
-    **Raises:** `ModelError` unless 0 < alpha < beta, or for a law that is none; when it is
-    differentiated by alpha or beta.
+    **Raises:** `ModelError` unless 0 < alpha < beta; for weights below zero, not finite, or all
+    zero; when it is differentiated by alpha or beta.
     """
 
-    law: SteppedLaw | None
+    law: Leaf | None
     longest_samples: int | None = eqx.field(static=True)
 
     def __init__(
@@ -263,12 +225,24 @@ class AllWindows(AbstractWindows):
         alpha: float | Leaf,
         beta: float | Leaf,
         *,
-        law: SteppedLaw | ArrayLike | None = None,
+        law: ArrayLike | Array | None = None,
         longest_samples: int | None = None,
     ):
         self.alpha, self.beta = _band(alpha, beta)
-        self.law = law if law is None or isinstance(law, SteppedLaw) else SteppedLaw(law)
         self.longest_samples = longest_samples
+        if isinstance(law, str | type) or callable(law):
+            write = "law=[1, 2, 1], weights from the shortest windows to the longest"
+            require("the law", law, (), f"{write}, or leave it out for lengths that count alike")
+        self.law = None if law is None else as_leaf(law)
+        if self.law is None:
+            return
+        if self.law.ndim != 1 or not self.law.shape[0]:
+            raise ModelError("a law of window lengths in parts needs a list of weights.")
+        values = np.asarray(self.law) if is_concrete(self.law) else np.ones(1)
+        if not (np.isfinite(values).all() and (values >= 0).all() and values.any()):
+            raise ModelError(
+                "a law of window lengths needs weights of zero or more, not all zero, and finite."
+            )
 
     def fitted(self, records: Sequence[Record]) -> Self:
         """The same windows with `longest_samples` determined, if that is possible.
@@ -313,25 +287,21 @@ class AllWindows(AbstractWindows):
         return chunk_length(record, self.block(n), self.reach(n)) < n
 
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
-        """The law of lags, which are multiples of so many samples."""
-        first, last = self.lags(sample_count, time_step, multiple)
-        if self.law is not None:
-            return self.law.bins(first, last, time_step.dtype)
-        return LagBins(first[None], last[None], namespace(first).ones(1, time_step.dtype))
-
-    def weights(
-        self, sample_count: int, time_step: Float[Array, ""], lengths: Int[Array, " lengths"]
-    ) -> Float[Array, " lengths"]:
-        """The law at some lengths in samples, 1 on average over these."""
-        bins = self.bins(sample_count, time_step, 1)
-        length = lengths[:, None]
-        inside = (bins.first[None, :] <= length) & (length <= bins.last[None, :])
-        weights = jnp.sum(jnp.where(inside, bins.weight[None, :], 0.0), axis=1)
-        return weights / jnp.mean(weights)
+        """The law of lags, which are multiples of so many samples: a bin for each weight."""
+        low, high = self.lags(sample_count, time_step, multiple)
+        xp, dtype = namespace(self.law, low, high), time_step.dtype
+        if self.law is None:
+            return LagBins(low[None], high[None], xp.ones(1, dtype))
+        share = xp.linspace(0.0, 1.0, self.law.shape[0] + 1)
+        # Real numbers: lags times bins may pass 32-bit integers.
+        first = low + rounded(share * (high - low + 1))
+        first, last, weight = first[:-1], first[1:] - 1, xp.asarray(self.law, dtype)
+        held = (last - first + 1).astype(dtype)
+        return LagBins(first, last, weight * (xp.sum(held) / xp.sum(weight * held)))
 
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
-        law = {} if self.law is None else {"law": np.asarray(self.law.weights).tolist()}
+        law = {} if self.law is None else {"law": np.asarray(self.law).tolist()}
         return {**super().describe(), "windows": "all", **law}
 
 
@@ -356,12 +326,7 @@ class RandomWindows(AbstractWindows):
     between_samples: bool = eqx.field(static=True)
 
     def __init__(
-        self,
-        alpha: float | Leaf,
-        beta: float | Leaf,
-        count: int,
-        *,
-        between_samples: bool = False,
+        self, alpha: float | Leaf, beta: float | Leaf, count: int, *, between_samples: bool = False
     ):
         self.alpha, self.beta = _band(alpha, beta)
         require(
@@ -467,13 +432,20 @@ class StartBlocks(NamedTuple):
         n, number, size = left.shape[1], self.number, self.size
         if not isinstance(size, int):
             block = jnp.clip((jnp.arange(n) - self.first) // size, 0, number - 1)
-            each = left.T[:, :, None] * right.T[:, None]
-            return jax.ops.segment_sum(each, block, num_segments=number)
+            return products_by_block(left, right, block, number)
         # As many blocks of the same size as the samples could fill.
         room, precision = max(-(-n // size), number), jax.lax.Precision.HIGHEST
         blocks = self.cut(left, room), self.cut(right, room)
         sums = jnp.einsum("abu,cbu->bac", *blocks, precision=precision)
         return sums[:number].at[-1].add(jnp.sum(sums[number:], axis=0))
+
+
+def products_by_block(
+    left: Float[Array, "a n"], right: Float[Array, "b n"], block: Int[Array, " n"], number: int
+) -> Float[Array, "blocks a b"]:
+    """sum_u left[u] right[u]^T over the samples of each of so many blocks."""
+    each = left.T[:, :, None] * right.T[:, None]
+    return jax.ops.segment_sum(each, block, num_segments=number)
 
 
 def in_chunks(
@@ -530,37 +502,23 @@ def in_chunks(
 
 
 def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:
-    """What all bins of a law add up to.
+    """What all bins of a law add up to; a bin without a lag adds nothing, in no time.
 
     Of a single bin without a loop, which would be run for each equation: what several equations
     have in common is then computed once.
     """
+    first = jax.tree.map(lambda values: values[0], bins)
+    if bins.first.shape[0] == 1:
+        return of_bin(first)
+    shapes = jax.eval_shape(of_bin, first)
+    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
     def add(total: Sums, bin_: LagBins) -> tuple[Sums, None]:
-        return jax.tree.map(jnp.add, total, of_bin(bin_)), None
-
-    total = of_bin(jax.tree.map(lambda values: values[0], bins))
-    if bins.first.shape[0] == 1:
-        return total
-    # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
-    rest = jax.tree.map(lambda values: values[1:], bins)
-    return jax.lax.scan(jax.checkpoint(add), total, rest)[0]
-
-
-def sum_over_lengths(
-    of_length: Callable[[Leaf, Leaf], Any], lengths: tuple[Leaf, Leaf], nothing: Any
-) -> Any:
-    """Sum of arrays that are made of each length and its weight, one after the other.
-
-    **Arguments:** `nothing`, the sum of none; a length of weight zero adds that, and takes no time.
-    """
-
-    def add(total: Any, which: tuple[Array, Array]) -> tuple[Any, None]:
-        added = jax.lax.cond(which[1] != 0, of_length, lambda *_: nothing, *which)
+        added = jax.lax.cond(bin_.first <= bin_.last, of_bin, lambda _: nothing, bin_)
         return jax.tree.map(jnp.add, total, added), None
 
-    length, weight = lengths
-    return jax.lax.scan(add, nothing, (jnp.asarray(length), jnp.asarray(weight)))[0]
+    # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
+    return jax.lax.scan(jax.checkpoint(add), nothing, bins)[0]
 
 
 # Bins of window lengths whose sums are kept apart, so that a band can be chosen afterwards.

@@ -246,7 +246,7 @@ def of_term(
 def _of_motion(
     motion: Motion, force: str, records: Sequence[Record], equation: str, after: str
 ) -> Iterator[AnyCandidate]:
-    x, v, unit = motion
+    x, v, unit = motion.position, motion.velocity, motion.unit
     speed, slope = f"{unit}/s" if unit else "", per(force, unit)
 
     def one(name: str, of: Expression, of_unit: str, meaning: str, **term: Any) -> Candidate:

@@ -28,7 +28,6 @@ from riecjax.estimation.identify import identify
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.findings import Finding
 from riecjax.records.preparation.resampling import shift
-from riecjax.records.record import Records
 from riecjax.records.recording import Recording, as_recordings
 from riecjax.settings import Discover as DiscoverSettings
 from riecjax.settings import taking
@@ -199,10 +198,7 @@ def discover(model: Equation | Model, records: "Records", settings: DiscoverSett
 
 
 def _identified(
-    asked: Question,
-    model: Model,
-    recordings: list[Recording],
-    criterion: AbstractCriterion | None,
+    asked: Question, model: Model, recordings: list[Recording], criterion: AbstractCriterion | None
 ) -> Estimate:
     settings = {"intervals": asked.intervals, "at_rest": asked.settings.at_rest}
     return identify(model, asked.parts(recordings)[1], criterion, known=asked.known, **settings)

@@ -49,6 +49,7 @@ from riecjax.equations.bases import DeadZone, Saturation
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import DataError
+from riecjax.linear_algebra import unit_diagonal, unit_scale
 from riecjax.records.recording import Recording
 from riecjax.settings import Discover
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
@@ -89,15 +90,14 @@ class Folds(NamedTuple):
     @classmethod
     def of(cls, equations: NormalEquations, most: int = FOLDS) -> "Folds":
         """Of normal equations with leading axes `(records, blocks)`, empty blocks left out."""
-        size = len(equations.parameters) + 1
-        moments = np.asarray(equations.moments, float).reshape(-1, size, size)
-        clean = np.asarray(equations.clean, float).reshape(-1, size, size)
-        used = np.flatnonzero(np.asarray(equations.count).ravel() > 0)
+        blocks = equations.flattened()
+        used = np.flatnonzero(np.asarray(blocks.count) > 0)
         count = min(most, used.size)
-        place = np.arange(used.size) * count // max(used.size, 1)
-        samples, motion = np.zeros((2, count, size, size))
-        np.add.at(samples, place, moments[used])
-        np.add.at(motion, place, clean[used])
+        first = -(-np.arange(count) * used.size // max(count, 1))
+        samples, motion = (
+            np.add.reduceat(np.asarray(moments, float)[used], first)
+            for moments in (blocks.moments, blocks.clean)
+        )
         return cls(samples, motion, equations.parameters)
 
     @property
@@ -128,8 +128,7 @@ class Folds(NamedTuple):
         size = np.diagonal(gram)
         if not np.all(np.isfinite(gram)) or not np.all(size > 0):
             return False
-        scale = 1 / np.sqrt(size)
-        return bool(np.linalg.eigvalsh(gram * np.outer(scale, scale))[0] > COLLINEAR)
+        return bool(np.linalg.eigvalsh(unit_diagonal(gram)[0])[0] > COLLINEAR)
 
     def fitted(self, names: Sequence[str]) -> Float[np.ndarray, " p"]:
         """Coefficients from all folds."""
@@ -177,8 +176,7 @@ def _solved(
     gram: Float[np.ndarray, "*folds p p"], moment: Float[np.ndarray, "*folds p"]
 ) -> Float[np.ndarray, "*folds p"]:
     """Least squares of columns that are scaled to unit length."""
-    size = np.sqrt(np.abs(np.diagonal(gram, axis1=-2, axis2=-1)))
-    scale = 1 / np.where(size > 0, size, 1.0)
+    scale = unit_scale(np.diagonal(gram, axis1=-2, axis2=-1))
     scaled = gram * scale[..., :, None] * scale[..., None, :]
     try:
         found = np.linalg.solve(scaled, (moment * scale)[..., None])[..., 0]
@@ -214,13 +212,14 @@ class Step(NamedTuple):
     chance: float
 
 
-class Rejected(NamedTuple):
+@dataclass(frozen=True)
+class Rejected:
     """A candidate that was not taken: share of what is unexplained that it would gain, and the
     chance that one which explains nothing stands out as much, any one of those offered."""
 
     name: str
     gain: float
-    chance: float
+    chance: float | None
 
 
 @dataclass(eq=False)

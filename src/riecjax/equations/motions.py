@@ -6,7 +6,7 @@ Units of coefficients: of a force over powers of signals, spelled as users spell
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,8 @@ OF_INERTIA = {("N", "kg"): "m", ("N m", "kg m^2"): "rad"}
 """Unit of a position by those of a force and an inertia."""
 
 
-class Motion(NamedTuple):
+@dataclass(frozen=True)
+class Motion:
     """A position and the velocity that is its derivative, of which one may not be recorded.
 
     **Fields:** `position`, `velocity`, names of signals, empty where there is none; `unit` of the
@@ -77,8 +78,8 @@ def motions_and_unread(
     with_positions = [
         motion
         if motion.position
-        else motion._replace(
-            position=next((n for n in unread if _is_slope(record, n, motion.velocity)), "")
+        else replace(
+            motion, position=next((n for n in unread if _is_slope(record, n, motion.velocity)), "")
         )
         for motion in dict.fromkeys(motions.values())
     ]

@@ -17,7 +17,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, finite, is_concrete, namespace, on_host
+from riecjax.leaves import Leaf, is_concrete, namespace, on_host
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Saved
 from riecjax.summaries.summary import Summary
@@ -744,9 +744,9 @@ def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> s
 
 
 def known_entries(estimate: Estimate) -> dict[str, Any]:
-    """Value and unit of each parameter that was not estimated; lists of a batch."""
+    """Value and unit of each parameter that was not estimated."""
     table = estimate.table
-    return {n: {"value": finite(estimate[n]), "unit": table[n].unit} for n in estimate.known}
+    return {n: {"value": estimate[n], "unit": table[n].unit} for n in estimate.known}
 
 
 def intervals_entry(estimate: Estimate) -> dict[str, Any]:
@@ -758,25 +758,20 @@ def intervals_entry(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def parameter_entries(estimate: Estimate) -> dict[str, Any]:
-    """Value, unit, standard error and interval of each estimated parameter; lists of a batch."""
-    return {
+def parameter_entries(estimate: Estimate) -> dict[str, dict[str, Any]]:
+    """Value, unit, standard error and interval of each estimated parameter, and of a linear
+    estimate what its windows say of it."""
+    entries = {
         name: {
-            "value": finite(estimate[name]),
+            "value": estimate[name],
             "unit": estimate.table[name].unit,
-            "std_error": finite(estimate.standard_error(name)),
-            "interval95": finite(ends),
+            "std_error": estimate.standard_error(name),
+            "interval95": ends,
         }
         for name, ends in estimate.interval_by_name().items()
     }
-
-
-def identified_entries(estimate: Estimate) -> dict[str, Any]:
-    """The same of a linear estimate, with what it says of each parameter's windows."""
-    entries = parameter_entries(estimate)
-    for i, name in enumerate(estimate.parameters):
-        entries[name] |= {
-            "naive_std_error": finite(estimate.naive[..., i]),
-            "effective_windows": finite(estimate.effective_windows[..., i]),
-        }
+    if estimate.search is None:
+        windows = zip(entries.values(), estimate.naive, estimate.effective_windows)
+        for entry, naive, count in windows:
+            entry |= {"naive_std_error": naive, "effective_windows": count}
     return entries

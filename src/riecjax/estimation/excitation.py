@@ -174,40 +174,34 @@ class Excitation(eqx.Module):
             f"Take longer windows (--beta), refine by output error (--refine output-error), or "
             f"give the noise if it is known (--noise {self.noisiest or 'SIGNAL'}=SD)."
         )
+        nothing = Finding("unidentifiable", "the record cannot tell these apart")
+        drowns = Finding("unidentifiable", f"what tells these apart is {100 * noise:.0f} % {whose}")
+        rests = Finding(
+            "noise_dominates",
+            f"{100 * noise:.0f} % of what tells these apart is {whose}, so that they rest on "
+            f"how well that is known",
+        )
+        little = Finding(
+            "nearly_collinear",
+            f"only {100 * share:.2g} % of the regressors tells these apart, so a small error "
+            f"of a sensor moves them far",
+        )
         # The first that holds.
         cases = (
-            (
-                share < UNIDENTIFIABLE,
-                "unidentifiable",
-                "the record cannot tell these apart",
-                remedy,
-            ),
-            (
-                noise > drowned,
-                "unidentifiable",
-                f"what tells these apart is {100 * noise:.0f} % {whose}",
-                remedy,
-            ),
-            (
-                noise > DOMINATES,
-                "noise_dominates",
-                f"{100 * noise:.0f} % of what tells these apart is {whose}, so that they rest on "
-                f"how well that is known",
-                longer,
-            ),
-            (
-                share < NEARLY_COLLINEAR,
-                "nearly_collinear",
-                f"only {100 * share:.2g} % of the regressors tells these apart, so a small error "
-                f"of a sensor moves them far",
-                remedy,
-            ),
+            (share < UNIDENTIFIABLE, nothing, remedy),
+            (noise > drowned, drowns, remedy),
+            (noise > DOMINATES, rests, longer),
+            (share < NEARLY_COLLINEAR, little, remedy),
         )
         which = f"{combination(self.parameters, direction)}, in units of each regressor's size"
         signals = (self.noisiest,) if of_noise and self.noisiest else ()
         return [
-            Finding(code, f"{self.stage_name}: {why}: {which}. {step}", signals, names)
-            for holds, code, why, step in cases
+            why._replace(
+                message=f"{self.stage_name}: {why.message}: {which}. {step}",
+                signals=signals,
+                parameters=names,
+            )
+            for holds, why, step in cases
             if holds
         ][:1]
 

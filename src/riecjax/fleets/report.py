@@ -3,7 +3,7 @@
 import functools
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -225,113 +225,92 @@ def sentence(fleet: Fleet) -> str:
     return text
 
 
+few = functools.partial(number, digits=2)
+COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
+    "recording or group": ("name", str),
+    "value": ("value", number),
+    "low 95 %": ("low95", number),
+    "high 95 %": ("high95", number),
+    "mean": ("mean", number),
+    "std error": ("std_error", few),
+    "between": ("between", few),
+    "within": ("within", few),
+    "share between": ("share", lambda share: f"{100 * share:.0f} %"),
+    "p": ("p_value", probability),
+    "differ": ("differing_count", str),
+    "most have": ("centre", number),
+    "away": ("away", lambda share: f"{100 * share:+.2g} %"),
+    "adjusted p": ("adjusted", probability),
+    "at / s": ("time", lambda time: number(time, 4)),
+    "before": ("before", number),
+    "after": ("after", number),
+    "findings": ("codes", ", ".join),
+    "doubt": ("doubt", lambda share: f"{100 * share:.2g} %" if share else ""),
+    "the worst of them": ("message", str),
+}
+"""Of a column the key of what it shows, and how that is said; of any other its header, as text."""
+
+
 def tables_of(document: Document, most: int) -> dict[str, Table]:
     """Tables of a document by what they are of; lists are cut short after so many rows."""
-    spreads = document["parameters"]
+    spreads = [{"parameter": name, **entry} for name, entry in document["parameters"].items()]
+    differing = [spread | group for spread in spreads for group in spread["differing"][:most]]
+    changes = [{"recording": change["group"], **change} for change in document["changes"][:most]]
+    left_out = [{"name": each["recording"], **each} for each in document["left_out"][:most]]
+    left_out += [{"name": each["group"], **each} for each in document["unanswered"][:most]]
+    recordings, groups = document["findings"], document["group_findings"]
+    findings = [
+        {"finding": code, "recordings": recordings.get(code, 0), "groups": groups.get(code, 0)}
+        for code in recordings | groups
+    ]
+    estimates = document["estimates"]
 
-    def texts(entry: Document, *names: str) -> list[str]:
-        return [str(entry[name]) for name in names]
-
-    def numbers(entry: Document, *names: str, digits: int = 6) -> list[str]:
-        return [number(entry[name], digits) for name in names]
+    def table(
+        entries: Sequence[Document], columns: str, caption: str, note: str = "", **look: bool
+    ) -> Table:
+        header = columns.split(", ")
+        cells = [COLUMNS.get(name, (name, str)) for name in header]
+        rows = [[said(entry[key]) for key, said in cells] for entry in entries]
+        return Table(header, rows, caption, note, **look)
 
     def further(whole: int, rows: Sequence[object]) -> str:
         return f" {whole - len(rows)} more: estimates.parquet." if whole > len(rows) else ""
 
-    differing = [
-        [
-            group["group"],
-            name,
-            *(number(group["value"]), number(spread["centre"])),
-            f"{100 * group['away']:+.2g} %",
-            probability(group["adjusted"]),
-        ]
-        for name, spread in spreads.items()
-        for group in spread["differing"][:most]
-    ]
-    changes = [
-        [
-            *texts(change, "group", "parameter"),
-            number(change["time"], 4),
-            *numbers(change, "before", "after"),
-        ]
-        for change in document["changes"][:most]
-    ]
-    left_out = [texts(each, "recording", "why") for each in document["left_out"][:most]]
-    left_out += [texts(each, "group", "why") for each in document["unanswered"][:most]]
-    counts = document["findings"], document["group_findings"]
     return {
-        "estimates": Table(
-            ("group", "parameter", "unit", "value", "low 95 %", "high 95 %", "verdict"),
-            [
-                [
-                    *texts(entry, "group", "parameter", "unit"),
-                    *numbers(entry, "value", "low95", "high95"),
-                    entry["verdict"],
-                ]
-                for entry in document["estimates"]
-                if len(document["estimates"]) <= LISTED
-            ],
+        "estimates": table(
+            estimates if len(estimates) <= LISTED else (),
+            "group, parameter, unit, value, low 95 %, high 95 %, verdict",
             "Parameters of each group",
         ),
-        "spreads": Table(
-            (
-                *("parameter", "unit", "groups", "mean", "std error", "between", "within"),
-                *("share between", "p", "differ"),
-            ),
-            [
-                [
-                    name,
-                    *texts(spread, "unit", "groups"),
-                    number(spread["mean"]),
-                    *numbers(spread, "std_error", "between", "within", digits=2),
-                    f"{100 * spread['share']:.0f} %",
-                    probability(spread["p_value"]),
-                    str(spread["differing_count"]),
-                ]
-                for name, spread in spreads.items()
-            ],
+        "spreads": table(
+            spreads,
+            "parameter, unit, groups, mean, std error, between, within, share between, p, differ",
             "Parameters over groups",
             "Between: standard deviation of groups beyond chance; within: the typical standard "
             "error of a group; share between: of all variance; p: of so much spread by chance.",
         ),
-        "differing": Table(
-            ("group", "parameter", "value", "most have", "away", "adjusted p"),
+        "differing": table(
             differing,
+            "group, parameter, value, most have, away, adjusted p",
             "Groups that differ from the rest",
             f"Of groups that are called different, {100 * document['rate']:.0f} % are not, on "
-            f"average."
-            + further(sum(spread["differing_count"] for spread in spreads.values()), differing),
+            f"average." + further(sum(spread["differing_count"] for spread in spreads), differing),
         ),
-        "changes": Table(
-            ("recording", "parameter", "at / s", "before", "after"),
+        "changes": table(
             changes,
+            "recording, parameter, at / s, before, after",
             "Changes over time",
             f"In {100 * ALARMS:.0f} % of courses without a step one is found."
             + further(document["changes_count"], changes),
         ),
-        "left out": Table(
-            ("recording or group", "why"), left_out, "Without an answer", numeric=False
-        ),
-        "worst": Table(
-            ("recording", "findings", "doubt", "the worst of them"),
-            [
-                [
-                    each["recording"],
-                    ", ".join(each["codes"]),
-                    f"{100 * each['doubt']:.2g} %" if each["doubt"] else "",
-                    each["message"],
-                ]
-                for each in document["worst"][:most]
-            ],
+        "left out": table(left_out, "recording or group, why", "Without an answer", numeric=False),
+        "worst": table(
+            document["worst"][:most],
+            "recording, findings, doubt, the worst of them",
             "Recordings with something amiss",
             numeric=False,
         ),
-        "findings": Table(
-            ("finding", "recordings", "groups"),
-            [[c, *(str(of.get(c, 0)) for of in counts)] for c in counts[0] | counts[1]],
-            "What is amiss, and how often",
-        ),
+        "findings": table(findings, "finding, recordings, groups", "What is amiss, and how often"),
     }
 
 

@@ -508,32 +508,33 @@ def search(
     at_bound = problem.sides(point) != 0
     blocks, short = residuals.blocks(residuals.curved(theta, initial, expansion))
     variance = residual_variance(residuals, expansion.energy)
-    # Holding a parameter that sits on its bound needs no more than a steep slope against it, and
-    # one that nothing depends on must not take the others with it.
-    total = blocks.flattened().total()
-    gram = total.gram
-    curvature = jnp.diagonal(gram)
-    names = residuals.table.free
-    _, weight = map(jnp.asarray, constraints.prior(names))
-    known = variance * weight**2
+    # What sits on its bound is held, and so is what nothing depends on, lest others go with it.
+    total, names = blocks.flattened().total(), residuals.table.free
+    gram, curvature = total.gram, jnp.diagonal(total.gram)
+    known = variance * jnp.asarray(constraints.prior(names)[1]) ** 2
     tiny = SILENT * jnp.sum(expansion.energy)
     silent = (curvature * theta**2 <= tiny) & (theta != 0) | (curvature == 0)
     held = at_bound | silent & (known == 0)
     # Parameters that others can make up for are held as well.
-    free = jnp.where(held, 0.0, 1.0)
-    informed = gram + jnp.diag(known)
+    free, informed = jnp.where(held, 0.0, 1.0), gram + jnp.diag(known)
     unit = unit_scale(jnp.diagonal(informed)) * free
     scaled = informed * unit[:, None] * unit[None, :] + jnp.diag(1 - free)
     sizes, directions = symmetric_eigen(jax.lax.stop_gradient(scaled))
     weak = sizes < COLLINEAR * gram.shape[0]
     held = held | jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)
+    # To hold a parameter in a step needs no more than a steep slope.
     information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
     nowhere = jnp.zeros_like(theta)
     blocks = constrained_blocks(blocks, nowhere, held, known)
     shared = np.array([residuals.table[name].recording is None for name in names])
-    changes = dict(zip(names, nowhere))
     uncertainty, inflation, statistics = estimate_uncertainty(
-        [blocks], {}, changes, short, residuals.longest_window, shared, intervals
+        [blocks],
+        {},
+        dict(zip(names, nowhere)),
+        short,
+        residuals.longest_window,
+        shared,
+        intervals,
     )
     used = jnp.sum(statistics.used)
     return SearchResult(

@@ -10,6 +10,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import jax
@@ -19,12 +20,12 @@ import numpy as np
 from msgspec import UNSET, UnsetType
 
 from riecjax.assessment.assess import Assessment
+from riecjax.assessment.next_steps import Step
 from riecjax.assessment.verdict import Verdict
 from riecjax.errors import ModelError, printable
 from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import (
     Estimate,
-    identified_entries,
     intervals_entry,
     known_entries,
     parameter_entries,
@@ -36,11 +37,11 @@ from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, versions
 from riecjax.reporting.equations import model_in_words
 from riecjax.shows import Tabled
+from riecjax.validation.residuals import Loop, Peak
 
 Number = float | None
 Ends = tuple[Number, Number]
 if TYPE_CHECKING:
-    from riecjax.assessment.next_steps import Step
     from riecjax.assessment.verdict import Cause
     from riecjax.estimation.stages import EquationFit, StageSolution
 
@@ -121,21 +122,13 @@ class CausePart(Part):
     codes: list[str]
 
 
-class NextStep(Part):
-    """Something to do next, with the command that does it."""
-
-    words: str
-    options: list[str]
-    command: str | None = None
-
-
 class VerdictPart(Part):
     """Which parameters can be trusted, how far, and what to do about the rest."""
 
     sentence: str = ""
     parameters: dict[str, Judgement] = {}
     causes: list[CausePart] = []
-    next: list[NextStep] = []
+    next: list[Step] = []
 
 
 class StrayMode(Part):
@@ -206,28 +199,6 @@ class Following(Part):
     bound: Number
 
 
-class PeakPart(Part):
-    """A peak of an error's spectrum, in hertz."""
-
-    frequency: Number
-    low: Number
-    high: Number
-    share: Number
-    size: Number
-
-
-class LoopPart(Part):
-    """What explains an error that no function of velocity or position does."""
-
-    law: str
-    motion: dict[str, str]
-    width: Number
-    by: str
-    gain: Number
-    size: Number
-    dry: bool = False
-
-
 class WindowErrors(Part):
     """Errors of windows along the record."""
 
@@ -247,8 +218,8 @@ class ResidualTest(Part):
     integrated_autocorrelation_s: Number
     follows: list[Following]
     band_hz: Number
-    peak: PeakPart | None
-    loop: LoopPart | None = None
+    peak: Peak | None
+    loop: Loop | None = None
     windows: WindowErrors | None = None
 
 
@@ -614,7 +585,7 @@ def estimate_entries(estimate: Estimate, model: str = "") -> Document:
         **document,
         "model": model,
         "criterion": estimate.criterion.describe(),
-        "parameters": identified_entries(estimate),
+        "parameters": parameter_entries(estimate),
         "condition_number": estimate.condition_number,
         "rank": int(np.asarray(estimate.rank)),
         "residual": {
@@ -637,23 +608,23 @@ def verdict_entries(verdict: Verdict, with_options: WithOptions | None = None) -
             }
             for cause in verdict.causes
         ],
-        "next": [msgspec.to_builtins(s) for s in next_steps(verdict.causes, with_options)],
+        "next": [*next_steps(verdict.causes, with_options)],
     }
 
 
 def next_steps(
     causes: "Sequence[Cause]", with_options: WithOptions | None = None
-) -> Iterator[NextStep]:
+) -> Iterator[Step]:
     """What to do, with a command that does it; what has one comes first, but for what voids all."""
     urgent = {cause.step: cause.voids for cause in reversed(causes) if cause.step is not None}
     steps = sorted(reversed(urgent), key=lambda step: (not urgent[step], not step.options))
-    different: "dict[object, Step]" = {}
+    different: dict[object, Step] = {}
     for step in steps:  # two causes may ask for the same
         different.setdefault(step.options or step.words, step)
     for step in [*different.values()][:MOST_STEPS]:
         proposed = with_options(step.options) if with_options and step.options else None
         command = as_typed(proposed) if proposed else None
-        yield NextStep(words=step.words, options=list(step.options), command=command)
+        yield replace(step, command=command)
 
 
 def as_typed(arguments: Sequence[str]) -> str:

@@ -8,9 +8,9 @@ import numpy as np
 
 from riecjax.errors import ModelError
 from riecjax.extensions import require_packages
-from riecjax.reporting.answer import Answer, Fit, part_of
+from riecjax.reporting.answer import Answer, Fit, Known, Parameter, part_of
 from riecjax.reporting.charts.chart import Chart
-from riecjax.reporting.plots import relative_figure
+from riecjax.reporting.result_figures import relative_figure
 from riecjax.reporting.tables import Table, View, with_error
 from riecjax.shows import Drawn
 
@@ -76,17 +76,16 @@ class Comparison(Drawn):
         is predicted on each recording that was held out: a column for each result."""
         answers = list(self.answers.values())
 
-        def of(name: str, answer: Answer) -> str:
-            if name in answer.known:
-                return f"{with_error(answer.known[name].value, None)} known"
-            entry = answer.parameters.get(name)
-            return "" if entry is None else with_error(entry.value, entry.std_error)
+        def cell(entry: Known | None) -> str:
+            if isinstance(entry, Parameter):
+                return with_error(entry.value, entry.std_error)
+            return "" if entry is None else f"{with_error(entry.value, None)} known"
 
-        def unit(name: str) -> str:
-            every = (a.known.get(name) or a.parameters.get(name) for a in answers)
-            return next(entry.unit for entry in every if entry)
-
-        rows = [[name, *(of(name, answer) for answer in answers), unit(name)] for name in self]
+        rows = []
+        for name in self:
+            entries = [a.known.get(name) or a.parameters.get(name) for a in answers]
+            unit = next(entry.unit for entry in entries if entry)
+            rows.append([name, *map(cell, entries), unit])
         residuals = [
             {f"left of {name}": fit.relative_rms for name, fit in _residuals(answer).items()}
             for answer in answers

@@ -3,143 +3,68 @@
 import functools
 import shlex
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
+import msgspec
 import numpy as np
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET
 from rich.console import Console
 
 from riecjax.assessment.next_steps import joined
 from riecjax.discovery import Discovery, Step
 from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
-from riecjax.estimation.estimate import known_entries, parameter_entries
 from riecjax.findings import option_for
-from riecjax.reporting.answer import (
-    FilePart,
-    Known,
-    Number,
-    Parameter,
-    Part,
-    Settings,
-    WarningPart,
-    read,
-)
+from riecjax.leaves import finite
+from riecjax.reporting.answer import Answer, part_of
 from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
-from riecjax.reporting.document import SCHEMA, number, probability, share_in_words, versions
+from riecjax.reporting.document import (
+    SCHEMA,
+    Document,
+    number,
+    probability,
+    share_in_words,
+    versions,
+)
 from riecjax.reporting.equations import equation_in_words
 from riecjax.reporting.page import Page, Section
 from riecjax.reporting.parameters import parameter_table
-from riecjax.reporting.tables import Table, in_rich, print_table, say
+from riecjax.reporting.tables import Table, View, in_rich, print_table, say
+from riecjax.shows import view_of
 
 NOTABLE = 0.05
 """Share of what is unexplained that noise must make to be told."""
 percent = functools.partial(share_in_words, digits=2)
 
 
-class TermPart(Part):
-    """A candidate that was taken, or a hidden mode."""
-
-    meaning: str
-    equation: str
-    parameters: list[str]
-    width: Number = None
-    width_unit: str = ""
-    width_std_error: Number = None
-    chosen_again: Number = None
-
-
-class PathStep(Part):
-    """A line of the path: a term more, and what is unexplained with it."""
-
-    equation: str
-    added: str
-    unexplained: Number
-    of_motion: Number
-    std_error: Number
-    chance: Number
-
-
-class RejectedPart(Part):
-    """A candidate that was not taken."""
-
-    name: str
-    gain: Number
-    chance: Number
-
-
-class DiscoveryProvenance(Part):
-    """What a discovery was made by and from."""
-
-    versions: dict[str, str]
-    command: list[str]
-    files: list[FilePart] | UnsetType = UNSET
-
-
-class DiscoveryAnswer(Part, kw_only=True):
-    """The document that `riecjax discover --json` prints and results.json holds."""
-
-    schema: int = SCHEMA
-    model: str
-    criterion: Settings
-    sentence: str
-    chosen: list[str]
-    terms: dict[str, TermPart]
-    path: list[PathStep]
-    rejected: list[RejectedPart]
-    offered: int
-    held_out: Number
-    delays: dict[str, Number]
-    parameters: dict[str, Parameter]
-    known: dict[str, Known]
-    equation: str
-    model_file: str | None
-    warnings: list[WarningPart]
-    provenance: DiscoveryProvenance
-    job: dict[str, Any] | UnsetType = UNSET
-
-
-def discovery_answer(
+def discovery_document(
     found: Discovery, command: Sequence[str] = (), model_file: str | None = None
-) -> DiscoveryAnswer:
-    """The document of a discovery.
+) -> Document:
+    """The document that `riecjax discover --json` prints and results.json holds.
 
     **Arguments:** `command`: the arguments of `riecjax` that made it; `model_file`, where the model
     was written to.
     """
+    widths = ("width", "width_unit", "width_std_error", "chosen_again")
     terms = {
         chosen.candidate.name: {
             "meaning": chosen.candidate.meaning,
             "equation": chosen.candidate.equation,
             "parameters": chosen.candidate.columns,
-            "width": chosen.width,
-            "width_unit": chosen.width_unit,
-            "width_std_error": chosen.width_error,
-            "chosen_again": chosen.share,
+            **dict(zip(widths, chosen[1:])),
         }
         for chosen in found.chosen
     }
-    words = [*map(equation_in_words, found.model.equations)]
     if found.mode is not None:  # as one of the terms that were found
         (equation,), meaning = found.paths, _mode_in_words(found.mode)
-        names = list(ModeParameters.of(len(found.start.modes)))
+        names = ModeParameters.of(len(found.start.modes))
         terms["mode"] = {"meaning": meaning, "equation": equation, "parameters": names}
-        words.append(f"with {meaning}")
-    parameters = parameter_entries(found.estimate)
-    for name, entry in parameters.items():
-        # As of any estimate, with what the choice of terms adds to its errors.
-        own, whole = entry["std_error"], found.errors.get(name)
-        if own and whole is not None and whole > own:
-            value, ratio = entry["value"], whole / own
-            entry["std_error"] = whole
-            entry["interval95"] = [
-                None if end is None else value + ratio * (end - value)
-                for end in entry["interval95"]
-            ]
-    return read(
-        DiscoveryAnswer,
+        terms["mode"] |= dict(zip(widths, (None, "", None, None)))
+    answer = parameters_of(found)
+    return finite(
         {
+            "schema": SCHEMA,
             "model": found.start.name,
-            "criterion": found.estimate.criterion.describe(),
+            "criterion": answer.criterion,
             "sentence": sentence(found),
             "chosen": found.names,
             "terms": terms,
@@ -148,18 +73,37 @@ def discovery_answer(
                 for name, steps in found.paths.items()
                 for step in steps
             ],
-            "rejected": [rejected._asdict() for rejected in found.rejected],
+            "rejected": found.rejected,
             "offered": found.offered,
             "held_out": found.held_out,
             "delays": found.delays,
-            "parameters": parameters,
-            "known": known_entries(found.estimate),
-            "equation": "; ".join(words),
+            "parameters": msgspec.to_builtins(answer.parameters),
+            "known": msgspec.to_builtins(answer.known),
+            "equation": equation_of(found),
             "model_file": model_file,
             "warnings": [f._asdict() for f in (*found.findings, *found.estimate.findings())],
-            "provenance": {"versions": versions(), "command": list(command)},
+            "provenance": {"versions": versions(), "command": command},
         },
     )
+
+
+def parameters_of(found: Discovery) -> Answer:
+    """Parameters as of any estimate, with what the choice of terms adds to their errors."""
+    answer = part_of(found.estimate)
+    for name, entry in answer.parameters.items():
+        entry.naive_std_error = entry.effective_windows = UNSET
+        error, whole = entry.std_error, found.errors.get(name)
+        if error and whole is not None and whole > error:
+            value, ratio = entry.value or 0.0, whole / error
+            low, high = (end and value + ratio * (end - value) for end in entry.interval95)
+            entry.std_error, entry.interval95 = float(whole), (low, high)
+    return answer
+
+
+def equation_of(found: Discovery) -> str:
+    """The equations of motion that were found."""
+    mode = [] if found.mode is None else [f"with {_mode_in_words(found.mode)}"]
+    return "; ".join([*map(equation_in_words, found.model.equations), *mode])
 
 
 def sentence(found: Discovery) -> str:
@@ -242,100 +186,104 @@ def _noise(step: Step) -> str:
     return f", {'nearly all' if share > 1 - NOTABLE else f'{100 * share:.0f} %'} of it noise"
 
 
-def path_table(answer: DiscoveryAnswer) -> Table:
+def path_table(found: Discovery) -> Table:
     """What is unexplained, with one term more on each line."""
+    path = [(name, step) for name, steps in found.paths.items() for step in steps]
     cells = {
-        "equation": lambda step: step.equation,
-        "terms": lambda step: f"+ {step.added}" if step.added else answer.model,
-        "unexplained": lambda step: percent(step.unexplained),
-        "without noise": lambda step: percent(max(step.of_motion, 0.0)),
+        "terms": lambda step: f"+ {step.added}" if step.added else found.start.name,
+        "unexplained": lambda step: percent(finite(step.unexplained)),
+        "without noise": lambda step: percent(finite(max(step.of_motion, 0.0))),
         "std error of the step": lambda step: (
-            percent(step.std_error) if step.added and step.std_error is not None else ""
+            percent(step.std_error) if step.added and np.isfinite(step.std_error) else ""
         ),
         "chance": lambda step: (
-            probability(step.chance) if step.added and step.chance is not None else ""
+            probability(step.chance) if step.added and np.isfinite(step.chance) else ""
         ),
     }
-    if len({step.equation for step in answer.path}) <= 1:
-        del cells["equation"]
     note = (
-        "Share of the target's energy, by the windows of each fit."
-        if "mode" in answer.terms
-        else "Share of the target's energy in blocks of time that coefficients were not fitted to; "
+        "Share of the target's energy in blocks of time that coefficients were not fitted to; "
         "chance: that any one of all candidates stands out as much and explains nothing."
+        if found.mode is None
+        else "Share of the target's energy, by the windows of each fit."
     )
-    rows = [[cell(step) for cell in cells.values()] for step in answer.path]
-    return Table(tuple(cells), rows, "Terms one by one", note)
+    table = Table.of("equation", path, cells, "Terms one by one", note)
+    several = len(found.paths) > 1
+    return table if several else replace(table, header=[*cells], rows=[r[1:] for r in table.rows])
 
 
-def rejected_table(answer: DiscoveryAnswer) -> Table:
+def rejected_table(found: Discovery) -> Table:
     """What came nearest of all that was not taken."""
     cells = {
-        "would explain, of what is left": lambda rejected: percent(rejected.gain),
-        "chance": lambda rejected: probability(rejected.chance),
+        "would explain, of what is left": lambda rejected: percent(finite(rejected.gain)),
+        "chance": lambda rejected: probability(finite(rejected.chance)),
     }
-    rejected = [(rejected.name, rejected) for rejected in answer.rejected]
+    rejected = [(rejected.name, rejected) for rejected in found.rejected]
     return Table.of("candidate", rejected, cells, "Not taken")
 
 
-def choice_in_words(answer: DiscoveryAnswer) -> str:
+def choice_in_words(found: Discovery) -> str:
     """What intervals say of the choice of terms."""
-    if answer.held_out:
+    if found.held_out:
         return (
-            f"Terms were chosen without the last {100 * answer.held_out:.0f} % of each "
+            f"Terms were chosen without the last {100 * found.held_out:.0f} % of each "
             f"recording, from which alone values and intervals are."
         )
-    if not answer.terms:
-        return ""
     again = ", ".join(
-        f"{name} {100 * term.chosen_again:.0f} %"
-        for name, term in answer.terms.items()
-        if term.chosen_again is not None
+        f"{chosen.candidate.name} {100 * chosen.share:.0f} %"
+        for chosen in found.chosen
+        if np.isfinite(chosen.share)
     )
-    if not again or "mode" in answer.terms:
-        return "Intervals take the choice of terms for given."
-    return f"Standard errors include the choice; in data drawn again it fell on {again}."
+    if again and found.mode is None:
+        return f"Standard errors include the choice; in data drawn again it fell on {again}."
+    chose = found.chosen or found.mode is not None
+    return "Intervals take the choice of terms for given." if chose else ""
 
 
-def choice_lines(answer: DiscoveryAnswer) -> list[str]:
+def choice_lines(found: Discovery) -> list[str]:
     """Widths of laws that have one, and what intervals say of the choice."""
     widths = []
-    for name, term in answer.terms.items():
+    for term in found.chosen:
         if term.width is not None:
-            error = f" +- {number(term.width_std_error, 2)}" if term.width_std_error else ""
+            error = f" +- {number(term.width_error, 2)}" if term.width_error > 0 else ""
             width = f"{number(term.width, 4)}{error} {term.width_unit}"
-            widths.append(f"{name} has the width {width}".rstrip())
-    return [*filter(None, (f"{'; '.join(widths)}." if widths else "", choice_in_words(answer)))]
+            widths.append(f"{term.candidate.name} has the width {width}".rstrip())
+    return [*filter(None, (f"{'; '.join(widths)}." if widths else "", choice_in_words(found)))]
 
 
-def print_discovery(answer: DiscoveryAnswer, console: Console) -> None:
+def print_discovery(found: Discovery, model_file: str | None, console: Console) -> None:
     """The sentence, the path, the parameters and the equation."""
-    say(console, answer.sentence, wrapped=False)
-    for table in (path_table(answer), rejected_table(answer)):
+    say(console, sentence(found), wrapped=False)
+    for table in (path_table(found), rejected_table(found)):
         if table.rows:
             say(console, "")
             say(console, table.caption, style="bold", wrapped=False)
             print_table(in_rich(table), console)
     say(console, "")
-    print_table(in_rich(parameter_table(answer)), console)
-    lines = [*choice_lines(answer), "", answer.equation]
-    if answer.model_file:
-        lines.append(f"model: {answer.model_file}, for riecjax identify and simulate")
+    print_table(in_rich(parameter_table(parameters_of(found))), console)
+    lines = [*choice_lines(found), "", equation_of(found)]
+    if model_file:
+        lines.append(f"model: {model_file}, for riecjax identify and simulate")
     say(console, *lines, wrapped=False)
 
 
-def discovery_page(answer: DiscoveryAnswer) -> Page:
+def discovery_page(found: Discovery) -> Page:
     """The page of a discovery."""
-    terms = [path_table(answer), rejected_table(answer)]
+    terms, parameters = [path_table(found), rejected_table(found)], parameters_of(found)
     return Page(
-        f"What {answer.model} lacks",
-        f"{answer.offered} candidates; {answer.equation}",
+        f"What {found.start.name} lacks",
+        f"{found.offered} candidates; {equation_of(found)}",
         (
             Section("Terms", tables=terms, charts=("path",)),
-            Section("Parameters", choice_lines(answer), tables=[parameter_table(answer)]),
+            Section("Parameters", choice_lines(found), tables=[parameter_table(parameters)]),
         ),
-        Section("Answer", [answer.sentence]),
+        Section("Answer", [sentence(found)]),
     )
+
+
+@view_of.register
+def _(found: Discovery) -> View:
+    tables = [path_table(found), rejected_table(found), parameter_table(parameters_of(found))]
+    return View(sentence(found), tables, [*choice_lines(found), equation_of(found)])
 
 
 def discovery_figures(found: Discovery) -> dict[str, Chart]:

@@ -47,12 +47,7 @@ def print_everything(answer: Answer, console: Console) -> None:
     heading = f"{answer.model}  {criterion['name'].upper()}  {settings_in_words(criterion)}"
     say(console, heading)
     print_table(in_rich(parameter_table(answer)), console)
-    for name, fit in fits_of(answer.residual):
-        told = [f"relative residual {percents(fit.relative_rms)} %"]
-        if isinstance(fit, parts.StageFit):
-            told.append(f"condition number {number(fit.condition_number, 3)}")
-        say(console, f"{name}: {', '.join(told)}, {fit.rows} rows")
-    say(console, *words_of(answer))
+    say(console, *fits_in_words(answer.residual), *words_of(answer))
     say(console, *(f"prepared: {step}" for step in answer.provenance.preparation))
 
 
@@ -102,6 +97,15 @@ def fits_of(residual: parts.ResidualPart) -> Iterator[tuple[str, parts.StageFit 
         yield stage.equation, stage
         for name in stage.equations if len(stage.equations) > 1 else ():
             yield name, residual.equations[name]
+
+
+def fits_in_words(residual: parts.ResidualPart) -> Iterator[str]:
+    """A line on what each stage and equation leaves."""
+    for name, fit in fits_of(residual):
+        told = [f"relative residual {percents(fit.relative_rms)} %"]
+        if isinstance(fit, parts.StageFit):
+            told.append(f"condition number {number(fit.condition_number, 3)}")
+        yield f"{name}: {', '.join(told)}, {fit.rows} rows"
 
 
 def words_of(answer: Answer, *names: str) -> Iterator[str]:

@@ -4,7 +4,7 @@ A column says of each row what its header promises; of what a row lacks, nothing
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from riecjax.assessment.verdict import percent
 from riecjax.errors import ModelError
@@ -42,20 +42,6 @@ class Row(NamedTuple):
         return "" if self.judgement is None else said(self.judgement)
 
 
-class Valued(Protocol):
-    """What has estimated and known parameters."""
-
-    @property
-    def parameters(self) -> Mapping[str, Parameter]:
-        """Those that were estimated."""
-        ...
-
-    @property
-    def known(self) -> Mapping[str, Known]:
-        """Those that were not."""
-        ...
-
-
 def _other(row: Row) -> str:
     return "" if row.other is None else number(row.other.value)
 
@@ -78,7 +64,6 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
     "from .. to": lambda row: row.of_judgement(lambda judgement: row.interval(judgement.doubt)),
     "verdict": lambda row: row.of_judgement(lambda judgement: judgement.level),
     "because of": lambda row: row.of_judgement(lambda judgement: judgement.reason),
-    "mostly from": lambda row: row.of_judgement(lambda judgement: judgement.reason),
 }
 """What each column says of a row."""
 USUAL = ("value", "std error", "95 % interval", "unit")
@@ -101,10 +86,9 @@ def bracketed(ends: Sequence[float | None]) -> str:
 
 
 def parameter_table(
-    source: Valued,
+    source: Answer,
     columns: Sequence[str] | Mapping[str, Callable[[Row], str]] = (),
     interval: Callable[[Ends], str] = dotted,
-    judgements: Mapping[str, Judgement] = {},
 ) -> Table:
     """What columns say of each parameter, known ones last; `interval` in words.
 
@@ -113,15 +97,12 @@ def parameter_table(
     intervals are of the answer.
     """
     others: Mapping[str, Parameter] = {}
-    if isinstance(source, Answer):
-        judgements, refinement = source.verdict.parameters, source.refinement
-        if refinement is not None and refinement.refined is not None:
-            others = refinement.identified if refinement.chosen else refinement.refined
-            if not columns:
-                values = ("value", "std error", "95 % interval")
-                columns = (
-                    ("identified", *USUAL) if refinement.chosen else (*values, "refined", "unit")
-                )
+    judgements, refinement = source.verdict.parameters, source.refinement
+    if refinement is not None and refinement.refined is not None:
+        others = refinement.identified if refinement.chosen else refinement.refined
+        if not columns:
+            values = ("value", "std error", "95 % interval")
+            columns = ("identified", *USUAL) if refinement.chosen else (*values, "refined", "unit")
     named = columns or USUAL
     cells = named if isinstance(named, Mapping) else {header: COLUMNS[header] for header in named}
     rows = [

@@ -1,5 +1,7 @@
 """The page of an identification, and its folder."""
 
+import tempfile
+import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,8 +23,9 @@ from riecjax.reporting.identification import (
     settings_in_words,
     words_of,
 )
-from riecjax.reporting.output import require_folder, write_folder
+from riecjax.reporting.output import REPORT, require_folder, write_folder
 from riecjax.reporting.parameters import parameter_table
+from riecjax.shows import show
 from riecjax.validation.tests import Test
 
 
@@ -103,33 +106,29 @@ def _refinement(refinement: parts.RefinementPart) -> list[Section]:
         return []
     by, *_, intervals = search_in_words(refinement)
     whiteness, caption = refinement.whiteness, ""
-    cells: dict[str, Callable[[tuple[str, parts.LeftBeforeAfter]], str]] = {
-        "before": lambda left: number(left[1].before, 4),
-        "after": lambda left: number(left[1].after, 4),
-        "unit": lambda left: left[1].unit,
-    }
+    header = ["left, r.m.s.", "before", "after", "unit"]
+    left = [
+        [name, number(rms.before, 4), number(rms.after, 4), rms.unit]
+        for name, rms in refinement.left.items()
+    ]
     if whiteness is not None:
-        channels = whiteness.channels
-
-        def of_channel(key: str) -> Callable[[tuple[str, parts.LeftBeforeAfter]], str]:
-            return lambda left: number(getattr(channels.get(left[0]), key, None), 3)
-
-        cells |= {"whiteness": of_channel("statistic"), "chi-squared": of_channel("chi_squared")}
+        header += ["whiteness", "chi-squared"]
+        for row in left:
+            channel = whiteness.channels.get(row[0], parts.ChannelWhiteness(None))
+            row += [number(channel.statistic, 3), number(channel.chi_squared, 3)]
         caption = (
             f"Whiteness: Ljung-Box over 20 lags, 1 of white noise, which stays below "
             f"{whiteness.threshold:.2g}. Chi-squared: what is left in units of the sensor's "
             f"noise power"
         )
-    left = [(name, (name, left)) for name, left in refinement.left.items()]
     fits = [
-        (f"{run.on}{' (fitted)' if run.fitted else ''}: {name}", (run, name))
+        [
+            f"{run.on}{' (fitted)' if run.fitted else ''}: {name}",
+            *(_fixed(held.fit(name)) for held in (run.before, run.after)),
+        ]
         for run in refinement.simulations
         for name in run.after.signals
     ]
-    simulated = {
-        "before / %": lambda pair: _fixed(pair[0].before.fit(pair[1])),
-        "after / %": lambda pair: _fixed(pair[0].after.fit(pair[1])),
-    }
     text = [
         _sentence(by),
         f"What is left before and after is of {refinement.basis}.",
@@ -138,8 +137,8 @@ def _refinement(refinement: parts.RefinementPart) -> list[Section]:
         _sentence(intervals.split("; ")[0]),
     ]
     tables = [
-        Table.of("left, r.m.s.", left, cells, caption),
-        Table.of("simulated, fit", fits, simulated),
+        Table(header, left, caption),
+        Table(("simulated, fit", "before / %", "after / %"), fits),
     ]
     return [Section("Refinement", text, tables)]
 
@@ -162,25 +161,28 @@ def _modes(modes: Sequence[parts.ModePart]) -> list[Section]:
     return [Section("Hidden modes", text, charts=("mode_map",) if modes else ())]
 
 
-def _validation(runs: Sequence[parts.HeldOutPart]) -> list[Section]:
+def held_out_table(run: parts.HeldOutPart) -> Table:
+    """How well each signal is predicted."""
     cells = {
         "fit / %": lambda signal: _fixed(signal.fit_percent),
         "variance accounted for / %": lambda signal: _fixed(signal.vaf_percent),
         "error p / %": lambda signal: _fixed(signal.p_percent),
         "predicted": lambda signal: signal.grade,
     }
+    signals = run.signals.items()
+    named = [(n if signal.judged else f"{n} (not judged)", signal) for n, signal in signals]
+    return Table.of("signal", named, cells, run.on or "")
 
-    def table(run: parts.HeldOutPart) -> Table:
-        signals = run.signals.items()
-        named = [(n if signal.judged else f"{n} (not judged)", signal) for n, signal in signals]
-        return Table.of("signal", named, cells, run.on or "")
 
+def _validation(runs: Sequence[parts.HeldOutPart]) -> list[Section]:
     text = [f"The model was validated on {run.on}. {run.verdict}" for run in runs]
     charts = [f"validation_{i + 1}" for i in range(len(runs))]
-    return [Section("Validation by simulation", text, [*map(table, runs)], charts)] if runs else []
+    return [Section("Validation by simulation", text, [*map(held_out_table, runs)], charts)]
 
 
-def _residuals(tests: Mapping[str, parts.ResidualTest]) -> list[Section]:
+def residual_table(tests: Mapping[str, parts.ResidualTest]) -> Table:
+    """What each equation leaves, sample by sample."""
+
     def followed(form: Callable[[Any], str], none: str = "") -> Callable[[parts.ResidualTest], str]:
         return lambda test: form(test.follows[0]) if test.follows else none
 
@@ -193,10 +195,13 @@ def _residuals(tests: Mapping[str, parts.ResidualTest]) -> list[Section]:
         "later by / s": followed(lambda first: number(first.lag_s, 3)),
         "alike for / s": lambda test: number(test.correlation_time_s, 2),
     }
+    return Table.of("equation", tests.items(), cells)
+
+
+def _residuals(tests: Mapping[str, parts.ResidualTest]) -> list[Section]:
     text = [_residual_in_words(name, test) for name, test in tests.items()]
     charts = [f"residual_{i + 1}" for i in range(len(tests))]
-    table = Table.of("equation", tests.items(), cells)
-    return [Section("What each equation leaves", text, [table], charts)]
+    return [Section("What each equation leaves", text, [residual_table(tests)], charts)]
 
 
 def _residual_in_words(name: str, test: parts.ResidualTest) -> str:
@@ -284,3 +289,11 @@ def write_report(assessment: Assessment, folder: str | Path) -> None:
     answer, charts = answer_of(assessment), identification_figures(assessment)
     page = identification_page(answer, assessment.tests)
     write_folder(Path(folder), msgspec.to_builtins(answer), charts, page)
+
+
+@show.register
+def _(assessment: Assessment) -> Path:
+    page = Path(tempfile.mkdtemp(prefix="riecjax_")) / REPORT
+    write_report(assessment, page.parent)
+    webbrowser.open(page.as_uri())
+    return page

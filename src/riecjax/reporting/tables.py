@@ -122,7 +122,8 @@ class View:
 
     def text(self, *, brief: bool = False) -> str:
         """As plain text; a brief one leaves out the middle of long tables."""
-        console = Console(color_system=None, width=sys.maxsize)
+        # In a notebook a console fills a cell of its own, captured or not.
+        console = Console(color_system=None, width=sys.maxsize, force_jupyter=False)
         with console.capture() as printed:
             say(console, *filter(None, [self.title]))
             for table in (table for table in self.tables if table.rows):

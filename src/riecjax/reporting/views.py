@@ -1,14 +1,14 @@
 """What objects say when they are printed: titles, tables and lines of each kind."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from riecjax.assessment.assess import Assessment
-from riecjax.assessment.verdict import Verdict
-from riecjax.discovery.discover import Discovery
+from riecjax.assessment.next_steps import Step
+from riecjax.assessment.verdict import Verdict, percent
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
 from riecjax.estimation import ModeEvidence
@@ -18,24 +18,31 @@ from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.answer import (
     Answer,
-    Judgement,
-    Known,
-    VerdictPart,
+    HeldOutPart,
+    ModePart,
+    ResidualTest,
+    answer_of,
+    next_steps,
     part_of,
     read,
-    verdict_entries,
 )
-from riecjax.reporting.discovery import choice_lines, discovery_answer, path_table, rejected_table
-from riecjax.reporting.document import number, share_in_words
+from riecjax.reporting.document import number
 from riecjax.reporting.equations import (
     equation_in_words,
     expression_in_words,
     model_in_words,
     parameters_in_words,
 )
-from riecjax.reporting.identification import criterion_in_words, reasons_in_words
+from riecjax.reporting.identification import (
+    criterion_in_words,
+    fits_in_words,
+    modes_in_words,
+    reasons_in_words,
+    words_of,
+)
 from riecjax.reporting.parameters import USUAL, bracketed, paper_table, parameter_table
-from riecjax.reporting.tables import Table, View, with_error
+from riecjax.reporting.result_page import held_out_table, residual_table
+from riecjax.reporting.tables import Table, View
 from riecjax.shows import Tabled, table_of, view_of
 from riecjax.summaries.summary import Summary
 from riecjax.validation import HeldOut, ResidualTests, WindowSweep
@@ -123,26 +130,10 @@ def _(thing: Recording) -> View:
 
 
 @shown_if_known
-def _(thing: Discovery) -> View:
-    answer = discovery_answer(thing)
-    tables = [path_table(answer), rejected_table(answer), parameter_table(answer)]
-    return View(answer.sentence, tables, [*choice_lines(answer), answer.equation])
-
-
-@shown_if_known
 def _(thing: ModeEvidence) -> View:
-    left, without = (100 * max(float(x), 0.0) for x in (thing.unexplained, thing.without))
-    return View(
-        f"hidden mode on {thing.on} ({thing.parameters.mass}), "
-        f"{'carried' if thing.carried else 'not carried'} by the recordings",
-        lines=[
-            f"{with_error(*thing.frequency)} Hz with the body at rest, damping ratio "
-            f"{with_error(*thing.damping_ratio)}",
-            f"{thing.stage}, on time left out: {left:.2g} % unexplained with it, {without:.2g} % "
-            f"without",
-            *thing.findings(),
-        ],
-    )
+    words = modes_in_words([read(ModePart, thing.entry())])
+    carried = f"{'carried' if thing.carried else 'not carried'} by the recordings"
+    return View(f"{thing.parameters.mass}, {carried}", lines=[*words, *thing.findings()])
 
 
 @shown_if_known
@@ -246,72 +237,47 @@ def _(thing: WindowSweep) -> View:
 
 @shown_if_known
 def _(thing: HeldOut) -> View:
-    cells = {
-        "fit": lambda signal: f"{float(signal.fit):.1f} %",
-        "VAF": lambda signal: f"{float(signal.vaf):.1f} %",
-        "p": lambda signal: f"{float(signal.p):.1f} %",
-        "predicted": lambda signal: signal.grade,
-    }
-    return View(thing.verdict, [Table.of("signal", thing.signals.items(), cells)])
+    return View(thing.verdict, [held_out_table(read(HeldOutPart, thing.entry()))])
 
 
 @shown_if_known
 def _(thing: ResidualTests) -> View:
-    cells = {
-        "left, sample by sample": lambda test: share_in_words(test.relative_rms),
-        "peak": lambda test: "" if test.peak is None else f"{test.peak.frequency:.3g} Hz",
-        "follows most (correlation)": lambda test: "".join(
-            f"{other.signal} ({other.largest:.2f})" for other in test.follows[:1]
-        ),
-    }
-    tests = [(test.name, test) for test in thing.equations]
-    table = Table.of("equation", tests, cells)
+    table = residual_table(read(dict[str, ResidualTest], thing.entry()))
     return View("what each equation leaves", [table], thing.findings())
 
 
 @view_of.register
-def _(thing: Assessment) -> View:
-    shown, verdict, refinement = view_of(thing.answer), thing.verdict, thing.refinement
-    how = shown.title if thing.answer is thing.estimate else "refined"
-    declined = "" if refinement is None else refinement.declined
-    runs = [] if (validation := thing.test("validation")) is None else validation.runs
-    lines = [
-        *_to_do(verdict),
-        f"{thing.model.name} by {how}",
-        *(line for line in shown.lines if isinstance(line, str)),
-        *([f"not refined: {declined}"] if declined else []),
-        *(f"validated on {run.recording.name}: {run.held.verdict}" for run in runs),
-        *thing.findings(),
-    ]
-    columns, judgements = (*USUAL, "doubt", "verdict"), _judgements(verdict)
-    table = parameter_table(part_of(thing.answer), columns, bracketed, judgements)
-    return View(verdict.sentence, [table], lines)
-
-
-@view_of.register
 def _(thing: Answer) -> View:
-    sentence = thing.verdict.sentence
+    verdict, command = thing.verdict, thing.provenance.command
     made = f"{thing.model} by {criterion_in_words(thing.criterion)}"
-    reasons = [*reasons_in_words(thing.verdict), made] if sentence else []
-    command = thing.provenance.command
-    by = [] if command is None else [f"made by: {command}"]
-    table = parameter_table(thing, USUAL, bracketed)
-    return View(sentence or made, [table], [*reasons, *thing.findings(), *by])
+    columns = (*USUAL, "doubt", "verdict") if verdict.sentence else USUAL
+    lines = [
+        *reasons_in_words(verdict),
+        *_to_do(verdict.next),
+        *([made] if verdict.sentence else []),
+        *fits_in_words(thing.residual),
+        *words_of(thing),
+        *thing.findings(),
+        *([] if command is None else [f"made by: {command}"]),
+    ]
+    return View(verdict.sentence or made, [parameter_table(thing, columns, bracketed)], lines)
+
+
+view_of.register(Assessment, lambda assessment: view_of(answer_of(assessment)))
 
 
 @view_of.register
 def _(thing: Verdict) -> View:
-    columns = ("value", "unit", "doubt", "verdict", "mostly from")
-    judged = {n: Known(value=j.value, unit=j.unit) for n, j in thing.parameters.items()}
-    values = Answer(criterion={}, parameters={}, known=judged, warnings=[])
-    table = parameter_table(values, columns, judgements=_judgements(thing))
-    return View(thing.sentence, [table], _to_do(thing))
+    cells = {
+        "value": lambda judged: number(judged.value),
+        "unit": lambda judged: judged.unit,
+        "doubt": lambda judged: "?" if np.isnan(judged.share) else percent(judged.share),
+        "verdict": lambda judged: judged.level,
+        "mostly from": lambda judged: judged.reason,
+    }
+    table = Table.of("parameter", thing.parameters.items(), cells)
+    return View(thing.sentence, [table], _to_do(next_steps(thing.causes)))
 
 
-def _judgements(verdict: Verdict) -> dict[str, Judgement]:
-    return read(VerdictPart, verdict_entries(verdict)).parameters
-
-
-def _to_do(verdict: Verdict) -> list[str]:
-    steps = dict.fromkeys(cause.step for cause in verdict.causes if cause.step is not None)
+def _to_do(steps: Iterable[Step]) -> list[str]:
     return [f"to do: {step.words} {' '.join(step.options)}".rstrip() for step in steps]

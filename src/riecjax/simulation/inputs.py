@@ -33,7 +33,7 @@ def band_limited_noise(
     """
     _check_count(sample_count)
     white = jax.random.normal(key, (sample_count,))
-    noise = _components(white, time_step, lambda f: (f > 0) & (f <= bandwidth))
+    noise = _filtered(white, time_step, lambda f: (f > 0) & (f <= bandwidth))
     power = jnp.mean(noise**2)
     # A band that holds no Fourier component is silence, not a division by zero.
     return noise * jnp.where(power > 0, rms / jnp.sqrt(jnp.where(power > 0, power, 1.0)), 0.0)
@@ -43,16 +43,16 @@ def low_passed(
     signal: Float[Array, " n"], time_step: float | Array, bandwidth: float | Array
 ) -> Float[Array, " n"]:
     """A signal without its Fourier components above `bandwidth` Hz (Section 6 of the paper)."""
-    return _components(signal, time_step, lambda f: f <= bandwidth)
+    return _filtered(signal, time_step, lambda f: f <= bandwidth)
 
 
-def _components(
-    signal: Float[Array, " n"], time_step: float | Array, kept: Callable[[Array], Array]
+def _filtered(
+    signal: Float[Array, " n"], time_step: float | Array, gain: Callable[[Array], Array]
 ) -> Float[Array, " n"]:
-    """The sum of a signal's Fourier components at those frequencies in Hz that are kept."""
+    """The sum of a signal's Fourier components, each times the gain at its frequency in Hz."""
     count = signal.shape[0]
     frequency = jnp.arange(count // 2 + 1) / (count * time_step)
-    return jnp.fft.irfft(jnp.where(kept(frequency), jnp.fft.rfft(signal), 0.0), count)
+    return jnp.fft.irfft(gain(frequency) * jnp.fft.rfft(signal), count)
 
 
 def harmonics(
@@ -133,15 +133,16 @@ def robson_road(
     **Raises:** `ModelError` for fewer than 4 samples.
     """
     _check_count(sample_count)
-    frequency = jnp.arange(sample_count // 2 + 1) / (sample_count * time_step)
-    inside = (frequency > 0) & (frequency <= bandwidth)
-    f = jnp.where(inside, frequency, 1.0)
-    # (2 pi f)^2 S(f) / (2 pi), the velocity's density per Hz.
-    density = jnp.where(inside, 2 * jnp.pi * roughness * speed**1.5 * f**-0.5, 0.0)
-    # A white record of unit variance has one-sided density 2 dt, so this filter gives it `density`.
-    white = jax.random.normal(key, (sample_count,))
-    gain = jnp.sqrt(density / (2 * time_step))
-    return jnp.fft.irfft(jnp.fft.rfft(white) * gain, sample_count)
+
+    def gain(frequency: Array) -> Array:
+        inside = (frequency > 0) & (frequency <= bandwidth)
+        f = jnp.where(inside, frequency, 1.0)
+        # (2 pi f)^2 S(f) / (2 pi), the velocity's density per Hz.
+        density = jnp.where(inside, 2 * jnp.pi * roughness * speed**1.5 * f**-0.5, 0.0)
+        # A white record of unit variance has one-sided density 2 dt, and is given `density`.
+        return jnp.sqrt(density / (2 * time_step))
+
+    return _filtered(jax.random.normal(key, (sample_count,)), time_step, gain)
 
 
 def pothole(

@@ -37,7 +37,13 @@ from jaxtyping import Array, Complex, Float, Int
 from riecjax.compilation import kept_jit
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
-from riecjax.simulation.system import AbstractSystem, Inputs, State, measured_states
+from riecjax.simulation.system import (
+    AbstractSystem,
+    Inputs,
+    State,
+    input_levels,
+    measured_states,
+)
 
 ANGLE = 0.15
 """Step times the largest eigenvalue, at most: an error of 4e-6 for each radian of that motion."""
@@ -89,9 +95,7 @@ def jacobians(
 
 @kept_jit
 def linearise(
-    system: AbstractSystem,
-    state: State | None = None,
-    inputs: Inputs | None = None,
+    system: AbstractSystem, state: State | None = None, inputs: Inputs | None = None
 ) -> tuple[Float[Array, "states states"], Float[Array, "states inputs"]]:
     """Jacobians (A, B) of the state derivative, at rest unless a point is given."""
     x = jnp.zeros(len(system.states)) if state is None else state
@@ -152,8 +156,7 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     **Returns:** `None` where they stay within a thousandfold, or where no Jacobian is finite.
     """
     states = np.asarray(measured_states(system, record))
-    levels = [np.asarray(record[name]) for name in system.input_names]
-    inputs = np.stack(levels, axis=-1) if levels else np.zeros((len(states), 0))
+    inputs = np.asarray(input_levels(system, record))
     duration = len(states) * float(record.time_step)
     rates = np.real(_eigenvalues(system, states, inputs))
     if not rates.size or np.max(rates) * duration < np.log(MOST_GROWTH):
@@ -170,13 +173,13 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     products = scipy.linalg.expm(slopes * step)
     lengths = [1.0]
     logs = [float(np.max(np.log(np.linalg.norm(products, 2, axis=(1, 2)))))]
+    # Filled up to a power of two, so that the last product is that of all samples.
+    further = (1 << (len(products) - 1).bit_length()) - len(products)
+    still = np.broadcast_to(np.eye(len(spread)), (further, *products.shape[1:]))
+    products = np.concatenate([products, still])
     scale = np.zeros(len(products))
     while len(products) > 1:
-        even, rest = len(products) // 2 * 2, len(products) % 2
-        # What is left over waits, so that the last product is that of all samples.
-        waiting, waits = products[-1:][:rest], scale[-1:][:rest]
-        products = np.concatenate([products[1:even:2] @ products[0:even:2], waiting])
-        scale = np.concatenate([scale[1:even:2] + scale[0:even:2], waits])
+        products, scale = products[1::2] @ products[::2], scale[1::2] + scale[::2]
         # The product's size is kept apart, so that no power of it overflows.
         size = np.linalg.norm(products, 2, axis=(1, 2))
         size = np.where(size > 0, size, 1e-300)

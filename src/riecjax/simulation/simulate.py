@@ -11,15 +11,10 @@ from riecjax.compilation import kept_jit
 from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
-from riecjax.simulation.intersample import (
-    Intersample,
-    bends_of,
-    require_intersample,
-    smooth_inputs,
-)
+from riecjax.simulation.intersample import Intersample, bends_of, require_intersample, smooth_inputs
 from riecjax.simulation.method import AbstractMethod, FixedStep, SimulationStatus
 from riecjax.simulation.reversals import regime_at
-from riecjax.simulation.system import AbstractSystem, State
+from riecjax.simulation.system import AbstractSystem, State, input_levels
 
 
 class Simulation(eqx.Module):
@@ -95,9 +90,7 @@ def simulate(
     require_intersample(intersample)
     start = dict(initial_state or {})
     system.require_states(start)
-    columns = [inputs[name] for name in system.input_names]
-    # A free motion has no input; the record still gives its sampling.
-    levels = jnp.stack(columns, -1) if columns else jnp.zeros((inputs.sample_count, 0))
+    levels = input_levels(system, inputs)
     first = jnp.stack(
         [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]
     )

@@ -93,6 +93,12 @@ def state_sources(system: AbstractSystem, record: Record) -> dict[str, str]:
     }
 
 
+def input_levels(system: AbstractSystem, record: Record) -> Float[Array, "n inputs"]:
+    """Each input at each sample; of a free motion none, as a record gives its sampling."""
+    columns = [record[name] for name in system.input_names]
+    return jnp.stack(columns, axis=-1) if columns else jnp.zeros((record.sample_count, 0))
+
+
 def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n states"]:
     """Each state at each sample; zero where nothing tells it, or what is carried along has."""
     integral = {velocity: state for state, velocity in system.velocity_of.items()}

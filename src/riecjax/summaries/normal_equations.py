@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key, UInt32
 
 from riecjax.criteria.criterion import AbstractCriterion, Rows
-from riecjax.criteria.windows import LengthBins
+from riecjax.criteria.windows import LengthBins, products_by_block
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.equations.term import from_elsewhere
@@ -73,7 +73,7 @@ class NormalEquations(eqx.Module):
         """y^T y, noise included."""
         return self.moments[..., 0, 0]
 
-    def in_blocks(self, of_blocks: Callable[[Array], Array]) -> "NormalEquations":
+    def in_blocks(self, of_blocks: Callable[[Any], Leaf]) -> "NormalEquations":
         """The same with something done to the leading axes; sources are no longer told apart."""
         moments, count, noise = jax.tree.map(of_blocks, (self.moments, self.count, self.noise))
         return NormalEquations(moments, count, self.parameters, noise)
@@ -163,25 +163,18 @@ class NormalEquations(eqx.Module):
 
     @classmethod
     def of_rows(
-        cls,
-        rows: Rows,
-        *,
-        block_of_row: Int[Array, " rows"] | None = None,
-        block_count: int = 1,
+        cls, rows: Rows, *, block_of_row: Int[Array, " rows"] | None = None, block_count: int = 1
     ) -> "NormalEquations":
         """Those of rows, one for each of `block_count` blocks (leading axis)."""
         columns = rows.columns
         if block_of_row is None:
             return cls((columns @ columns.T)[None], rows.count()[None], rows.parameters)
-        products = columns[:, None, :] * columns[None, :, :]
-        moments = jax.ops.segment_sum(
-            jnp.moveaxis(products, -1, 0), block_of_row, num_segments=block_count
-        )
         valid = jnp.ones(columns.shape[1], bool) if rows.valid is None else rows.valid
-        count = jax.ops.segment_sum(
-            valid.astype(columns.dtype), block_of_row, num_segments=block_count
+        ones = valid.astype(columns.dtype)[None]
+        moments, count = (
+            products_by_block(each, each, block_of_row, block_count) for each in (columns, ones)
         )
-        return cls(moments, count, rows.parameters)
+        return cls(moments, count[:, 0, 0], rows.parameters)
 
     def residual_energy(self, theta: Float[Array, " p"]) -> Float[Array, "*blocks"]:
         """Sum of squared residuals at theta; below about 1e-16 of `energy` it is rounding."""
@@ -338,7 +331,9 @@ class EquationSums(NormalEquations):
     factor: Float[Leaf, "columns columns"] | None = None
     constant: Float[Leaf, "bins blocks 1+columns"] | None = None
 
-    def each(self, of_sums: Callable[[Leaf], Leaf], **others: Callable[[Leaf], Leaf]) -> Self:
+    def each(
+        self, of_sums: Callable[[Leaf], Leaf], **others: Callable[[Leaf], Leaf | None]
+    ) -> Self:
         """The same done to all sums by bins and blocks, and what is said of `others` by name."""
         by_name = dict.fromkeys(("moments", "count", "noise", "constant"), of_sums) | others
         there = {name: getattr(self, name) for name in by_name}
@@ -384,18 +379,15 @@ class RecordingSums(eqx.Module):
 
         # A factor of all rows has no parts, and what one source adds is spread evenly.
         share = index.size / int(self.blocks)
-
-        def of(equation: EquationSums) -> EquationSums:
-            some = equation.each(
+        some = self.of_equations(
+            lambda sums: sums.each(
                 lambda leaf: np.asarray(leaf[:, index], order="C"),
                 noise_of_source=lambda leaf: share * leaf,
+                factor=lambda _: None,
             )
-            return dataclasses.replace(some, factor=None)
-
-        # Rows are not spread evenly over blocks, so that it is not known how many were offered.
-        return dataclasses.replace(
-            self.of_equations(of), blocks=np.asarray(index.size), offered=np.asarray(np.nan)
         )
+        # Rows are not spread evenly over blocks, so that it is not known how many were offered.
+        return dataclasses.replace(some, blocks=np.asarray(index.size), offered=np.asarray(np.nan))
 
     def in_blocks(self, most: int) -> "RecordingSums":
         """The same in so many blocks of time at most, neighbours added up (not under jit)."""
@@ -403,13 +395,13 @@ class RecordingSums(eqx.Module):
         if held <= most:
             return self
         first = -(-np.arange(most) * held // most)
-
-        def of(equation: EquationSums) -> EquationSums:
-            return equation.each(lambda sums: np.add.reduceat(np.asarray(sums), first, axis=1))
-
         seconds = float(self.blocks) * float(self.block_seconds)
         return dataclasses.replace(
-            self.of_equations(of),
+            self.of_equations(
+                lambda sums: sums.each(
+                    lambda leaf: np.add.reduceat(np.asarray(leaf), first, axis=1)
+                )
+            ),
             blocks=np.asarray(most),
             block_seconds=np.asarray(seconds / most),
         )
@@ -426,10 +418,10 @@ class RecordingSums(eqx.Module):
         def times(leaf: Leaf) -> Leaf:
             return leaf * factor
 
-        def of(equation: EquationSums) -> EquationSums:
-            return equation.each(times, noise_of_source=times, factor=lambda rows: rows * root)
-
-        return dataclasses.replace(self.of_equations(of), offered=self.offered * factor)
+        scaled = self.of_equations(
+            lambda sums: sums.each(times, noise_of_source=times, factor=lambda rows: rows * root)
+        )
+        return dataclasses.replace(scaled, offered=self.offered * factor)
 
 
 # What tells recordings and models apart: digests of all that sums depend on.

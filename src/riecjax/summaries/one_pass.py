@@ -329,14 +329,17 @@ def traced_sums(
     else:
         size, request = jnp.asarray(size), Request(constant=False)
     starts = StartBlocks(0, size, number, n)
-    found = part_sums(record, starts, model, criterion, key, request)
 
-    def of_bins(sums: EquationSums) -> EquationSums:
-        return sums.each(
-            lambda blocks: jnp.swapaxes(blocks, 0, 1), noise_of_source=lambda chunks: chunks.sum(0)
-        )
+    def bins_first(blocks: Leaf) -> Leaf:
+        return jnp.swapaxes(blocks, 0, 1)
 
-    stages = [[of_bins(sums) for (sums,), _ in stage] for stage in found]
+    stages = [
+        [
+            sums.each(bins_first, noise_of_source=lambda chunks: chunks.sum(0))
+            for (sums,), _ in stage
+        ]
+        for stage in part_sums(record, starts, model, criterion, key, request)
+    ]
     return _of_recording(stages, record, criterion, n, record.time_step, np.zeros(8, np.uint32))
 
 
@@ -414,7 +417,9 @@ def recording_sums(
     block = unit = criterion.block_samples(record)
     # What mixes samples would mix those that the record is filled up with. Starts of a part, and
     # samples that it is filled up to; `None` to leave the record as it is.
-    width, filled = n, None if mixing else _filled(n)
+    width, filled = n, None
+    if not mixing:
+        filled = next((length for length in FILLED if length >= n), power_of_two(n))
     reach = 0
     if windows is not None:
         weight = criterion.test_function
@@ -512,11 +517,6 @@ def _lengths(
     return tuple(
         Lengths(jax.tree.map(lambda leaf, i=i: leaf[i], cut), farthest) for i, farthest in parts
     )
-
-
-def _filled(samples: int) -> int:
-    """How many samples a record is filled up to."""
-    return next((length for length in FILLED if length >= samples), power_of_two(samples))
 
 
 def _survey(parts: Sequence[Surveyed], skipped: float) -> Survey:

@@ -119,13 +119,9 @@ class Summary(Shown, eqx.Module):
                 other = every.setdefault(digest, recording)
                 if other is recording:
                     continue
-                counts = [
-                    [e.count for stage in r.stages for e in stage] for r in (recording, other)
-                ]
-                alike = (
-                    a.shape == b.shape and np.allclose(a, b, rtol=1e-6) for a, b in zip(*counts)
-                )
-                if not all(alike):
+                pair = (recording, other)
+                counts = [np.array([e.count for stage in r.stages for e in stage]) for r in pair]
+                if counts[0].shape != counts[1].shape or not np.allclose(*counts, rtol=1e-6):
                     raise ModelError(
                         "summaries cannot be merged that hold a recording differently, scaled or "
                         "with a stretch left out: select(...) those that should count from one of "

@@ -87,11 +87,6 @@ class WindowChoice(eqx.Module):
     recommended: tuple[float, float]
     reason: str = eqx.field(static=True)
 
-    @property
-    def seen_best(self) -> tuple[float, float]:
-        """Frequencies in hertz that the current windows see best, by T = 1 / (2 f) of eq. (26)."""
-        return 1 / (2 * self.beta), 1 / (2 * self.alpha)
-
     def findings(self) -> list[Finding]:
         """None: another choice is an offer."""
         return []
@@ -101,7 +96,8 @@ class WindowChoice(eqx.Module):
         return {
             "alpha_s": self.alpha,
             "beta_s": self.beta,
-            "seen_best_hz": list(self.seen_best),
+            # What the current windows see best, by T = 1 / (2 f) of eq. (26).
+            "seen_best_hz": [1 / (2 * self.beta), 1 / (2 * self.alpha)],
             "recommended_s": list(self.recommended),
             "reason": self.reason,
             "length_s": self.length.tolist(),

@@ -13,6 +13,7 @@ windows are sums of these values times h: the impulse's rise.
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,6 +32,12 @@ from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_in_recording
 from riecjax.leaves import Leaf, namespace
 from riecjax.records.record import Record, runs
+
+
+def share_of(part: Any, whole: Any) -> Any:
+    """part / whole, and zero, derivatives too, where the whole is none."""
+    xp, there = namespace(part, whole), whole > 0
+    return xp.where(there, part / xp.where(there, whole, 1.0), 0.0)
 
 
 class EquationError(eqx.Module):
@@ -88,9 +95,8 @@ class EquationError(eqx.Module):
     def relative_rms(self) -> Float[Array, ""]:
         """Root mean square of the error relative to the target's; zero of a silent target."""
         xp = namespace(self.error, self.explained)
-        energy = xp.sum(xp.square(self.target))
-        share = xp.sum(xp.square(self.error)) / xp.where(energy > 0, energy, 1.0)
-        return xp.sqrt(xp.where(energy > 0, share, 0.0))
+        squares = (xp.sum(xp.square(values)) for values in (self.error, self.target))
+        return xp.sqrt(share_of(*squares))
 
     def centred(self, samples: Float[Leaf, " n"]) -> Float[Leaf, " values"]:
         """A signal at the middle of each window, from its samples."""
@@ -149,14 +155,7 @@ def equation_error(
         explained = sum(parts.values(), start=jnp.zeros_like(target))
         times = 0.5 * (record.elapsed[span:] + record.elapsed[:-span])
         error = EquationError(
-            target - explained,
-            explained,
-            present,
-            step,
-            span,
-            equation.name,
-            equation.unit,
-            times,
+            target - explained, explained, present, step, span, equation.name, equation.unit, times
         )
         errors.append(error)
     return tuple(errors)

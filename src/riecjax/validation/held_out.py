@@ -25,7 +25,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -35,9 +34,15 @@ from riecjax.leaves import finite
 from riecjax.records.record import Record, filled_up
 from riecjax.records.signal import Signal, both
 from riecjax.shows import Drawn
+from riecjax.simulation.linearisation import jacobians
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import simulate
-from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
+from riecjax.simulation.system import (
+    AbstractSystem,
+    input_levels,
+    measured_states,
+    state_sources,
+)
 
 PREDICTS_WELL = 80.0
 """Fit in percent from which a signal is predicted well: an error of a fifth of its deviation."""
@@ -379,10 +384,8 @@ def validate_held_out(
     if drifting:
         chosen = np.flatnonzero(simulated)
         chosen = chosen[:: max(1, chosen.size // FREE_POINTS)]
-        states = jnp.stack([record[name][chosen] for name in system.state_names], axis=-1)
-        levels = [measured[name][chosen] for name in system.input_names]
-        inputs = jnp.stack(levels, axis=-1) if levels else jnp.zeros((chosen.size, 0))
-        influence = jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
+        states = measured_states(system, record)[chosen]
+        influence = jacobians(system, states, input_levels(system, measured)[chosen])
         place = system.state_names.index
         drifting = [q for q in drifting if not bool(jnp.any(influence[:, :, place(q)]))]
     grades = {name: fits[name].grade for name in judged}

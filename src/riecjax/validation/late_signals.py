@@ -30,16 +30,14 @@ without each block of time in turn. Noise is taken off the moments as ever.
 """
 
 import dataclasses
-import functools
 import itertools
-import operator
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from riecjax import tails
 from riecjax.equations.hidden_elements import accelerated
@@ -113,10 +111,7 @@ class Search:
             # By the functions that were compiled for the estimate's own Summary.
             made, criterion = self.estimate.summary, self.estimate.criterion
             assert made is not None
-            own = None
-            if (windows := criterion.windows) is not None:
-                own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
-            bins = None if own is not None or made.edges is None else np.asarray(made.edges)
+            bins = None if made.edges is None else np.asarray(made.edges)
             samples = count * self.unit / self.step
             records = [self.undo(each, self.signals, samples, self.reach) for each in self.records]
             task = Task(self.model, records, criterion, record_keys(None, len(records)))
@@ -166,7 +161,8 @@ class Search:
         there is no minimum."""
         three = self.around(middle, blocks)
         for h in units:
-            low, here, high = (self.solve(between(three, at + k * h)).left for k in (-1, 0, 1))
+            beside = (weighed(three, parabola(at + k * h)) for k in (-1, 0, 1))
+            low, here, high = (self.solve(stages).left for stages in beside)
             bend = low - 2 * here + high
             if not bend > 0:
                 return float("nan")
@@ -175,17 +171,20 @@ class Search:
                 break  # a parabola through the three reaches no further
         return at
 
-    def over(self, count: int, blocks: Blocks) -> Stages:
-        """Sums over some blocks with so much undone."""
-        return [stage.in_blocks(lambda values: values[blocks].sum(0)) for stage in self.sums(count)]
+    def over(self, count: int, groups: Sequence[Blocks]) -> Stages:
+        """Sums over groups of blocks, one after the other, with so much undone."""
+        return [
+            stage.in_blocks(lambda values: np.stack([values[group].sum(0) for group in groups]))
+            for stage in self.sums(count)
+        ]
 
     def around(self, middle: int, blocks: Blocks) -> list[Stages]:
-        """The same at an amount and one unit to either side of it."""
-        return [self.over(middle + k, blocks) for k in (-1, 0, 1)]
+        """The same of one group at an amount and one unit to either side of it."""
+        return [self.over(middle + k, [blocks]) for k in (-1, 0, 1)]
 
     def solved(self, middle: int, at: float) -> Solved:
         """Values and what is left over all blocks, as energy that is not below zero."""
-        solved = self.solve(between(self.around(middle, self.blocks), at))
+        solved = self.solve(weighed(self.around(middle, self.blocks), parabola(at)))
         return solved._replace(left=float(np.maximum(solved.left, 0.0)), noise=max(solved.noise, 0))
 
     def solve(self, stages: Stages) -> Solved:
@@ -209,19 +208,25 @@ class Search:
                     noise += float(row @ equations.noise @ row) / target
         return Solved(values, left, noise, tuple(n for n in values if n not in known))
 
-    def energy(self, stages: Stages, values: Mapping[str, float]) -> float:
+    def energy(self, stages: Stages, values: Mapping[str, float]) -> Float[np.ndarray, " groups"]:
         """What stages leave beyond noise with these values, in the squares of their units."""
         # As `fix` of them all does, without another set of normal equations for each of thousands.
         equations = [stages[i] for i in self.reading]
         rows = [np.array([1.0, *(-values[name] for name in e.parameters)]) for e in equations]
-        return float(sum(row @ e.clean @ row for row, e in zip(rows, equations)))
+        return sum((row @ e.clean @ row for row, e in zip(rows, equations)), np.zeros(()))
 
 
-def between(parts: Sequence[Stages], at: float) -> Stages:
-    """Sums at an amount between three."""
-    low, here, high = at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2
+def parabola(at: float | np.ndarray) -> Float[np.ndarray, "3 *at"]:
+    """Weights of what is known at -1, 0 and 1, for a place between."""
+    return np.array([at * (at - 1) / 2, 1 - at**2, at * (at + 1) / 2])
+
+
+def weighed(sums: Sequence[Stages], weights: Float[np.ndarray, "amounts *groups"]) -> Stages:
+    """The sum over amounts and groups of blocks, each of which counts so much."""
+    weights = weights.reshape(len(sums), -1)
     return [
-        jax.tree.map(lambda a, b, c: low * a + here * b + high * c, *three) for three in zip(*parts)
+        jax.tree.map(lambda *values: np.tensordot(weights, np.stack(values), 2), *stages)
+        for stages in zip(*sums)
     ]
 
 
@@ -272,29 +277,26 @@ def _course_among(
     search: Search, parts: Sequence[Blocks], counts: range, samples: float
 ) -> Followed | None:
     """The best course with delays among these."""
-    sums = [[search.over(k, part) for part in parts] for k in counts]
-    every = np.arange(len(parts))
+    sums = [search.over(k, parts) for k in counts]
+    every, either = np.arange(len(parts)), np.array([[-1], [0], [1]])
 
-    def stages_of(part: int) -> Stages:
-        """Sums of a part at its place between the delays."""
-        nearest = int(np.clip(round(places[part]), 1, len(counts) - 2))
-        three = [sums[nearest + k][part] for k in (-1, 0, 1)]
-        return between(three, float(places[part]) - nearest)
-
-    def solved_of(some: np.ndarray) -> Solved:
-        stages = zip(*map(stages_of, some.tolist()))
-        return search.solve([functools.reduce(operator.add, stage) for stage in stages])
+    def at(places: Float[np.ndarray, " parts"]) -> Float[np.ndarray, "counts parts"]:
+        """Weights of delays for each part at its place between them."""
+        nearest = np.clip(np.round(places).astype(int), 1, len(counts) - 2)
+        weights = np.zeros((len(counts), every.size))
+        weights[nearest + either, every] = parabola(places - nearest)
+        return weights
 
     places, bend = np.full(every.size, len(counts) // 2, float), np.ones(every.size)
     reach = 3.0 if len(counts) == 3 else 1.0
     for _ in range(TURNS):
-        solved = solved_of(every)
+        solved = search.solve(weighed(sums, at(places)))
         if not np.isfinite(solved.left):
             return None
         # Where each part leaves least, and how sharply; not sharply at all where it is at an end.
-        left = [[search.energy(stages, solved.values) for stages in row] for row in sums]
+        left = np.array([search.energy(stages, solved.values) for stages in sums])
         lowest = np.clip(np.argmin(left, axis=0), 1, len(counts) - 2)
-        low, here, high = (np.array(left)[lowest + k, every] for k in (-1, 0, 1))
+        low, here, high = left[lowest + either, every]
         bend = low - 2 * here + high
         moved = 0.5 * (low - high) / np.where(bend > 0, bend, 1.0)
         bend = np.where((bend > 0) & (np.abs(moved) < reach), bend, 0.0)
@@ -310,9 +312,11 @@ def _course_among(
     steady = float(weight @ (delays[0] - weight @ delays[0] / weight.sum()) ** 2)
     statistic = (steady - left) / max(left / (delays.shape[1] - 3), 1e-12 * steady, 1e-300)
     # Of all parts but the one that leaves most: a jump within it is not undone.
-    values = solved_of(every).values
-    worst = max(every.tolist(), key=lambda part: search.energy(stages_of(part), values))
-    return Followed(course, solved_of(np.delete(every, worst)), statistic)
+    weights = at(places)
+    values = search.solve(weighed(sums, weights)).values
+    left_of_parts = np.sum(weights * [search.energy(stages, values) for stages in sums], axis=0)
+    weights[:, np.argmax(left_of_parts)] = 0.0
+    return Followed(course, search.solve(weighed(sums, weights)), statistic)
 
 
 LEVEL = 1e-3

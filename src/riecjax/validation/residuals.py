@@ -1,6 +1,4 @@
-"""What one equation of an identified model leaves unexplained, and what is to be said of it.
-
-What an identified model leaves unexplained, and what that says of the model.
+"""What an identified model leaves unexplained, and what that says of the model.
 
 Of a complete model white noise is left, or what sensors make of it. A mode that was left out
 shows as a peak of the error's spectrum, a force as an error that follows a signal, and stretches
@@ -30,12 +28,12 @@ judged on parts of the recordings that it was not fitted to.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
-import scipy.fft
-import scipy.signal
+import scipy
 from jaxtyping import Array, Float, Int
 
 from riecjax import tails
@@ -53,6 +51,7 @@ from riecjax.validation.equation_errors import (
     EquationError,
     errors_over_records,
     joined,
+    share_of,
     with_pads,
 )
 
@@ -234,7 +233,8 @@ PEAK_SHARE = 0.3
 """
 
 
-class Peak(NamedTuple):
+@dataclass(frozen=True)
+class Peak:
     """A peak of an error's spectrum.
 
     **Fields:** `frequency`, half-power points `low` and `high` in hertz; `share` of the error's
@@ -276,9 +276,7 @@ class ErrorSpectrum(NamedTuple):
 
     def share(self, gain: Float[np.ndarray, "frequencies *n"]) -> Float[np.ndarray, "*n"]:
         """Of what passes a gain of powers, the error's r.m.s. relative to the target's."""
-        part = self.error @ gain
-        whole = self.target @ gain
-        return np.sqrt(np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), 0.0))
+        return np.sqrt(share_of(self.error @ gain, self.target @ gain))
 
     @property
     def band(self) -> float:
@@ -305,21 +303,20 @@ class ErrorSpectrum(NamedTuple):
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
         level = np.log(np.maximum(smooth, np.finfo(float).tiny))
         tops, _ = scipy.signal.find_peaks(level, prominence=np.log(PROMINENCE))
+        # As prominence the whole height, so that half the prominence is half the power.
+        whole_height = smooth[tops], 0 * tops, 0 * tops + smooth.size - 1
+        _, _, *edges = scipy.signal.peak_widths(smooth, tops, prominence_data=whole_height)
         # The mean is no oscillation, so it does not count.
         total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
         whole, genuine = np.sum(self.target), []
-        for top in tops.tolist():
-            # As prominence the whole height, so that half the prominence is half the power.
-            height = np.array([smooth[top]]), np.array([0]), np.array([smooth.size - 1])
-            edges = scipy.signal.peak_widths(smooth, [top], prominence_data=height)
-            low, high = (float(edge[0]) * self.resolution for edge in edges[2:])
+        for top, *ends in zip(tops.tolist(), *edges):
+            low, high = (float(end) * self.resolution for end in ends)
             inside = (self.frequency >= low) & (self.frequency <= high)
             power = np.sum(self.error, where=inside)
-            share = float(power / total) if total > 0 else 0.0
-            size = float(np.sqrt(power / whole)) if whole > 0 else 0.0
-            peak = Peak(float(self.frequency[top]), low, high, share, size)
+            of_band, size = float(share_of(power, total)), float(np.sqrt(share_of(power, whole)))
+            peak = Peak(float(self.frequency[top]), low, high, of_band, size)
             narrow = peak.bandwidth <= peak.frequency and high < PEAK_BAND * self.band
-            if narrow and share >= PEAK_SHARE:
+            if narrow and peak.share >= PEAK_SHARE:
                 genuine.append(peak)
         return max(genuine, key=lambda peak: peak.share, default=None)
 
@@ -479,13 +476,13 @@ def window_errors(errors: list[EquationError], windows: AbstractWindows) -> Wind
     first = np.array([start[0] for start, *_ in stretches], int)
     last = np.array([start[-1] + length - 1 for start, *_ in stretches], int)
     return WindowErrors(
-        relative_rms=float(np.sqrt(_share(error, target))),
+        relative_rms=float(np.sqrt(share_of(error, target))),
         start=middle[first] - half,
         stop=middle[last] + half,
-        mean_square=np.array([_share(square.mean(), error) for square in squares]),
-        target_mean_square=np.array([_share(part[3].mean(), target) for part in stretches]),
+        mean_square=share_of(np.array([square.mean() for square in squares]), error),
+        target_mean_square=share_of(np.array([part[3].mean() for part in stretches]), target),
         p_value=p_value,
-        correlation=_share(shared / count, error),
+        correlation=float(share_of(shared / count, error)),
         window_share=float(np.mean(lags) * len(sizes) / np.sum(sizes)),
     )
 
@@ -509,10 +506,6 @@ def _rises(
     return mean, square
 
 
-def _share(part: float, whole: float) -> float:
-    return float(part / whole) if whole > 0 else 0.0
-
-
 def _ratio(mean_square: np.ndarray) -> float:
     largest = np.max(mean_square, initial=0.0)
     return float(largest / max(np.min(mean_square), np.finfo(float).tiny)) if largest > 0 else 1.0
@@ -528,7 +521,8 @@ MOST_VALUES = 2**16
 """Values that are enough."""
 
 
-class Loop(NamedTuple):
+@dataclass(frozen=True)
+class Loop:
     """What explains most of what no function of velocity or position does.
 
     **Fields:** `law`, of hysteresis, or empty where the signal `by` changes a force; `motion`;
@@ -543,10 +537,6 @@ class Loop(NamedTuple):
     gain: float
     size: float
     dry: bool = False
-
-    def entry(self) -> dict[str, object]:
-        """Plain data for JSON."""
-        return {**self._asdict(), "motion": self.motion._asdict()}
 
     def finding(self, time_step: float) -> Finding:
         """`hysteresis`, or `residual_follows_signal` of one that the model does not read."""
@@ -617,7 +607,7 @@ def loop_of(
             gained = before - _left(grams, [*base, 1 + i])
             size = float(np.sqrt(max(gained, 0) / energy))
             if gained / before > max(NOTABLE_GAIN, 0.0 if largest is None else largest.gain):
-                largest = kind._replace(gain=gained / before, size=size)
+                largest = replace(kind, gain=gained / before, size=size)
         if largest is not None and (best is None or largest.size > best.size):
             best = largest
     return best
@@ -849,8 +839,8 @@ class EquationResidual(NamedTuple):
                 for one in self.follows
             ],
             "band_hz": self.spectrum.band,
-            "peak": None if self.peak is None else self.peak._asdict(),
-            "loop": None if self.loop is None else self.loop.entry(),
+            "peak": self.peak,
+            "loop": self.loop,
             "windows": None
             if windows is None
             else {
@@ -946,8 +936,7 @@ def residual_tests(
         count = min(max(round(max(period, shortest) / (2 * step)), 1), lags)
         smoothed = averaged(error.series, count)
         target = averaged(np.where(error.present, error.target, np.nan), count)
-        energy = np.nansum(target**2)
-        size = float(np.sqrt(np.nansum(smoothed**2) / energy)) if energy > 0 else 0.0
+        size = float(np.sqrt(share_of(np.nansum(smoothed**2), np.nansum(target**2))))
         follows = []
         for other in common:
             values = [

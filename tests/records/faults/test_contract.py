@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from tests.machines import noisy, waves
 
 from riecjax.records.faults.signals import check_signals, leave_out
 from riecjax.records.faults.spikes import repair_outliers
@@ -16,12 +17,9 @@ TIME = STEP * np.arange(COUNT)
 
 
 def sound(seed: int = 0) -> dict[str, np.ndarray]:
-    """Position, velocity and force: thirty tones up to 4 Hz, with noise of 1 % on each."""
-    rng = np.random.default_rng(seed)
-    omega, phase = 2 * np.pi * rng.uniform(0.2, 4, (30, 1)), rng.uniform(0, 2 * np.pi, (30, 1))
-    x, v = np.sin(omega * TIME + phase), omega * np.cos(omega * TIME + phase)
-    exact = {"x": x.sum(0), "v": v.sum(0), "u": (3 * v - omega**2 * x + 200 * x).sum(0)}
-    return {n: s + 0.01 * s.std() * rng.standard_normal(COUNT) for n, s in exact.items()}
+    """Position, velocity and force: tones up to 4 Hz, with noise of 1 % on each."""
+    x, v, a = waves(TIME, seed, 1.0, (0.2, 4.0))
+    return noisy({"x": x, "v": v, "u": a + 3 * v + 200 * x}, 0.01, seed)
 
 
 class Fault(NamedTuple):

@@ -24,8 +24,6 @@ from riecjax.records.faults.derivative_pairs import (
 from riecjax.records.preparation.filtering import unfilter
 from riecjax.records.preparation.resampling import set_clocks, shift
 from riecjax.records.preparation.steps import cut
-from riecjax.records.record import Record
-from riecjax.records.signal import Noise
 
 STEP, COUNT = 0.005, 6000
 TIME = STEP * np.arange(COUNT)
@@ -59,13 +57,13 @@ def recorded(
     count: int = COUNT,
     seed: int = 0,
     faulty: Mapping[str, np.ndarray] | None = None,
-) -> Record:
+) -> rx.Record:
     rng, columns = np.random.default_rng(100 + seed), {}
     for name in motion.waves:
         clean = motion.at(name, TIME[:count])
         values = clean if faulty is None or name not in faulty else faulty[name][:count]
         columns[name] = values + noise * np.std(clean) * rng.standard_normal(count)
-    return Record.from_samples(columns, time_step=STEP)
+    return rx.Record.from_samples(columns, time_step=STEP)
 
 
 @mark.no_finding("late_signal", "low_passed", "wrong_gain", "velocity_offset", "drifting_signal")
@@ -113,7 +111,7 @@ CASES = [
 ]
 
 
-def undone(record: Record, remedy: tuple[str, ...]) -> Record:
+def undone(record: rx.Record, remedy: tuple[str, ...]) -> rx.Record:
     """What the proposed options make of a record."""
     for option, value in zip(remedy[::2], remedy[1::2]):
         name, _, setting = value.partition("=")
@@ -153,13 +151,13 @@ def test_a_fault_is_named_and_undone_by_what_is_proposed(relation, name, fault):
         assert check_derivatives(aligned.record, [relation]) == []
 
 
-def compared(record: Record) -> Pair:
+def compared(record: rx.Record) -> Pair:
     pair = compare(record, PLAIN)
     assert pair is not None
     return pair
 
 
-def late(delay: float, noise: float, **more) -> Record:
+def late(delay: float, noise: float, **more) -> rx.Record:
     motion = Motion(PLAIN, 1, 4.0)
     return recorded(motion, noise, faulty={"v": motion.at("v", TIME - delay * STEP)}, **more)
 
@@ -194,7 +192,7 @@ def test_gaps_and_spikes_hide_no_delay():
     v[1000:1300] = np.nan
     v[[50, 3000, 3001]] = 1e9, -1e300, -1e300
     x[4000] = 1e15
-    holed = Record.from_samples({"x": x, "v": v}, time_step=STEP)
+    holed = rx.Record.from_samples({"x": x, "v": v}, time_step=STEP)
     assert compared(holed).fit.delay == pytest.approx(0.5, abs=0.05)
 
 
@@ -211,14 +209,14 @@ def test_gaps_and_spikes_hide_no_delay():
     ],
 )
 def test_nothing_breaks_it(x, v):
-    record = Record.from_samples({"x": x, "v": v}, time_step=STEP)
+    record = rx.Record.from_samples({"x": x, "v": v}, time_step=STEP)
     for finding in check_derivatives(record, [("x", "v"), ("v", "x")]):
         assert {*finding.signals} == {"x", "v"}
         assert 0 < finding.doubt <= 1
 
 
 def test_what_was_computed_from_the_signal_is_not_compared():
-    one = Noise({"x": {"x": np.ones(1)}, "v": {"x": np.array([0.5, 0.0, -0.5])}})
+    one = rx.Noise({"x": {"x": np.ones(1)}, "v": {"x": np.array([0.5, 0.0, -0.5])}})
     assert check_derivatives(late(1.0, 0.01).with_noise(one), [("x", "v")]) == []
 
 
@@ -226,7 +224,7 @@ def test_what_moves_between_samples_is_not_integrated():
     rng = np.random.default_rng(0)
     road, wheel = rng.standard_normal(COUNT), Motion(SUM).at("x3", TIME)
     held = np.concatenate([[0.0], np.cumsum(STEP * (road - wheel))[:-1]])
-    record = Record.from_samples({"x1": held, "v_r": road, "x3": wheel}, time_step=STEP)
+    record = rx.Record.from_samples({"x1": held, "v_r": road, "x3": wheel}, time_step=STEP)
     assert check_derivatives(record, [Relation("x1", (("v_r", 1.0), ("x3", -1.0)))]) == []
 
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from tests.machines import noisy, waves
 
 import riecjax as rx
 from riecjax.records import check_signals, notch
@@ -10,15 +11,10 @@ PAIRS = [("x", "v")]
 
 
 def motion(count: int = 6000, rate: float = 200.0, noise: float = 0.01, seed: int = 0):
-    """Position, velocity and force of a driven spring-mass of 2 Hz, tone by tone."""
-    rng = np.random.default_rng(seed)
+    """Position, velocity and force of a driven spring-mass of 2 Hz."""
     t = np.arange(count) / rate
-    columns = {name: np.zeros(count) for name in ("x", "v", "u")}
-    for omega, phase in zip(2 * np.pi * rng.uniform(0.3, 12, 60), rng.uniform(0, 6.3, 60)):
-        response = 1 / (158.0 - omega**2 + 2.5j * omega)
-        for name, size in (("x", response), ("v", 1j * omega * response), ("u", 1.0)):
-            columns[name] += np.real(size * np.exp(1j * (omega * t + phase)))
-    return {n: c + noise * c.std() * rng.normal(size=count) for n, c in columns.items()}, t
+    x, v, a = waves(t, seed, 1.0, (0.3, 12.0))
+    return noisy({"x": x, "v": v, "u": a + 2.5 * v + 158 * x}, noise, seed), t
 
 
 def hums(signals, rate: float = 200.0, pairs=PAIRS):

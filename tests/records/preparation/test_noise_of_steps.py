@@ -3,29 +3,21 @@
 import numpy as np
 import pytest
 
-from riecjax.records.preparation.filtering import differentiate, low_pass, remove_drift
-from riecjax.records.preparation.resampling import (
-    on_grid,
-    resample,
-    resampled_taps,
-    spline_taps,
-    upsample,
-)
-from riecjax.records.record import Record
-from riecjax.records.signal import Noise
+import riecjax as rx
+from riecjax.records.preparation.resampling import on_grid, resampled_taps, spline_taps, upsample
 
 STEP = 0.01
 LEVEL = 0.3
 SAMPLES = 400_000
 
 
-def noisy(samples: int = SAMPLES) -> Record:
+def noisy(samples: int = SAMPLES) -> rx.Record:
     """A record of nothing but white noise, of which that is known."""
     white = LEVEL * np.random.default_rng(7).normal(size=samples)
-    return Record({"x": white}, STEP).with_noise(Noise.given({"x": LEVEL}))
+    return rx.Record({"x": white}, STEP).with_noise(rx.Noise.given({"x": LEVEL}))
 
 
-def expected(noise: Noise, one: str, other: str, lag: int) -> float:
+def expected(noise: rx.Noise, one: str, other: str, lag: int) -> float:
     """Covariance of `one` with `other` so many samples before, by the definition of kernels."""
     total = 0.0
     for source in noise.kernels[one].keys() & noise.kernels[other].keys():
@@ -38,19 +30,19 @@ def expected(noise: Noise, one: str, other: str, lag: int) -> float:
     return total
 
 
-def found(record: Record, one: str, other: str, lag: int) -> float:
+def found(record: rx.Record, one: str, other: str, lag: int) -> float:
     a, b = np.asarray(record[one]), np.asarray(record[other])
     return float(np.mean(a[lag:] * b[: b.size - lag]))
 
 
 STEPS = {
-    "low_pass": lambda r: low_pass(r, {"x": 11.0}),
-    "remove_drift": lambda r: remove_drift(r, "x"),
-    "decimate": lambda r: resample(r, 25.0),
-    "resample down": lambda r: resample(r, 61.7),
+    "low_pass": lambda r: rx.low_pass(r, {"x": 11.0}),
+    "remove_drift": lambda r: rx.remove_drift(r, "x"),
+    "decimate": lambda r: rx.resample(r, 25.0),
+    "resample down": lambda r: rx.resample(r, 61.7),
     "upsample": lambda r: upsample(r.part(0, 80_000), 3),
-    "low_pass, decimate": lambda r: resample(low_pass(r, {"x": 20.0}), 50.0),
-    "low_pass, every third": lambda r: low_pass(r, {"x": 8.0}).every(3),
+    "low_pass, decimate": lambda r: rx.resample(rx.low_pass(r, {"x": 20.0}), 50.0),
+    "low_pass, every third": lambda r: rx.low_pass(r, {"x": 8.0}).every(3),
 }
 
 
@@ -66,7 +58,7 @@ def test_autocovariance_after_a_step(step):
 
 
 def test_a_derivative_shares_its_source():
-    record = differentiate(low_pass(noisy(), {"x": 15.0}), "x", "v")
+    record = rx.differentiate(rx.low_pass(noisy(), {"x": 15.0}), "x", "v")
     assert set(record.noise.kernels["v"]) == {"x"}
     scale = float(record.noise.std("x") * record.noise.std("v"))
     for lag in (0, 1, 2, 5):
@@ -80,8 +72,8 @@ def test_a_derivative_shares_its_source():
 
 def test_what_is_thinned_keeps_all_covariances():
     taps = {"x": [0.3, 1.0, 0.5, 0.2, 0.7], "v": [-1.0, 0.4, 1.0]}
-    noise = Noise({name: {"x": np.array(of)} for name, of in taps.items()}, {"x": np.array(9.0)})
-    record = Record({name: np.zeros(20) for name in taps}, STEP).with_noise(noise)
+    noise = rx.Noise({name: {"x": np.array(of)} for name, of in taps.items()}, {"x": np.array(9.0)})
+    record = rx.Record({name: np.zeros(20) for name in taps}, STEP).with_noise(noise)
     for count in (1, 2, 3, 7):
         thinned = record.every(count).noise
         for one, other in (("x", "x"), ("x", "v"), ("v", "x"), ("v", "v")):
@@ -97,8 +89,8 @@ def test_what_is_thinned_keeps_all_covariances():
 def test_the_noise_of_a_filtered_signal_is_judged_before_the_filter():
     time = np.arange(4000) * STEP
     rng = np.random.default_rng(1)
-    record = Record({"x": np.sin(5 * time) + 0.02 * rng.normal(size=time.size)}, STEP)
-    filtered = low_pass(record, {"x": 10.0})
+    record = rx.Record({"x": np.sin(5 * time) + 0.02 * rng.normal(size=time.size)}, STEP)
+    filtered = rx.low_pass(record, {"x": 10.0})
     grid = np.linspace(0, np.pi, 20_001)
     ratio = np.tan(grid[:-1] / 2) / np.tan(0.1 * np.pi)
     gain = 0.02 * np.sqrt(np.mean((1 + ratio**8) ** -2.0))
@@ -116,8 +108,8 @@ def test_channels_on_a_common_grid(rate, shift):
         taps = LEVEL * resampled_taps(np.ones(1), 100.0 / rate)
     else:
         taps = LEVEL * spline_taps((grid - time[0]) / STEP)
-    noise = Noise({"x": {"x": taps}})
-    record = Record(values, 1 / rate)
+    noise = rx.Noise({"x": {"x": taps}})
+    record = rx.Record(values, 1 / rate)
     variance = expected(noise, "x", "x", 0)
     for lag in (0, 1, 2, 3, 6):
         theory = expected(noise, "x", "x", lag)

@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from riecjax.equations.model import Model
-from riecjax.errors import DataError
-from riecjax.records.preparation.steps import prepare, split
-from riecjax.records.record import Record
+import riecjax as rx
+from riecjax.records.preparation.steps import prepare
 from riecjax.settings import Prepare
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE
-AXIS = Model("axis", "", derived={"dq": "q", "ddq": "dq"})
+AXIS = rx.Model("axis", "", derived={"dq": "q", "ddq": "dq"})
 
 
-def record(**signals: np.ndarray) -> Record:
-    return Record(signals, 1 / RATE)
+def record(**signals: np.ndarray) -> rx.Record:
+    return rx.Record(signals, 1 / RATE)
 
 
 def test_prepare_filters_then_differentiates_then_thins_out():
@@ -54,7 +52,7 @@ EPOCH = 1.7e9
 
 
 def test_a_cut_counts_from_the_first_sample_whatever_its_stamp():
-    stamped = Record.from_samples({"q": TIME}, time=EPOCH + TIME)
+    stamped = rx.Record.from_samples({"q": TIME}, time=EPOCH + TIME)
     prepared, words = prepare(stamped, {}, Prepare(start=1.0, stop=2.5))
     np.testing.assert_allclose(np.asarray(prepared["q"])[[0, -1]], [1.0, 2.5])
     assert words == ["cut from 1 s to 2.5 s"]
@@ -69,13 +67,13 @@ def test_a_cut_counts_from_the_first_sample_whatever_its_stamp():
 VALUES = np.arange(100.0)
 
 
-def numbered(values: np.ndarray = VALUES) -> Record:
-    return Record.from_samples({"q": values}, time=2.0 + 0.1 * np.arange(values.size))
+def numbered(values: np.ndarray = VALUES) -> rx.Record:
+    return rx.Record.from_samples({"q": values}, time=2.0 + 0.1 * np.arange(values.size))
 
 
 @pytest.mark.parametrize(("share", "held_out"), [(0.3, 30), (0.5, 50), (0.021, 2), (0.978, 98)])
 def test_the_last_share_is_held_out(share, held_out):
-    estimation, validation = split(numbered(), share)
+    estimation, validation = rx.split(numbered(), share)
     np.testing.assert_array_equal(estimation["q"], VALUES[: 100 - held_out])
     np.testing.assert_array_equal(validation["q"], VALUES[100 - held_out :])
     np.testing.assert_allclose(validation.time[0], 2 + 0.1 * (100 - held_out))
@@ -83,8 +81,8 @@ def test_the_last_share_is_held_out(share, held_out):
 
 def test_pauses_stay_where_they_are():
     stamps = np.concatenate([np.arange(50) / 10, 60 + np.arange(50) / 10])
-    paused = Record.from_samples({"q": VALUES}, time=stamps)
-    estimation, validation = split(paused, 0.3)
+    paused = rx.Record.from_samples({"q": VALUES}, time=stamps)
+    estimation, validation = rx.split(paused, 0.3)
     assert estimation.segments() == [slice(0, 50), slice(51, 71)]
     assert validation.segments() == [slice(0, 30)]
     np.testing.assert_allclose(validation.time, 62 + np.arange(30) / 10)
@@ -93,12 +91,12 @@ def test_pauses_stay_where_they_are():
 @pytest.mark.parametrize("share", [0.0, 1.0, -0.1, 2.0, np.nan, 0.01, 0.99])
 def test_impossible_share(share):
     why = "without two samples" if share in (0.01, 0.99) else "between 0 and 1"
-    with pytest.raises(DataError, match=why):
-        split(numbered(), share)
+    with pytest.raises(rx.DataError, match=why):
+        rx.split(numbered(), share)
 
 
 def test_a_part_without_any_sample_of_a_signal():
     values = VALUES.copy()
     values[:40] = np.nan
-    with pytest.raises(DataError, match="the estimation part holds no sample of 'q'"):
-        split(numbered(values), 0.7)
+    with pytest.raises(rx.DataError, match="the estimation part holds no sample of 'q'"):
+        rx.split(numbered(values), 0.7)

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 import scipy.interpolate
 
-from riecjax.errors import DataError
-from riecjax.records.preparation.resampling import on_grid, resample, upsample
-from riecjax.records.record import Record
-from riecjax.records.signal import Signal
+import riecjax as rx
+from riecjax.records.preparation.resampling import on_grid, upsample
 
 UP_REACH = 44
 """Samples of the slower rate that are lost, as the docstrings say."""
@@ -18,8 +16,8 @@ def wave(time, share: float, rate: float = 1.0, phase: float = 0.4) -> np.ndarra
     return np.sin(np.pi * share * rate * np.asarray(time) + phase)
 
 
-def waves(count: int, share: float, phase: float = 0.4) -> Record:
-    return Record({"a": Signal(wave(np.arange(count), share, 1.0, phase), unit="m")}, 1.0)
+def waves(count: int, share: float, phase: float = 0.4) -> rx.Record:
+    return rx.Record({"a": rx.Signal(wave(np.arange(count), share, 1.0, phase), unit="m")}, 1.0)
 
 
 @pytest.mark.parametrize("factor", [2, 7, 8])
@@ -33,7 +31,7 @@ def test_upsampling_errs_by_less_than_1e_6_up_to_0_9_of_half_the_rate(share, fac
 
 def test_upsampling_keeps_recorded_samples_and_loses_its_reach_at_the_ends():
     values = np.random.default_rng(0).normal(size=500)
-    finer = upsample(Record({"a": Signal(values, unit="V")}, 0.1, 3.0), 6)
+    finer = upsample(rx.Record({"a": rx.Signal(values, unit="V")}, 0.1, 3.0), 6)
     assert finer.sample_count == (500 - 1 - 2 * UP_REACH) * 6 + 1
     assert float(finer.time_step) == pytest.approx(0.1 / 6, rel=1e-14)
     assert float(finer.start_time) == pytest.approx(3.0 + 0.1 * UP_REACH, rel=1e-14)
@@ -46,37 +44,37 @@ def test_upsampling_keeps_recorded_samples_and_loses_its_reach_at_the_ends():
 @pytest.mark.parametrize("factor", [2, 5, 10])
 @pytest.mark.parametrize("share", [1.0, 1.05, 1.2, 1.9])
 def test_decimation_is_80_db_down_from_half_the_new_rate_on(share, factor):
-    thinner = resample(waves(4000, share / factor), 1 / factor)
+    thinner = rx.resample(waves(4000, share / factor), 1 / factor)
     assert np.max(np.abs(thinner["a"])) < 1e-4
 
 
 @pytest.mark.parametrize("rate", [0.99, 0.5, 1 / np.pi])
 def test_resampling_to_slower_rates_keeps_what_they_can_hold_and_nothing_else(rate):
-    kept = resample(waves(3000, 0.8 * rate), rate)
+    kept = rx.resample(waves(3000, 0.8 * rate), rate)
     np.testing.assert_allclose(kept["a"], wave(kept.time, 0.8 * rate), rtol=0, atol=1e-4)
     if rate < 0.9:
-        assert np.max(np.abs(resample(waves(3000, 1.02 * rate), rate)["a"])) < 1.1e-4
+        assert np.max(np.abs(rx.resample(waves(3000, 1.02 * rate), rate)["a"])) < 1.1e-4
 
 
 def test_the_same_rate_changes_nothing():
-    record = Record({"a": np.random.default_rng(2).normal(size=10)}, 0.01)
-    for same in (resample(record, 100.0), upsample(record, 1)):
+    record = rx.Record({"a": np.random.default_rng(2).normal(size=10)}, 0.01)
+    for same in (rx.resample(record, 100.0), upsample(record, 1)):
         np.testing.assert_array_equal(same["a"], record["a"])
 
 
 def test_a_stretch_too_short_between_pauses_is_gone():
     time = np.concatenate([np.arange(200), 300 + np.arange(88), 500.0 + np.arange(200)])
-    other = upsample(Record.from_samples({"a": np.sin(time / 9)}, time=time), 2)
+    other = upsample(rx.Record.from_samples({"a": np.sin(time / 9)}, time=time), 2)
     assert [s.stop - s.start for s in other.segments()] == [223, 223]
     assert other.time[223] == pytest.approx((155 + 544) / 2)
 
 
 def test_more_samples_than_anybody_wants():
     with pytest.raises(
-        DataError, match=r"^1e\+09 Hz would make .*to identify from them takes about"
+        rx.DataError, match=r"^1e\+09 Hz would make .*to identify from them takes about"
     ):
-        resample(waves(1000, 0.1), 1e9)
-    with pytest.raises(DataError, match=r"4e\+06 samples.* of 4000 .* takes about 0\.68 GB"):
+        rx.resample(waves(1000, 0.1), 1e9)
+    with pytest.raises(rx.DataError, match=r"4e\+06 samples.* of 4000 .* takes about 0\.68 GB"):
         upsample(waves(4000, 0.1), 1000)
     assert upsample(waves(4000, 0.1), 50).sample_count > 190_000
 
@@ -181,7 +179,7 @@ def test_time_must_increase(wrong):
     time = sampled(100.0, 1.0)
     time[6] = wrong
     match = "time of channel 'b' must increase.*at sample 6 it goes from 0.05 to"
-    with pytest.raises(DataError, match=match):
+    with pytest.raises(rx.DataError, match=match):
         on_grid({"a": (time[:5], time[:5]), "b": (time, time)}, 100.0)
 
 
@@ -202,5 +200,5 @@ def test_time_must_increase(wrong):
     ],
 )
 def test_channels_that_cannot_be_used(time, values, match):
-    with pytest.raises(DataError, match=match):
+    with pytest.raises(rx.DataError, match=match):
         on_grid({"a": (np.array(time), np.array(values))}, 10.0)

@@ -2,41 +2,28 @@
 
 import numpy as np
 import pytest
+from tests.records.preparation.test_alignment import motion
 
-from riecjax.errors import DataError
+import riecjax as rx
 from riecjax.records.faults.signals import leave_out
 from riecjax.records.faults.spikes import repair_outliers
-from riecjax.records.preparation.filtering import (
-    differentiate,
-    low_pass,
-    remove_drift,
-    remove_offset,
-    unfilter,
-    with_local_derivative,
-)
-from riecjax.records.preparation.resampling import resample, set_clocks, shift, upsample
-from riecjax.records.record import Record
-from riecjax.records.signal import Noise
+from riecjax.records.preparation.filtering import unfilter, with_local_derivative
+from riecjax.records.preparation.resampling import set_clocks, shift, upsample
 
 STEP, COUNT = 0.005, 4000
-OMEGA = 2 * np.pi * np.array([0.31, 0.83, 1.7, 2.9])
 TAU, PPM = 0.004, 500.0
 
 
-def motion(time, order=0):
-    return np.sum(OMEGA**order * np.cos(np.outer(time, OMEGA) + 0.5 * np.pi * order), axis=1)
-
-
 STEPS = {
-    "low_pass": (lambda r: low_pass(r, {"q": 20.0}), 50, motion),
+    "low_pass": (lambda r: rx.low_pass(r, {"q": 20.0}), 50, motion),
     "unfilter": (lambda r: unfilter(r, {"q": TAU}), 3, lambda t: motion(t) + TAU * motion(t, 1)),
     "shift": (lambda r: shift(r, {"q": 0.37 * STEP}), 44, lambda t: motion(t + 0.37 * STEP)),
     "shift back": (lambda r: shift(r, {"q": -2 * STEP}), 2, lambda t: motion(t - 2 * STEP)),
     "set_clocks": (lambda r: set_clocks(r, {"q": PPM}), 50, lambda t: motion(t + 1e-6 * PPM * t)),
     "upsample": (lambda r: upsample(r, 3), 44, motion),
-    "resample": (lambda r: resample(r, 173.3), 31, motion),
-    "resample up": (lambda r: resample(r, 333.3), 44, motion),
-    "differentiate": (lambda r: differentiate(r, "q", "v"), 0, lambda t: motion(t, 1)),
+    "resample": (lambda r: rx.resample(r, 173.3), 31, motion),
+    "resample up": (lambda r: rx.resample(r, 333.3), 44, motion),
+    "differentiate": (lambda r: rx.differentiate(r, "q", "v"), 0, lambda t: motion(t, 1)),
     "with_local_derivative": (
         lambda r: with_local_derivative(r, "q", "v")[0],
         3,
@@ -59,7 +46,7 @@ def test_a_step_works_within_stretches_and_keeps_time_and_other_signals(name, pa
     level = np.where(np.arange(COUNT) < 1700, 0.0, 1e4)
     q = motion(time) + level
     q[gone] = np.nan
-    made = apply(Record.from_samples({"q": q, "p": time, "w": np.cos(9 * time)}, time=time))
+    made = apply(rx.Record.from_samples({"q": q, "p": time, "w": np.cos(9 * time)}, time=time))
     elapsed, signal = np.asarray(made.elapsed), "v" if "v" in made.arrays else "q"
     values = made.signal(signal).with_nan
     there, ends = ~np.isnan(values), (time[0], time[1699], time[gone.stop], time[-1])
@@ -82,17 +69,17 @@ def test_a_step_works_within_stretches_and_keeps_time_and_other_signals(name, pa
 @pytest.mark.parametrize("name", ["unfilter", "shift", "shift back", "set_clocks"])
 def test_noise_goes_on_with_its_size(name):
     white = np.random.default_rng(0).normal(size=40_000)
-    noisy = Record({"q": white}, STEP).with_noise(Noise.given({"q": 1.0}))
+    noisy = rx.Record({"q": white}, STEP).with_noise(rx.Noise.given({"q": 1.0}))
     made = STEPS[name][0](noisy)
     assert float(made.noise.std("q")) == pytest.approx(np.std(np.asarray(made["q"])), rel=0.04)
 
 
-SHORT = Record.from_samples({"q": [0.0, 1.0, np.nan, 3.0, np.nan, 5.0]}, time_step=STEP)
+SHORT = rx.Record.from_samples({"q": [0.0, 1.0, np.nan, 3.0, np.nan, 5.0]}, time_step=STEP)
 
 
 @pytest.mark.parametrize("name", [n for n, (_, reach, _) in STEPS.items() if reach > 2])
 def test_stretches_too_short_for_a_step_are_refused_in_one_line(name):
-    with pytest.raises(DataError, match=r"too short|long enough|half the record|in succession"):
+    with pytest.raises(rx.DataError, match=r"too short|long enough|half the record|in succession"):
         STEPS[name][0](SHORT)
 
 
@@ -104,19 +91,19 @@ def test_stretches_too_short_for_a_step_are_refused_in_one_line(name):
             for name, (apply, *_) in STEPS.items()
             if "sample" not in name and "repair" not in name
         ),
-        lambda r: remove_offset(r, "q"),
-        lambda r: remove_drift(r, "q"),
+        lambda r: rx.remove_offset(r, "q"),
+        lambda r: rx.remove_drift(r, "q"),
         lambda r: repair_outliers(r, "q"),
     ],
 )
 def test_a_signal_that_is_not_there_is_named(apply):
-    with pytest.raises(DataError, match="no signal 'q'"):
-        apply(Record({"p": motion(STEP * np.arange(COUNT))}, STEP))
+    with pytest.raises(rx.DataError, match="no signal 'q'"):
+        apply(rx.Record({"p": motion(STEP * np.arange(COUNT))}, STEP))
 
 
-@pytest.mark.parametrize("step", [remove_offset, remove_drift, leave_out])
+@pytest.mark.parametrize("step", [rx.remove_offset, rx.remove_drift, leave_out])
 def test_a_step_of_no_signal_lists_those_there_are(step):
-    with pytest.raises(DataError, match=r"name the signals.*there are: q"):
+    with pytest.raises(rx.DataError, match=r"name the signals.*there are: q"):
         step(SHORT)
 
 
@@ -124,14 +111,14 @@ def test_a_step_of_no_signal_lists_those_there_are(step):
 @pytest.mark.parametrize(
     ("apply", "match"),
     [
-        (lambda r, v: low_pass(r, {"q": v}), "between 0 and half the sampling rate"),
+        (lambda r, v: rx.low_pass(r, {"q": v}), "between 0 and half the sampling rate"),
         (lambda r, v: unfilter(r, {"q": min(v, 0.0)}), "must be positive"),
         (lambda r, v: shift(r, {"q": v or 9.0}), "half the record"),
         (lambda r, v: set_clocks(r, {"q": 1e6 * (v or 1)}), "no clock"),
-        (resample, "positive number|would make"),
+        (rx.resample, "positive number|would make"),
         (lambda r, v: upsample(r, min(v, 0.5)), "whole number"),  # pyright: ignore
     ],
 )
 def test_impossible_settings_are_refused(apply, match, value):
-    with pytest.raises(DataError, match=match):
-        apply(Record({"q": motion(STEP * np.arange(300))}, STEP), value)
+    with pytest.raises(rx.DataError, match=match):
+        apply(rx.Record({"q": motion(STEP * np.arange(300))}, STEP), value)

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
-from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
-from riecjax.errors import DataError
 from riecjax.records.reading.units import readings, same, split_unit
 
 POUND_FORCE, INCH, DEGREE = 4.4482216152605, 0.0254, np.pi / 180
@@ -75,7 +73,7 @@ def read(tmp_path, head, unit, *, row="", **settings):
     path = tmp_path / "a.csv"
     rows = [f"{0.01 * i:.2f};{i + 1}" for i in range(60)]
     path.write_text("\n".join([f"t;{head}", *([f"s;{row}"] if row else []), *rows]) + "\n")
-    model = Model("m", "", signals=(Quantity("x", unit, ""),)) if unit else None
+    model = rx.Model("m", "", signals=(Quantity("x", unit, ""),)) if unit else None
     return rx.read_recording(path, model=model, **settings)
 
 
@@ -97,7 +95,7 @@ def test_a_unit_behind_a_name_that_is_mapped(tmp_path, head, factor):
 )
 def test_what_may_be_a_unit_behind_a_name_is_asked(tmp_path, head, unit):
     tail = head[2:]
-    with pytest.raises(DataError, match=rf"may be in {tail}.*--unit x={tail} or --unit 'x="):
+    with pytest.raises(rx.DataError, match=rf"may be in {tail}.*--unit x={tail} or --unit 'x="):
         read(tmp_path, head, unit, rename={"x": head})
     assert (
         float(read(tmp_path, head, unit, rename={"x": head}, units={"x": unit}).record["x"][0]) == 1
@@ -106,14 +104,14 @@ def test_what_may_be_a_unit_behind_a_name_is_asked(tmp_path, head, unit):
 
 
 def test_a_name_and_a_row_of_units_that_differ_are_asked_about(tmp_path):
-    with pytest.raises(DataError, match=r"say mm or m; say which.*--unit x=mm"):
+    with pytest.raises(rx.DataError, match=r"say mm or m; say which.*--unit x=mm"):
         read(tmp_path, "x [mm]", "m", row="m")
     assert read(tmp_path, "x [mm]", "m", row="mm").converted == {"x": "mm"}
     assert float(read(tmp_path, "x [mm]", "m", row="m", units={"x": "m"}).record["x"][0]) == 1
 
 
 def test_an_unknown_unit_that_is_typed_is_refused(tmp_path):
-    with pytest.raises(DataError, match=r"unit 'furlong' of 'x' is not known.*--scale x=FACTOR"):
+    with pytest.raises(rx.DataError, match=r"unit 'furlong' of 'x' is not known.*--scale x=FACTOR"):
         read(tmp_path, "x", "m", units={"x": "furlong"})
 
 
@@ -147,9 +145,9 @@ def test_a_unit_with_two_meanings_is_asked_about_and_never_dropped(tmp_path):
     asked = r"'x' is in g, which may be gn \(m/s\^2\) or gram \(kg\); say which.*--unit x=gn or"
     every: list[dict[str, Any]] = [{"units": {"x": "g"}}, {"rename": {"x": "x"}}, {}]
     for given in every:
-        with pytest.raises(DataError, match=asked):
+        with pytest.raises(rx.DataError, match=asked):
             read(tmp_path, "x [g]", "", **given)
-    silent = Model("m", "")
+    silent = rx.Model("m", "")
     path = tmp_path / "a.csv"
     path.write_text("t;x [g];y [m]\n" + "".join(f"{i / 100};{i};{i}\n" for i in range(60)))
     recording = rx.read_recording(path, model=silent)
@@ -157,7 +155,7 @@ def test_a_unit_with_two_meanings_is_asked_about_and_never_dropped(tmp_path):
     other = rx.read_recording(path, rename={"y": "y"})
     assert list(other.record.arrays) == ["y"]
     assert re.match(asked, other.left_out["x [g]"])
-    with pytest.raises(DataError, match=rf"column 'x \[g\]' was left out: {asked}"):
+    with pytest.raises(rx.DataError, match=rf"column 'x \[g\]' was left out: {asked}"):
         rx.check(rx.Equation(rx.Term("k", "x"), -rx.Term(1.0, "y")), recording)
     record = rx.read_recording(path, model=silent, units={"x": "gn"}).record
     np.testing.assert_allclose(record["x"], 9.80665 * np.arange(60), rtol=1e-12)
