@@ -13,7 +13,7 @@ def _register_views() -> None:
     """Import what says how objects are shown, which registers itself: when one first is."""
     import riecjax.reporting.checking
     import riecjax.reporting.discovery
-    import riecjax.reporting.result_figures
+    import riecjax.reporting.plots
     import riecjax.reporting.result_files
     import riecjax.reporting.views  # noqa: F401
 

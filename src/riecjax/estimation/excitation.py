@@ -170,40 +170,37 @@ class Excitation(eqx.Module):
         hold = self.parameters[int(np.argmax(np.abs(direction)))]
         remedy = excite_or_hold([row for row in self.rows if row.name in names], hold)
         whose = f"noise of {self.noisiest}" if self.noisiest else "noise of the signals"
-        longer = (
-            f"Take longer windows (--beta), refine by output error (--refine output-error), or "
-            f"give the noise if it is known (--noise {self.noisiest or 'SIGNAL'}=SD)."
-        )
-        nothing = Finding("unidentifiable", "the record cannot tell these apart")
-        drowns = Finding("unidentifiable", f"what tells these apart is {100 * noise:.0f} % {whose}")
-        rests = Finding(
-            "noise_dominates",
-            f"{100 * noise:.0f} % of what tells these apart is {whose}, so that they rest on "
-            f"how well that is known",
-        )
-        little = Finding(
-            "nearly_collinear",
-            f"only {100 * share:.2g} % of the regressors tells these apart, so a small error "
-            f"of a sensor moves them far",
-        )
-        # The first that holds.
-        cases = (
-            (share < UNIDENTIFIABLE, nothing, remedy),
-            (noise > drowned, drowns, remedy),
-            (noise > DOMINATES, rests, longer),
-            (share < NEARLY_COLLINEAR, little, remedy),
-        )
-        which = f"{combination(self.parameters, direction)}, in units of each regressor's size"
-        signals = (self.noisiest,) if of_noise and self.noisiest else ()
-        return [
-            why._replace(
-                message=f"{self.stage_name}: {why.message}: {which}. {step}",
-                signals=signals,
-                parameters=names,
+        if share < UNIDENTIFIABLE:
+            why = Finding("unidentifiable", "the record cannot tell these apart")
+        elif noise > drowned:
+            why = Finding(
+                "unidentifiable",
+                f"what tells these apart is {100 * noise:.0f} % {whose}",
+                (self.noisiest,) if self.noisiest else (),
             )
-            for holds, why, step in cases
-            if holds
-        ][:1]
+        elif noise > DOMINATES:
+            why = Finding(
+                "noise_dominates",
+                f"{100 * noise:.0f} % of what tells these apart is {whose}, so that they rest on "
+                f"how well that is known",
+                (self.noisiest,) if self.noisiest else (),
+            )
+            remedy = (
+                f"Take longer windows (--beta), refine by output error (--refine output-error), or "
+                f"give the noise if it is known (--noise {self.noisiest or 'SIGNAL'}=SD)."
+            )
+        elif share < NEARLY_COLLINEAR:
+            why = Finding(
+                "nearly_collinear",
+                f"only {100 * share:.2g} % of the regressors tells these apart, so a small error "
+                f"of a sensor moves them far",
+            )
+        else:
+            return []
+        which = combination(self.parameters, direction)
+        scale = f"{which}, in units of each regressor's size"
+        message = f"{self.stage_name}: {why.message}: {scale}. {remedy}"
+        return [why._replace(message=message, parameters=names)]
 
 
 def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:

@@ -190,8 +190,8 @@ def refine(
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
-    - `solver`: an optimistix solver; Levenberg-Marquardt by default. With bounds, one that damps its
-      steps: what is held has no slope.
+    - `solver`: an optimistix solver; Levenberg-Marquardt by default. With bounds, one that damps
+      its steps: what is held has no slope.
     - `max_steps`: steps that the search may take; fewer than it needs is a status of the result.
     - `progress`: called with the sum of squares after each step.
 

@@ -21,9 +21,7 @@ from msgspec import UNSET, UnsetType
 
 from riecjax.assessment.assess import Assessment
 from riecjax.assessment.next_steps import Step
-from riecjax.assessment.verdict import Verdict
 from riecjax.errors import ModelError, printable
-from riecjax.estimation.check import Check
 from riecjax.estimation.estimate import (
     Estimate,
     intervals_entry,
@@ -42,7 +40,8 @@ from riecjax.validation.residuals import Loop, Peak
 Number = float | None
 Ends = tuple[Number, Number]
 if TYPE_CHECKING:
-    from riecjax.assessment.verdict import Cause
+    from riecjax.assessment.verdict import Cause, Verdict
+    from riecjax.estimation.check import Check
     from riecjax.estimation.stages import EquationFit, StageSolution
 
 P = TypeVar("P")
@@ -596,7 +595,7 @@ def estimate_entries(estimate: Estimate, model: str = "") -> Document:
     }
 
 
-def verdict_entries(verdict: Verdict, with_options: WithOptions | None = None) -> Document:
+def verdict_entries(verdict: "Verdict", with_options: WithOptions | None = None) -> Document:
     """The part of an answer about the verdict."""
     return {
         "sentence": verdict.sentence,
@@ -634,7 +633,7 @@ def as_typed(arguments: Sequence[str]) -> str:
     return join(["riecjax", *arguments])
 
 
-def excitation_entries(checked: Check) -> Document:
+def excitation_entries(checked: "Check") -> Document:
     """For each parameter, how much of its regressor is its own, and how much is noise."""
     return {
         name: {"equation": stage.stage_name, "own_share": own, "noise_share": noise}

@@ -15,6 +15,7 @@ from riecjax.discovery import Discovery, Step
 from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
 from riecjax.findings import option_for
 from riecjax.leaves import finite
+from riecjax.reporting import Page, Section, Table, View, in_rich, print_table, say
 from riecjax.reporting.answer import Answer, part_of
 from riecjax.reporting.charts.chart import BLUE, GREY, Axis, Chart, Line, Panel, in_rows
 from riecjax.reporting.document import (
@@ -26,9 +27,7 @@ from riecjax.reporting.document import (
     versions,
 )
 from riecjax.reporting.equations import equation_in_words
-from riecjax.reporting.page import Page, Section
 from riecjax.reporting.parameters import parameter_table
-from riecjax.reporting.tables import Table, View, in_rich, print_table, say
 from riecjax.shows import view_of
 
 NOTABLE = 0.05
