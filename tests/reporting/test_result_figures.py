@@ -215,6 +215,7 @@ def test_lines_hold_the_series_and_break_at_a_gap(figures):
         ((-1e5 - 0.003, -1e5 + 0.003), ["-100000.003", "-99999.997"]),
         ((12.0, 12.0), ["12", "12"]),
         ((None, 3.0), ["none", "3"]),
+        ((None, None), ["none"]),
         ((float("-inf"), 2.0), ["-inf", "2"]),
         # Beyond twelve digits numbers are rounding.
         ((1.0, 1.0 + 1e-15), ["1", "1"]),

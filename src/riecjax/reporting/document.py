@@ -83,10 +83,11 @@ HALF_DIGITS, MOST_DIGITS = 2, 12
 
 
 def ends_of(interval: Sequence[float | None], digits: int = 6) -> list[str]:
-    """Both ends of an interval, with more digits where they would hardly differ."""
+    """Both ends of an interval, with more digits where they would hardly differ; `none` of one that
+    has no end."""
     ends = [end for end in interval if end is not None and math.isfinite(end)]
     if len(ends) == 2 and ends[0] != ends[1]:
         half, largest = abs(ends[1] - ends[0]) / 2, max(map(abs, ends))
         orders = math.floor(math.log10(largest)) - math.floor(math.log10(half))
         digits = min(max(digits, orders + HALF_DIGITS), MOST_DIGITS)
-    return [number(end, digits) for end in interval]
+    return [number(end, digits) for end in interval] if ends else ["none"]
