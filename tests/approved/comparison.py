@@ -204,12 +204,16 @@ def moment_differences(
         )
 
 
-def merged(old: Any, new: Any) -> Any:
-    """The new output, with the old numbers where they are as good: diffs show what moved."""
-    if not any(True for _ in differences(old, new)):
+def merged(old: Any, new: Any, unit: float | None = None) -> Any:
+    """The new output, with the old numbers where they are as good: diffs show what moved.
+
+    **Arguments:** `unit`: the standard error that numbers are of.
+    """
+    if not any(True for _ in _compared(old, new, "", unit)):
         return old
     if isinstance(old, dict) and isinstance(new, dict) and "projections" not in new:
-        return {k: merged(old[k], v) if k in old else v for k, v in new.items()}
+        unit = abs(old["std_error"]) if _is_number(old.get("std_error")) else unit
+        return {k: merged(old[k], v, unit) if k in old else v for k, v in new.items()}
     if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
-        return [merged(one, other) for one, other in zip(old, new)]
+        return [merged(one, other, unit) for one, other in zip(old, new)]
     return new
