@@ -97,11 +97,16 @@ def test_a_test_of_a_users_own_is_in_json_on_the_page_in_words_and_in_figures():
     x = rng.normal(size=2000)
     record = rx.Record({"x": x, "u": 3 * x + 0.1 * rng.normal(size=2000)}, 0.01)
     equation = rx.Equation(rx.Term("k", "x", unit="N/m"), -rx.Term(1.0, "u"), name="rig")
-    settings = {"refine": None, "sweep": False, "tests": [lambda *_: Rattle()]}
+    named = Rattle()
+    named.name = "criterion"  # as a key of the document that no test makes
+    settings = {"refine": None, "sweep": False, "tests": [lambda *_: Rattle(), lambda *_: named]}
     assessed = rx.assess(equation, record, rx.DOLS(), **settings)
     answer = answer_of(assessed)
     plain = msgspec.to_builtins(answer)
-    assert plain["tests"] == {"rattle": {"loudness": 0.25, "spectrum": [1.0, None]}}
+    entry = {"loudness": 0.25, "spectrum": [1.0, None]}
+    assert plain["tests"] == {"rattle": entry, "criterion": entry}
+    assert [*plain["tests"]] == ["rattle", "criterion"]
+    assert plain["criterion"]["name"] == "dols"
     assert "rattle" in [warning["code"] for warning in plain["warnings"]]
     console = Console(width=200)
     with console.capture() as printed:

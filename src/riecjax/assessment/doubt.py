@@ -44,7 +44,7 @@ from riecjax.records import leave_out, shift
 from riecjax.records.faults.derivative_pairs import compare, relations
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
-from riecjax.validation.tests import Test
+from riecjax.validation.tests import BUILT_IN, Test
 
 if TYPE_CHECKING:
     from riecjax.validation.residuals import EquationResidual
@@ -98,6 +98,11 @@ class Evidence:
         `refinement`; `validation`: simulations with the answer; and the names of your own.
         """
         return next((test for test in self.tests if test.name == name), None)
+
+    @property
+    def own_tests(self) -> tuple[Test, ...]:
+        """Tests of a user's own."""
+        return tuple(test for test in self.tests if test.name not in BUILT_IN)
 
     @property
     def answer(self) -> Estimate:

@@ -367,8 +367,14 @@ class WarningPart(Part):
     def finding(self) -> Finding:
         """The finding that it was."""
         return Finding(
-            *(self.code, self.message, tuple(self.signals), tuple(self.parameters)),
-            *(self.doubt or 0.0, self.doubts, tuple(self.remedy), self.step),
+            code=self.code,
+            message=self.message,
+            signals=tuple(self.signals),
+            parameters=tuple(self.parameters),
+            doubt=self.doubt or 0.0,
+            doubts=self.doubts,
+            remedy=tuple(self.remedy),
+            step=self.step,
         )
 
 
@@ -505,8 +511,8 @@ def answer_of(
     document = estimate_entries(estimate, result.model.name)
     if result.answer is not estimate:
         document["parameters"] = parameter_entries(result.answer)
-    entries = {test.name: test.entry() for test in result.tests}
-    further = {name: entries.pop(name) for name in entries.keys() - {*Answer.__struct_fields__}}
+    further = {test.name: test.entry() for test in result.own_tests}
+    entries = {test.name: test.entry() for test in result.tests if test.name not in further}
     return read(
         Answer,
         {
