@@ -34,10 +34,6 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def codes(found: list[rx.Finding]) -> list[str]:
-    return [finding.code for finding in found]
-
-
 @pytest.mark.slow
 def test_a_refinement_is_compared_on_what_it_was_not_fitted_to():
     first, second = (rx.read_recording(write(f"{i}.csv", motion(600, i, 1e-3))) for i in (0, 1))

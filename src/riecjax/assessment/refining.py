@@ -213,7 +213,7 @@ class Refinement(NamedTuple):
         findings = [] if self.answer is None else self.answer.findings()
         for run in () if self.answer is None or self.on_fitted else self.simulations:
             before, after = run.worst_fits
-            if after < before - 1:
+            if after < before - WORSE:
                 message = (
                     f"{run.recording.name}: the refined model predicts worse than the identified "
                     f"one (worst fit {before:.1f} % before, {after:.1f} % after): it was bent to "

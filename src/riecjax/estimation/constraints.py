@@ -55,7 +55,7 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, is_concrete, is_number, namespace
+from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number, namespace
 from riecjax.linear_algebra import eliminate, solve_scaled, unit_diagonal, unit_scale
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.covariances import BlockStatistics, block_statistics, slope
@@ -121,7 +121,7 @@ class Constraints(eqx.Module):
                     f"is none."
                 )
             low, high = (end if at is None else at for end, at in zip((-np.inf, np.inf), given))
-            limits[name] = as_array(low), as_array(high)
+            limits[name] = as_leaf(low), as_leaf(high)
             if is_concrete(low, high) and not low < high:
                 raise ModelError(
                     f"the bounds of {name} are equal or in the wrong order: {low:g} to {high:g}."
@@ -142,7 +142,7 @@ class Constraints(eqx.Module):
                 )
             if is_concrete(prior[1]) and not prior[1] > 0:
                 raise ModelError(f"the prior of {name} needs a positive standard deviation.")
-            known[name] = as_array(prior[0]), as_array(prior[1])
+            known[name] = as_leaf(prior[0]), as_leaf(prior[1])
         return cls(limits, known)
 
     def limits(self, names: Sequence[str]) -> tuple[Float[Leaf, " p"], Float[Leaf, " p"]]:
@@ -157,11 +157,6 @@ class Constraints(eqx.Module):
 
 
 NONE = Constraints()
-
-
-def as_array(value: Any) -> Leaf:
-    """One number as an array, in NumPy unless it is traced."""
-    return namespace(value).asarray(value, float)
 
 
 def _columns(pairs: Sequence[tuple[Any, Any]]) -> tuple[Leaf, Leaf]:

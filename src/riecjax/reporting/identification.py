@@ -121,9 +121,8 @@ def modes_in_words(modes: Sequence[parts.ModePart]) -> Iterator[str]:
     for mode in modes:
         low, high = mode.window_s
         lengths = f"{low:.3g} s" if low == high else f"{low:.3g} to {high:.3g} s"
-        left = max(
-            mode.held_out.with_mode or 0.0, 0.0
-        )  # less than nothing, where noise was taken off
+        # Less than nothing is left where noise was taken off.
+        left = max(mode.held_out.with_mode or 0.0, 0.0)
         frequency = number(mode.frequency_hz, 4), number(mode.frequency_std_error_hz, 2)
         ratio = number(mode.damping_ratio, 4), number(mode.damping_ratio_std_error, 2)
         yield (

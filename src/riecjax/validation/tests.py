@@ -58,7 +58,7 @@ def residuals_tested(
 
     **Arguments:** `again` estimates in the same way from other records.
     """
-    # Not earlier: scipy.signal takes long to import.
+    # Not earlier: who only checks recordings waits for none of these.
     from riecjax.validation.choice import window_choice
     from riecjax.validation.equation_errors import errors_over_records
     from riecjax.validation.input_faults import drifting_inputs, silent_inputs
