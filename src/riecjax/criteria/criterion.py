@@ -12,7 +12,7 @@ windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Self
+from typing import ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -255,8 +255,8 @@ class DOLS(AbstractCriterion):
     noise adds stays in.
     """
 
-    windows: None = eqx.field(init=False, default=None)  # pyright: ignore
-    test_function: Dirac = eqx.field(init=False, default=Dirac())  # pyright: ignore
+    windows: ClassVar[None] = None  # pyright: ignore
+    test_function: ClassVar[Dirac] = Dirac()  # pyright: ignore
 
     def noisy_columns(self, equation: Equation, record: Record) -> NoisyColumns:
         """An equation's columns, as if there was no noise."""
