@@ -14,7 +14,7 @@ from tests.machines import MACHINES, Shape
 import riecjax
 import riecjax as rx
 from conftest import held_to
-from riecjax.assessment.refining import Refinement, Track, validated
+from riecjax.assessment.refining import Refinement, Track, ValidationRun, validated
 from riecjax.equations.model import as_model
 from riecjax.estimation.excitation import Excitation
 from riecjax.estimation.parameters import Parameter
@@ -114,7 +114,8 @@ def test_windows_that_overlap_nearly_all_are_few_and_replicates_may_hold_none():
 
 @pytest.mark.raises_finding("refined_predicts_worse")
 def test_a_refinement_that_predicts_worse_than_the_estimate():
-    run = SimpleNamespace(recording=SimpleNamespace(name="b.csv"), worst_fits=(90.0, 70.0))
+    before, after = (SimpleNamespace(worst_fit=fit) for fit in (90.0, 70.0))
+    run = ValidationRun(SimpleNamespace(name="b.csv"), after, before)  # type: ignore[arg-type]
     refined = SimpleNamespace(findings=list)
     (finding,) = Refinement(refined, refined, simulations=[run]).findings()  # type: ignore[arg-type]
     assert finding.message.startswith("b.csv: the refined model predicts worse")

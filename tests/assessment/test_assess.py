@@ -57,7 +57,7 @@ def test_a_refinement_is_compared_on_what_it_was_not_fitted_to():
     assert [run.recording.name for run in refinement.simulations] == ["1.csv"]
     (run,) = found.test("validation").runs
     np.testing.assert_array_equal(
-        refinement.simulations[0].after.signals["x"].fit, run.held.signals["x"].fit
+        refinement.simulations[0].held.signals["x"].fit, run.held.signals["x"].fit
     )
 
 

@@ -117,7 +117,7 @@ def test_a_bound_in_the_way_is_declined():
 
 def test_what_would_take_long_is_told_and_not_begun(monkeypatch):
     monkeypatch.setattr(refining, "MOST_WORK", 1)
-    monkeypatch.setattr(refining, "refine", lambda *_, **__: pytest.fail("begun"))
+    monkeypatch.setattr(refining, "refined", lambda *_, **__: pytest.fail("begun"))
     _, refinement = refinement_of(DRAG, drag_record(0))
     assert "steps x states x tangents, more than 1;" in refinement.declined
     assert "--refine output-error" in refinement.declined

@@ -1,20 +1,21 @@
 """Steps of the simulation behind a refinement: chosen along the record, and judged by halving."""
 
-from typing import Any, NamedTuple, cast
+from typing import ClassVar
 
 import diffrax
-import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
 import scipy.signal
+from jaxtyping import Array
 
 from riecjax.errors import ModelError
 from riecjax.models.catalogue import built_in_model
 from riecjax.records.record import Record
-from riecjax.refinement.optimum import RefinementStatus, SearchResult
+from riecjax.refinement.optimum import RefinementStatus
 from riecjax.refinement.output_error import OutputError
-from riecjax.refinement.refine import halve_steps, refine, worst_excess
+from riecjax.refinement.refine import refine
 from riecjax.simulation.method import Adaptive, FixedStep
 from riecjax.simulation.system import AbstractSystem
 
@@ -83,39 +84,22 @@ def test_a_slow_motion_takes_one_step(hardening):
     assert method == FixedStep(1)
 
 
-class Stepped(eqx.Module):
-    """What halving asks of residuals."""
+class Bursting(AbstractSystem):
+    """A sum of squares that overflows is infinite, and infinite over infinite is no number."""
 
-    start: np.ndarray
-    method: FixedStep
+    c: Array
+    states: ClassVar = (("x", ""),)
+
+    def derivative(self, state: Array, inputs: Array) -> Array:
+        return self.c * state**3
 
 
-class Covered(NamedTuple):
-    covariance: np.ndarray
-
-
-def test_what_diverged_is_halved_without_a_warning(monkeypatch):
-    """Sums of squares that overflow are infinite, and infinite over infinite is no number."""
-    array: Any = np.array
-    infinite = array(np.full((2, 2), np.inf))
-    sums = infinite, infinite[0], array(100.0)
-    monkeypatch.setattr("riecjax.refinement.refine._normal_equations", lambda *_: sums)
-    theta, none, start = array([1.0, 2.0]), array([0.0, 0.0]), array([[]])
-    lost = SearchResult(
-        theta,
-        start,
-        none,
-        none,
-        RefinementStatus.not_finite,
-        array(3),
-        uncertainty=Covered(infinite),
-        moment=infinite[0],
-        information=array([none, none]),
-    )
-    halved = halve_steps(cast(Any, Stepped(theta, FixedStep(2))), lost)
-    assert not np.isfinite(halved.step_change).any()
-    assert not halved.coarse.any()
-    assert worst_excess(infinite[0], infinite[0]) == np.inf
+def test_what_diverged_is_halved_without_a_warning():
+    """Nor is it simulated again in shorter steps: at the start there is nothing to compare."""
+    rest = Record.from_samples({"x": np.linspace(1.0, 2.0, 100)}, time_step=0.1)
+    lost = refine(Bursting(jnp.asarray(1.0)), rest, {"c": 1e6})
+    assert lost.search.status == RefinementStatus.not_finite
+    assert not np.any(lost.search.coarse)
 
 
 def test_an_adjoint_that_only_goes_backward_is_refused():

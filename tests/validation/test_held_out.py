@@ -188,7 +188,7 @@ def test_what_is_asked_for_and_not_there_is_named(truth):
     record = recorded(truth, "y")
     with pytest.raises(DataError, match="no signal 'u'"):
         validate_held_out(duffing(), truth.select("y"))
-    with pytest.raises(DataError, match="no signal 'F' to compare; it has: y, dy, ddy"):
+    with pytest.raises(ModelError, match="no signal 'F' to compare; it has: y, dy, ddy"):
         validate_held_out(duffing(), record, signals=["F"])
     with pytest.raises(DataError, match="no signal 'dy'"):
         validate_held_out(duffing(), record, signals=["dy"])

@@ -184,7 +184,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         checked = check_sums(model, as_recordings(records), table_of_data, linear, excited)
         checked = with_doubts(checked, estimate, model, records, again)
         unseen = [*(Track(part, number) for number, part in enumerate(held)), *map(Track, further)]
-        problem = Problem(model, fitted, unseen, intervals, settings)
+        problem = Problem(model, fitted, unseen, settings)
         refinement, validation = answered(problem, estimate, refusal is not None)
         failures = [*validation.failures, *against_priors(estimate, limits[1])]
         if refinement is None or not refinement.chosen:
@@ -354,9 +354,9 @@ def check_answering(
         # Not earlier: to import all that simulates takes seconds.
         from riecjax.assessment.refining import Problem, answered
 
-        problem = Problem(model, recordings, [], Sandwich(), Assess(key=key))
+        problem = Problem(model, recordings, [], Assess(key=key, intervals=Sandwich()))
         with contextlib.suppress(IdentifiabilityError):
-            start = on_host(estimated(model, summary, table, problem.intervals))
+            start = on_host(estimated(model, summary, table, Sandwich()))
             refinement, _ = answered(problem, start, True)
             refined = None if refinement is None else refinement.answer
             if refined is not None:

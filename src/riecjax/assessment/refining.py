@@ -8,7 +8,7 @@ parameters, and integrals over windows forgive: the linear estimate stays the an
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import jax
@@ -36,9 +36,15 @@ from riecjax.refinement.output_error import (
     WholeRecord,
     noise_levels,
 )
-from riecjax.refinement.refine import refine
-from riecjax.simulation.linearisation import growth, spread_points
-from riecjax.simulation.system import AbstractSystem, measured_states
+from riecjax.refinement.refine import refined
+from riecjax.simulation.linearisation import growth_horizon, spread_points
+from riecjax.simulation.system import (
+    AbstractSystem,
+    compared_signals,
+    input_levels,
+    measured_states,
+)
+from riecjax.uncertainty.intervals import intervals_of
 from riecjax.validation.held_out import HeldOut, validate_held_out
 from riecjax.validation.whiteness import Whiteness, whiteness
 
@@ -48,7 +54,6 @@ if TYPE_CHECKING:
     from riecjax.records.recording import Recording
     from riecjax.settings import Assess, Refine
     from riecjax.simulation.intersample import Course
-    from riecjax.uncertainty.intervals import AbstractIntervals
 
 MOST_STEPS = 200
 """Steps that a refinement may take."""
@@ -96,26 +101,21 @@ class Track(NamedTuple):
     def within(self, given: float | None, model: "Model", values: Mapping[str, Array]) -> "Track":
         """With the horizon given, or where the motion is unstable that in which differences grow by
         e^2.5."""
-        if given is not None:
-            return self._replace(horizon=given)
         # What cannot be simulated is said where it is.
         with contextlib.suppress(RiecjaxError):
-            grows = growth(self.system(model, values), self.recording.record)
-            return self._replace(horizon=None if grows is None else grows.horizon)
-        return self
+            given = given or growth_horizon(self.system(model, values), self.recording.record)
+        return self._replace(horizon=given)
 
 
 class Problem(NamedTuple):
     """What is identified: a model, from `fitted` recordings.
 
-    **Fields:** `unseen`, what it is not fitted to, to validate on; `intervals`, how uncertainty is
-    estimated; `settings`, what else was said.
+    **Fields:** `unseen`, what it is not fitted to, to validate on; `settings`, what else was said.
     """
 
     model: "Model"
     fitted: "list[Recording]"
     unseen: list[Track]
-    intervals: "AbstractIntervals"
     settings: "Assess"
 
     @property
@@ -130,10 +130,12 @@ class Problem(NamedTuple):
 
 
 class ValidationRun(NamedTuple):
-    """A simulation of the identified model along a recording, compared with it in `held`."""
+    """A simulation along a recording, compared with it in `held`; that with the start of a
+    refinement, of one with its result, in `before`."""
 
     recording: "Recording"
     held: HeldOut
+    before: HeldOut = None  # pyright: ignore[reportAssignmentType]
 
 
 class Validations(NamedTuple):
@@ -158,23 +160,12 @@ class Validations(NamedTuple):
         """Of each recording how well it is predicted, as plain data for JSON."""
         return [{"on": run.recording.name, **run.held.entry()} for run in self.runs]
 
-
-class BeforeAfter(NamedTuple):
-    """Simulations along one recording with the start of a refinement and with its result."""
-
-    recording: "Recording"
-    before: HeldOut
-    after: HeldOut
-
-    @property
-    def worst_fits(self) -> tuple[float, float]:
-        """The worst fit in percent of any signal before and after; -inf if a simulation failed."""
-
-        def worst(held: HeldOut) -> float:
-            fits = [float(held.signals[n].fit) for n in held.judged] if held.ran else []
-            return min((fit for fit in fits if fit == fit), default=-float("inf"))
-
-        return worst(self.before), worst(self.after)
+    def after(self, start: "Validations") -> list[ValidationRun]:
+        """The runs beside those with the start of a refinement, where both could be made."""
+        # By recording, not by name: files in different folders may share one.
+        before = {run.recording: run.held for run in start.runs}
+        runs = (run._replace(before=before.get(run.recording)) for run in self.runs)
+        return [run for run in runs if run.before is not None]
 
 
 class Refinement(NamedTuple):
@@ -191,10 +182,10 @@ class Refinement(NamedTuple):
     """
 
     start: Estimate
-    refined: Estimate | None = None
+    refined: Estimate = None  # pyright: ignore[reportAssignmentType]
     declined: str = ""
     whiteness: Whiteness | None = None
-    simulations: Sequence[BeforeAfter] = ()
+    simulations: Sequence[ValidationRun] = ()
     on_fitted: bool = False
     name = "refinement"
 
@@ -211,17 +202,21 @@ class Refinement(NamedTuple):
     def findings(self) -> list[Finding]:
         """What a user should know of refined values that are the answer."""
         findings = [] if self.answer is None else self.answer.findings()
-        for run in () if self.answer is None or self.on_fitted else self.simulations:
-            before, after = run.worst_fits
-            if after < before - WORSE:
-                message = (
-                    f"{run.recording.name}: the refined model predicts worse than the identified "
-                    f"one (worst fit {before:.1f} % before, {after:.1f} % after): it was bent to "
-                    f"the recording that it was fitted to. Use shorter windows (--horizon), or "
-                    f"keep the estimate."
-                )
-                findings.append(Finding("refined_predicts_worse", message))
+        for name, before, after in self.worse() if self.chosen else ():
+            message = (
+                f"{name}: the refined model predicts worse than the identified one (worst fit "
+                f"{before:.1f} % before, {after:.1f} % after): it was bent to the recording that "
+                f"it was fitted to. Use shorter windows (--horizon), or keep the estimate."
+            )
+            findings.append(Finding("refined_predicts_worse", message))
         return findings
+
+    def worse(self) -> list[tuple[str, float, float]]:
+        """Recordings that it was not fitted to and predicts worse, with the worst fits of any
+        signal before and after."""
+        runs = () if self.on_fitted else self.simulations
+        fits = [(run.recording.name, run.before.worst_fit, run.held.worst_fit) for run in runs]
+        return [(name, before, after) for name, before, after in fits if after < before - WORSE]
 
     def entry(self) -> dict[str, Any]:
         """All of it, as plain data for JSON; of a search only where there was one."""
@@ -252,7 +247,7 @@ class Refinement(NamedTuple):
                     "on": run.recording.name,
                     "fitted": self.on_fitted,
                     "before": run.before.entry(),
-                    "after": run.after.entry(),
+                    "after": run.held.entry(),
                 }
                 for run in self.simulations
             ],
@@ -273,38 +268,33 @@ def answered(
     """
     model, settings, start = problem.model, problem.settings, estimate.values
     by = objective_of(settings)
-    horizon = settings.horizon if by is None or by == "auto" else None
+    asked = not isinstance(by, str | None)
+    horizon = None if asked else settings.horizon
     tracks = [track.within(horizon, model, start) for track in problem.unseen]
     before = validated(model, start, tracks)
     if by is None:
         return None, before
-    if isinstance(by, str):
-        refinement = _by_itself(problem, estimate, refused)
-    else:
+    if asked:
         # Over the estimate's windows if no others are asked for; its values are the answer.
         if isinstance(by, IntegralError) and by.criterion is None:
             by = IntegralError(estimate.criterion)
-        refined, left = _search(problem, estimate, by, MOST_STEPS, settings.progress)
-        refinement = Refinement(estimate, refined, whiteness=left)
+        refinement = _search(problem, estimate, by.suited(model), asked)
+    else:
+        refinement = _by_itself(problem, estimate, refused)
     if refinement.refined is None:
         return refinement, before
     values = refinement.refined.values
     after = validated(model, values, tracks)
-    refinement = refinement._replace(start=estimate, simulations=_pairs(before, after))
-    if not isinstance(by, str):
-        if not tracks:
-            seen = [track.within(None, model, start) for track in problem.seen]
-            pairs = _pairs(validated(model, start, seen), validated(model, values, seen))
-            refinement = refinement._replace(on_fitted=True, simulations=pairs)
-        return refinement, after
-    # By itself not where it predicts worse what neither answer was fitted to.
-    for run in refinement.simulations:
-        earlier, later = run.worst_fits
-        if later < earlier - WORSE and refinement.chosen:
-            refinement = refinement._replace(
-                declined=f"it predicts {run.recording.name} worse: a fit of {later:.1f} %, where "
-                f"the linear estimate has {earlier:.1f} %"
-            )
+    refinement = refinement._replace(start=estimate, simulations=after.after(before))
+    if asked and not tracks:
+        seen = [track.within(None, model, start) for track in problem.seen]
+        on_fitted = validated(model, values, seen).after(validated(model, start, seen))
+        refinement = refinement._replace(on_fitted=True, simulations=on_fitted)
+    elif not asked and refinement.chosen and (worse := refinement.worse()):
+        # By itself not where it predicts worse what neither answer was fitted to.
+        name, earlier, later = worse[0]
+        why = f"it predicts {name} worse: a fit of {later:.1f} %, where the linear estimate has"
+        refinement = refinement._replace(declined=f"{why} {earlier:.1f} %")
     return refinement, after if refinement.chosen else before
 
 
@@ -329,67 +319,51 @@ def objective_of(settings: "Refine") -> AbstractObjective | Literal["auto"] | No
     if settings.refine == "integral":
         return IntegralError()
     if settings.refine == "output-error":
-        horizon = settings.horizon
-        shooting = WholeRecord() if horizon is None else Tiles(seconds=horizon)
+        shooting = Tiles(seconds=settings.horizon) if settings.horizon else WholeRecord()
         return OutputError(shooting, channels=tuple(settings.channels) or None, loss=settings.loss)
     return settings.refine  # type: ignore[return-value]
 
 
-def _pairs(before: Validations, after: Validations) -> list[BeforeAfter]:
-    # By recording, not by name: files in different folders may share one.
-    return [
-        BeforeAfter(first.recording, first.held, then.held)
-        for first in before.runs
-        for then in after.runs
-        if first.recording is then.recording
-    ]
-
-
 def _search(
-    problem: Problem,
-    estimate: Estimate,
-    by: AbstractObjective,
-    max_steps: int = STEPS_BY_ITSELF,
-    progress: Callable[[float], None] | None = None,
-) -> tuple[Estimate, Whiteness | None]:
+    problem: Problem, estimate: Estimate, by: AbstractObjective, asked: bool = False
+) -> Refinement:
     """A refinement from an estimate, and of output error whether it leaves white noise.
 
     One that nobody asked for tells nothing of its `progress`: it takes few seconds, and a program
     that calls Python back cannot be kept for the next time.
+
+    **Raises:** `Declined` for one that nobody asked for and that takes long.
     """
-    settings = problem.settings
-    refined = refine(
-        problem.model,
-        problem.records,
-        estimate,
-        by,
-        bounds=settings.bounds,
-        priors=settings.priors,
-        key=settings.key,
-        intervals=problem.intervals,
-        max_steps=max_steps,
-        progress=progress,
-    )
-    refined = on_host(refined)
-    return refined, whiteness(refined, problem.records)
+    settings, records = problem.settings, problem.records
+    residuals = by.residuals(problem.model, records, estimate, key=settings.key)
+    if not asked and residuals.work > MOST_WORK:
+        raise Declined(
+            f"a search would take {residuals.work:.2g} steps x states x tangents, more than "
+            f"{MOST_WORK:.0g}; {ASK}"
+        )
+    given = residuals, settings.bounds, settings.priors, intervals_of(settings.intervals)
+    limits = (MOST_STEPS, settings.progress) if asked else (STEPS_BY_ITSELF, None)
+    found = on_host(refined(by, *given, *limits))
+    return Refinement(estimate, found, whiteness=whiteness(found, records))
 
 
 def _by_itself(problem: Problem, estimate: Estimate, refused: bool) -> Refinement:
     """By output error where that is possible, quick and warranted."""
     horizon = problem.settings.horizon
     try:
-        if not refused:
-            _require_little_left(estimate)
+        # A search is worth its time where equations leave little but noise.
+        for name, fit in {} if refused else estimate.equations.items():
+            left, noise = float(fit.model_rms), float(fit.noise_rms)
+            if left > max(LEFT_OUT, ABOVE_NOISE * noise):
+                raise Declined(
+                    f"{name} leaves {100 * left:.2g} % of its target and noise {100 * noise:.2g} "
+                    f"%, so that values would bend to make up for what the model leaves out; {ASK}"
+                )
         if not np.all(np.isfinite(np.asarray(estimate.theta))):
             raise Declined("the estimate that it would start from is not finite")
         by = _objective(problem, estimate, horizon)
-        if (work := by.residuals(problem.model, problem.records, estimate).work) > MOST_WORK:
-            raise Declined(
-                f"a search would take {work:.2g} steps x states x tangents, more than "
-                f"{MOST_WORK:.0g}; {ASK}"
-            )
         refinement = _warranted(problem, estimate, by)
-        if horizon is None and refinement.refined is not None and isinstance(by.shooting, Tiles):
+        if horizon is None and isinstance(by.shooting, Tiles):
             # A poor start may be unstable where the motion is not.
             better = _objective(problem, refinement.refined, None)
             if better.shooting != by.shooting:
@@ -403,33 +377,22 @@ def _by_itself(problem: Problem, estimate: Estimate, refused: bool) -> Refinemen
         return Refinement(estimate, declined=why)
 
 
-def _require_little_left(estimate: Estimate) -> None:
-    """That a search is worth its time: equations leave little but noise."""
-    for name, fit in estimate.equations.items():
-        left = float(fit.model_rms)
-        if left > max(LEFT_OUT, ABOVE_NOISE * float(fit.noise_rms)):
-            raise Declined(
-                f"{name} leaves {100 * left:.2g} % of its target and noise "
-                f"{100 * float(fit.noise_rms):.2g} %, so that values would bend to make up for "
-                f"what the model leaves out; {ASK}"
-            )
-
-
 def _warranted(problem: Problem, estimate: Estimate, by: OutputError) -> Refinement:
-    refined, left = _search(problem, estimate, by)
-    if flaw := _flaw(refined):
+    found = _search(problem, estimate, by)
+    if flaw := _flaw(found.refined):
         raise Declined(flaw)
+    left = found.whiteness
     if left is None or not (left.vanishing or left.largest == left.largest):
         raise Declined("too few residuals to tell whether they are white")
     straight = {} if left.vanishing else straight_inputs(problem, estimate)
     lines = dataclasses.replace(by, intersample=straight)
-    if straight and course_shows(problem, refined, lines):
-        other, left_by_other = _search(problem, estimate, lines)
-        likelier = surely_likelier(other, refined, problem.records)
-        if left_by_other and not _flaw(other) and likelier:
-            refined, left = other, left_by_other
+    if straight and course_shows(problem, found.refined, lines):
+        other = _search(problem, estimate, lines)
+        likelier = surely_likelier(other.refined, found.refined)
+        if other.whiteness and not _flaw(other.refined) and likelier:
+            found, left = other, other.whiteness
     if left.white:
-        return Refinement(estimate, refined, whiteness=left)
+        return found
     name = max(left.statistics, key=lambda channel: left.statistics[channel])
     cause = (
         "so little is left by the input's noise or its course between samples, too"
@@ -437,11 +400,10 @@ def _warranted(problem: Problem, estimate: Estimate, by: OutputError) -> Refinem
         else "so the model leaves out part of the motion, the noise is coloured, or a recorded "
         "input is noisy"
     )
-    declined = (
-        f"what it leaves of {name}, {100 * left.shares[name]:.2g} % of it, is not white noise "
-        f"({left.largest:.3g}, where noise stays below {left.threshold:.2g}), {cause}"
+    return found._replace(
+        declined=f"what it leaves of {name}, {100 * left.shares[name]:.2g} % of it, is not white "
+        f"noise ({left.largest:.3g}, where noise stays below {left.threshold:.2g}), {cause}"
     )
-    return Refinement(estimate, refined, declined, left)
 
 
 def _flaw(refined: Estimate) -> str:
@@ -487,35 +449,31 @@ def _channels(system: AbstractSystem, records: "list[Record]") -> tuple[str, ...
     **Raises:** `DataError` if that leaves nothing.
     """
 
-    def held(name: str) -> bool:
-        """Whether all have it, and no filter or difference made it, as far as is known."""
-        return all(
-            name in record.arrays
-            and all(np.shape(k)[-1] == 1 for k in record.noise.kernels.get(name, {}).values())
-            for record in records
-        )
+    def sensed(name: str) -> bool:
+        """Whether no filter or difference made it, as far as is known."""
+        kernels = (record.noise.kernels.get(name, {}).values() for record in records)
+        return all(np.shape(taps)[-1] == 1 for signal in kernels for taps in signal)
 
-    states = tuple(name for name in system.state_names if held(name))
-    if not states:
-        recorded = [name for name in system.state_names if name in records[0].arrays]
-        if recorded:
-            raise DataError(
-                f"{', '.join(recorded)} are filtered or computed, so that their noise is not white "
-                f"and nothing tells it from the model's own errors."
-            )
+    recorded = compared_signals(system, records)
+    if not {*recorded} & {*system.state_names}:
         return None
+    states = tuple(name for name in recorded if sensed(name))
+    if not states:
+        raise DataError(
+            f"{', '.join(recorded)} are filtered or computed, so that their noise is not white "
+            f"and nothing tells it from the model's own errors."
+        )
     # Derivatives that equations are solved for.
     motions = system.motions if isinstance(system, EquationSystem) else ()
     leading = {motion[-1] for motion in motions}
-    outputs = [name for name, _ in system.outputs if held(name) and name not in leading]
-    if not outputs:
-        return states
-    chosen = spread_points(records[0].sample_count)
-    levels = [np.asarray(records[0][name])[chosen] for name in system.input_names]
-    if not levels:
+    outputs = [name for name, _ in system.outputs if name not in leading and sensed(name)]
+    outputs = [name for name in outputs if all(name in record.arrays for record in records)]
+    if not (outputs and system.input_names):
         return (*states, *outputs)
+    chosen = spread_points(records[0].sample_count)
+    levels = np.asarray(input_levels(system, records[0]))[chosen]
     at = np.asarray(measured_states(system, records[0]))[chosen]
-    direct = _through(system, at, np.stack(levels, axis=-1))
+    direct = _through(system, at, levels)
     return (*states, *(name for name in outputs if not np.any(np.asarray(direct[name]))))
 
 
@@ -597,14 +555,10 @@ def course_shows(problem: Problem, refined: Estimate, by: OutputError) -> bool:
     return bool(np.sum(apart / np.maximum(left, np.finfo(float).tiny)) > SHOWS)
 
 
-def surely_likelier(one: Estimate, other: Estimate, records: "list[Record]") -> bool:
+def surely_likelier(one: Estimate, other: Estimate) -> bool:
     """Whether what was recorded is far likelier by one refinement than by another.
 
     Of n residuals with white noise of unknown size, the largest likelihood is rms^-n.
     """
-    counts = [
-        sum(int(np.isfinite(record.signal(name).with_nan).sum()) for record in records)
-        for name in one.search.quantities
-    ]
     gains = np.log(np.asarray(other.search.rms) / np.asarray(one.search.rms))
-    return bool(np.sum(np.array(counts) * gains) > LIKELIER)
+    return bool(np.sum(np.asarray(one.search.residuals.counts) * gains) > LIKELIER)

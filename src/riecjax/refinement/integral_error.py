@@ -11,21 +11,14 @@ About theta each q_k is q_k(theta) + sum_i (dq_k/dtheta_i) delta_i to first orde
     r(theta) + sum_i delta_i sum_k (-1)^k int phi^(k) dq_k/dtheta_i dt,
 
 which is eq. (17) of an ordinary equation with unknowns delta, known term q_k and the derivatives
-for its signals. So any criterion forms its normal equations, all windows in closed form among them,
-at the cost of one linear identification with a column more, and their solution is a Gauss-Newton
-step. Derivatives by theta commute with phi because phi does not depend on theta; windows are drawn
-once and stay. Of an equation linear in theta the second line is exact: the first undamped step is
-[`identify`][] of all equations at once, and ends the search.
+for its signals, on a record that holds these. So any criterion forms its normal equations, all
+windows in closed form among them, at the cost of one linear identification with a column more, and
+their solution is a Gauss-Newton step. Derivatives by theta commute with phi because phi does not
+depend on theta; windows are drawn once and stay. Of an equation linear in theta the second line is
+exact: the first undamped step is [`identify`][] of all equations at once, and ends the search.
 
 Of a linear equation the known term moves to the right, and the target is minus that: here -q_k, so
 that its `moments` are of [r, dr/dtheta].
-
-Equations of motion, linear in their parameters or not, and their first-order expansion.
-
-About any values of its parameters an equation is linear in their changes, to first order. That
-expansion is an ordinary `Equation`, on a record that holds the equation error and its derivatives
-by the parameters as signals. So every criterion, all windows in closed form among them, serves
-equations that are not linear: refinement expands, solves, and expands again.
 """
 
 import math
@@ -58,6 +51,7 @@ from riecjax.refinement.objective import (
     Theta,
     Values,
     by_fields,
+    without_initial,
 )
 from riecjax.summaries.normal_equations import (
     NormalEquations,
@@ -138,16 +132,13 @@ def expanded(
     parts: list[tuple[float | str, str, int, Any]] = [
         (-1.0, f"~:{order}", order, level.values) for order, level in levels.items()
     ]
-    for parameter in (name for name in model.names if name in free):
-        along = {n: jnp.full_like(v, n == parameter) for n, v in held.items()}
-        _, slopes = jax.jvp(
-            lambda at: {
-                k: level.values for k, level in _levels(model, record, at, smoothness).items()
-            },
-            (held,),
-            (along,),
-        )
-        parts += [(parameter, f"~:{k}/{parameter}", k, slope) for k, slope in slopes.items()]
+    moving = {name: held[name] for name in model.names if name in free}
+    slopes = jax.jacfwd(
+        lambda at: {
+            k: level.values for k, level in _levels(model, record, held | at, smoothness).items()
+        }
+    )(moving)
+    parts += [(name, f"~:{k}/{name}", k, slopes[k][name]) for name in moving for k in levels]
     present = combined(lambda *values: values[0], *levels.values()).present
     signals = {name: Signal(values, present) for _, name, _, values in parts}
     terms = [Term(coefficient, name, derivative=k) for coefficient, name, k, _ in parts]
@@ -259,21 +250,7 @@ class IntegralResiduals(AbstractResiduals):
     records: list[Record]
     criterion: AbstractCriterion
     keys: list[Key[Array, ""] | None]
-    table: ParameterTable
-    start: Theta
     count: Float[Array, " equations"]
-    longest_window: Float[Array, ""]
-    initial: Initial
-    scale: Float[Array, " s"]
-    labels: tuple[str, ...] = eqx.field(static=True)
-    units: tuple[str, ...] = eqx.field(static=True)
-    initial_state_names: tuple[str, ...] = eqx.field(static=True, default=())
-    method: Any = None
-    most_steps: int = eqx.field(static=True, default=0)
-
-    def energy(self, theta: Theta, initial: Initial) -> Energies:
-        """Of each equation."""
-        return jnp.stack([jnp.sum(part.energy) for part in self._equations(theta)])
 
     def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
@@ -294,10 +271,8 @@ class IntegralResiduals(AbstractResiduals):
 
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """By blocks of the windows' starts."""
-        (pieces,) = expansion.pieces
-        # A change of the parameters is to take the error off.
-        moments = pieces.at[..., 0, 1:].multiply(-1.0).at[..., 1:, 0].multiply(-1.0)
-        moments = moments.reshape(len(self.records), -1, *pieces.shape[2:])
+        moments = without_initial(expansion.pieces[0][0], len(self.table.free))
+        moments = moments.reshape(len(self.records), -1, *moments.shape[1:])
         count = jnp.full(moments.shape[:2], jnp.sum(self.count) / math.prod(moments.shape[:2]))
         short = short_blocks(self.records, self.criterion)
         return NormalEquations(moments, count, self.table.free), short
@@ -358,7 +333,7 @@ class IntegralError(AbstractObjective):
         keys: list[Key[Array, ""] | None],
     ) -> IntegralResiduals:
         """Over all windows of the criterion."""
-        criterion = self._criterion
+        criterion = self.criterion or RIEC.of_band(DEFAULT_BAND)
         if criterion.needs_key and keys[0] is None:
             raise ModelError("random windows need a key: key=jax.random.key(seed).")
         for record in records:
@@ -379,16 +354,11 @@ class IntegralError(AbstractObjective):
             start=start,
             count=np.array(rows).sum(axis=1),
             longest_window=jnp.asarray(criterion.block_length),
-            initial=jnp.zeros((1, 0)),
-            scale=jnp.ones(0),
             labels=told_apart([name for name, *_ in labels]),
             units=tuple(criterion.row_unit(unit) for _, unit, _ in labels),
         )
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
-        return {"refine": "integral", **self._criterion.describe()}
-
-    @property
-    def _criterion(self) -> AbstractCriterion:
-        return RIEC.of_band(DEFAULT_BAND) if self.criterion is None else self.criterion
+        criterion = self.criterion or RIEC.of_band(DEFAULT_BAND)
+        return {"refine": "integral", **criterion.describe()}

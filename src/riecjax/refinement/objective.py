@@ -6,12 +6,22 @@ units of their errors, and their derivatives, as moments [r r_theta r_s]^T [r r_
 pieces of time. Summed over a window they give a Gauss-Newton step (see `optimum`); summed over
 blocks of time, the scores whose scatter is the uncertainty of theta. They are of the size of the
 unknowns, however long the record.
+
+**Initial states projected out.** Let J = dr/dtheta, S = dr/ds, C = S^T S and B = J^T S of a window.
+To first order the best initial state follows theta by ds/dtheta = -C^-1 B^T, and the residual does
+
+    (J - S C^-1 B^T) dtheta.
+
+That is a linear map of columns, [r J S] -> [-r, J - S C^-1 B^T], the same in every piece of the
+window. Applied to the moments of pieces it gives scores of theta alone by blocks of time. Their sum
+has the Schur complement A - B C^-1 B^T of `optimum` for its Gram matrix: a covariance of theta
+that includes what is not known of initial states.
 """
 
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,10 +37,13 @@ from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
 from riecjax.leaves import Leaf, as_leaf, namespace
+from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
 from riecjax.simulation.system import AbstractSystem
-from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.summaries.task import record_keys
+
+if TYPE_CHECKING:
+    from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 
 Values = Mapping[str, Leaf]
 Theta = Float[Array, " p"]
@@ -171,35 +184,30 @@ class Expansion(NamedTuple):
 class AbstractResiduals(eqx.Module):
     """Residuals of all records, of parameters and of the initial states of windows.
 
-    Where nothing is simulated, no initial states are estimated and there are no steps.
+    **Fields:**
+
+    - `table`: the parameters over all records, and the values of those that are not free; `start`,
+      values of the free ones at which a search begins.
+    - `labels`: quantities whose residuals are told one by one, channels or equations; their
+      `units`.
+    - `longest_window`: seconds after which two residuals share no data.
+
+    Of what is simulated, and empty where nothing is:
+
+    - `initial`: first guess of the initial states that are estimated; `initial_state_names`.
+    - `method` of simulation; `most_steps` that it may take between samples without being asked, 0
+      of a user's own.
     """
 
-    table: eqx.AbstractVar[ParameterTable]
-    """The parameters over all records, and the values of those that are not free."""
-    start: eqx.AbstractVar[Theta]
-    """Values of the free parameters at which a search begins."""
-    labels: eqx.AbstractVar[tuple[str, ...]]
-    """Quantities whose residuals are told one by one: channels, or equations."""
-    units: eqx.AbstractVar[tuple[str, ...]]
-    """Units of `labels`."""
-    longest_window: eqx.AbstractVar[Float[Array, ""]]
-    """Seconds after which two residuals share no data."""
-
-    initial: eqx.AbstractVar[Initial]
-    """First guess of the initial states that are estimated."""
-    scale: eqx.AbstractVar[Float[Array, " s"]]
-    """Size of these states."""
-    initial_state_names: eqx.AbstractVar[tuple[str, ...]]
-    """Their names."""
-    method: eqx.AbstractVar[Any]
-    """By which method of simulation; `None` where nothing is simulated."""
-    most_steps: eqx.AbstractVar[int]
-    """Steps that may be taken between samples without being asked; 0 of a user's own method."""
-
-    @abstractmethod
-    def energy(self, theta: Theta, initial: Initial) -> Energies:
-        """Sum of squared residuals of each of `labels`, at the initial states that leave least;
-        `initial` is a guess of these."""
+    table: ParameterTable
+    start: Theta
+    longest_window: Float[Array, ""]
+    labels: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] = eqx.field(static=True)
+    initial: Initial = eqx.field(default_factory=lambda: np.zeros((1, 0)), kw_only=True)
+    initial_state_names: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
+    method: Any = eqx.field(default=None, kw_only=True)
+    most_steps: int = eqx.field(static=True, default=0, kw_only=True)
 
     @abstractmethod
     def expansion(self, theta: Theta, initial: Initial) -> Expansion:
@@ -221,11 +229,28 @@ class AbstractResiduals(eqx.Module):
         """Number of residuals that may be taken as independent, for the weight of priors."""
 
     @abstractmethod
-    def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
+    def blocks(self, expansion: Expansion) -> "tuple[NormalEquations, ShortBlocks]":
         """Normal equations of the changes of the parameters, in short blocks of time.
 
         Leading axes `(records, short blocks)`; initial states are projected out.
         """
+
+
+RIDGE = 1e-10
+"""What keeps an initial state that no residual depends on from a division by zero; relative."""
+
+
+def without_initial(
+    pieces: Float[Array, "pieces columns columns"], p: int
+) -> Float[Array, "pieces 1+p 1+p"]:
+    """Of the pieces of a window, moments of minus the residual and of its derivatives while initial
+    states follow: a change of the parameters is to take the residual off."""
+    mix = jnp.eye(1 + p, dtype=pieces.dtype).at[0, 0].set(-1.0)
+    if pieces.shape[-1] > 1 + p:
+        whole = jnp.sum(pieces, axis=0)
+        following = solve_scaled(whole[1 + p :, 1 + p :], whole[1 + p :, 1 : 1 + p], ridge=RIDGE)
+        mix = jnp.concatenate([mix, jnp.pad(-following, [(0, 0), (1, 0)])])
+    return jnp.einsum("ia,pij,jb->pab", mix, pieces, mix)
 
 
 class AbstractObjective(eqx.Module):

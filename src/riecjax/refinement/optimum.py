@@ -71,20 +71,32 @@ initial states explain of the parameters' columns: where they explain all but a 
 log10(1/t) digits of it are lost, where QR of the rows would lose half as many. Steps are corrected
 by the next ones; what rounding leaves is an error of the gradient, well below a cosine of 1e-6.
 
-Other solvers of optimistix want a residual and its Jacobian. The Cholesky factor R of a window's
-moments is one with as few rows as columns: R = U' [r J S], U having orthonormal columns, which
-changes neither a sum of squares nor a step. So nothing carried from step to step grows with the
-record. Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20
-windows two to three times as fast: benchmarks/NOTES.md.
+**Bounds.** A trial that would go beyond a bound is set on it, and what the slope pushes against its
+bound is held there: its columns are zero, for this step and for all else that is said of the
+optimum. So bounds that hold nothing change nothing.
 
-**Bounds.** The search is of parameters in units of their start, clipped to the bounds. A trial that
-would go beyond one is set on it, and what the slope pushes against its bound is held there: its
-columns are zero, for this step and for all else that is said of the optimum. So bounds that hold
-nothing change nothing.
+**Steps of the simulation**, where there are some, are part of the answer if halving them moves it.
+A simulation in steps of length h errs by about c h^p, p the method's order, and so does the sum of
+squares E_h that is made of it. To first order halving tells all: with c h^p the error at h, the
+change by halving is (1 - 2^-p) c h^p, of order 4 fifteen sixteenths of the error itself.
+
+What moves is not E but its optimum. At the optimum theta of E_h the slope vanishes,
+
+    m_h - q = 0,      m = -J^T r, q the slope of priors,
+
+while in half the steps m_{h/2} - q = m_{h/2} - m_h is left, which one Gauss-Newton step takes up:
+
+    change = (G_{h/2} + information)^-1 (m_{h/2} - m_h).
+
+So one expansion more says how far the optimum would move, where another search would say it at
+several times the cost. Initial states are projected out of G and m, and follow.
+
+Subtracting m_h and not q also leaves out what a search that ended early, or at a bound, left of the
+slope: that is no matter of steps. A change matters beside the standard error; of nearly exact data,
+whose standard errors are themselves made of such changes, beside the parameter.
 """
 
 import dataclasses
-import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -92,7 +104,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
@@ -102,10 +113,10 @@ from riecjax.estimation.constraints import (
     constrained_blocks,
     constrained_uncertainty,
 )
-from riecjax.estimation.estimate import RefinementStatus
+from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
 from riecjax.leaves import held_still
-from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
-from riecjax.refinement.objective import AbstractResiduals, Energies, Initial, Theta
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
+from riecjax.refinement.objective import RIDGE, AbstractResiduals, Energies, Initial, Theta
 from riecjax.uncertainty.intervals import AbstractIntervals, estimate_uncertainty
 
 FIRST_DAMPING = 1e-2
@@ -124,11 +135,8 @@ NO_STEP = 1e-13
 
 
 class Point(eqx.Module):
-    """Where a refinement stands.
-
-    **Fields:** `parameters`, and `initial` states that are estimated, one row for each window; both
-    in units of their scale.
-    """
+    """Where a refinement stands: `parameters`, and `initial` states that are estimated, one row for
+    each window."""
 
     parameters: Float[Array, " p"]
     initial: Initial
@@ -138,17 +146,14 @@ class Linearised(eqx.Module):
     """Least squares at a point, to first order.
 
     **Fields:** `moments`, Gram matrix of residual, its derivatives by the parameters and by the
-    initial states, of each window; `prior` residuals and their slopes, one for each parameter;
-    `lowest` and `highest` values of the parameters that need be tried; `aside`, whatever else is
-    known at the point.
+    initial states, of each window; `prior` residuals and their slopes, one for each parameter; the
+    `expansion` that it was made of.
     """
 
     moments: Float[Array, "windows columns columns"]
     prior: Float[Array, " p"]
     prior_slope: Float[Array, " p"]
-    lowest: Float[Array, " p"]
-    highest: Float[Array, " p"]
-    aside: Any
+    expansion: Any
 
     @property
     def energy(self) -> Float[Array, ""]:
@@ -179,9 +184,9 @@ class Linearised(eqx.Module):
         curvature = jnp.diagonal(gram, axis1=1, axis2=2)
         a = jnp.sum(gram[:, :p, :p], axis=0) + jnp.diag(self.prior_slope**2)
         # A column that is zero is damped too, or it would leave a pivot of zero.
-        floor = jnp.finfo(gram.dtype).eps * jnp.max(curvature) + jnp.finfo(gram.dtype).tiny
-        sizes = jnp.maximum(jnp.diagonal(a), floor)
-        initial_sizes = jnp.maximum(curvature[:, p:], floor)
+        sizes, initial_sizes = (
+            jnp.where(size > 0, size, 1.0) for size in (jnp.diagonal(a), curvature[:, p:])
+        )
         right, schur = gradient.parameters, a + damping * jnp.diag(sizes)
         following = None
         if columns > 1 + p:
@@ -201,112 +206,25 @@ class Linearised(eqx.Module):
         size = sizes @ parameters**2 + jnp.sum(initial_sizes * initial**2)
         return Point(parameters, initial), work, damping * size
 
-    def factors(self) -> Float[Array, "windows columns columns"]:
-        """Residual (first column) and Jacobian of each window, in as many rows as columns."""
-        return triangular_factor(self.moments)
 
+class Iteration(NamedTuple):
+    """Where Levenberg and Marquardt stand.
 
-Residual = tuple[Float[Array, "windows columns"], Float[Array, " p"]]
-"""First columns of `factors`, one row for each window; and the residuals of the priors."""
+    **Fields:** the `point` that was accepted, and the problem `there`; the `trial` after it, by a
+    step of this `damping`, with the two parts of the decrease that it predicts, `work` and
+    `damped`; `steps` so far; whether the slope is `flat`, and whether no step is left that is more
+    than rounding (`stuck`).
+    """
 
-
-class _State(eqx.Module):
-    """Accepted problem, trial point, damping, and the two parts of the predicted decrease."""
-
-    accepted: Linearised
+    point: Point
+    there: Linearised
     trial: Point
     damping: Float[Array, ""]
     work: Float[Array, ""]
     damped: Float[Array, ""]
-    first: Bool[Array, ""]
-    ended: Bool[Array, ""]
-    result: optx.RESULTS
-
-
-class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
-    """Levenberg-Marquardt on moments, with initial states eliminated window by window.
-
-    Its function must return, aside, a [`Linearised`][] problem.
-
-    **Arguments:** `rtol`, the cosine between residual and tangent space at which it stops, which
-    unlike the size of a step depends on neither units nor damping; `report`, called with the sum of
-    squares after each step.
-    """
-
-    rtol: float
-    atol: float = 0.0
-    norm: Any = optx.max_norm
-    report: Any = None
-
-    def init(
-        self, fn: Any, y: Point, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
-    ) -> _State:
-        """Before the first step."""
-        dtype = y.parameters.dtype
-        accepted = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
-        return _State(
-            accepted,
-            y,
-            jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype),
-            jnp.ones((), dtype),
-            jnp.zeros((), dtype),
-            jnp.asarray(True),
-            jnp.asarray(False),
-            optx.RESULTS.successful,
-        )
-
-    def step(
-        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
-    ) -> tuple[Point, _State, Linearised]:
-        """Accept or reject the trial point, and make the next one."""
-        _, tried = fn(state.trial, args)
-        decrease = state.accepted.energy - tried.energy
-        ratio = decrease / (state.work + state.damped)
-        good = state.first | ((decrease > 0) & (ratio > ACCEPTED))
-        lower = state.first | (ratio > GOOD)
-        factor = jnp.where(good, jnp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
-        damping = jnp.maximum(state.damping * factor, jnp.finfo(factor.dtype).eps)
-        point = jax.tree.map(lambda new, old: jnp.where(good, new, old), state.trial, y)
-        accepted = jax.tree.map(lambda new, old: jnp.where(good, new, old), tried, state.accepted)
-        step, work, damped = accepted.step(damping)
-        step = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), step)
-        flat = (work <= self.rtol**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
-        stuck = self.norm(step) <= NO_STEP * self.norm(point)
-        if self.report is not None:
-            jax.debug.callback(self.report, accepted.energy)
-        trial = Point(
-            jnp.clip(point.parameters + step.parameters, accepted.lowest, accepted.highest),
-            point.initial + step.initial,
-        )
-        result = optx.RESULTS.where(
-            stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy),
-            optx.RESULTS.nonlinear_divergence,
-            optx.RESULTS.successful,
-        )
-        state = _State(
-            accepted, trial, damping, work, damped, jnp.asarray(False), flat | stuck, result
-        )
-        return point, state, accepted
-
-    def terminate(
-        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
-    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Whether the search is over."""
-        return state.ended, state.result
-
-    def postprocess(
-        self,
-        fn: Any,
-        y: Point,
-        aux: Linearised,
-        args: Any,
-        options: Any,
-        state: _State,
-        tags: Any,
-        result: optx.RESULTS,
-    ) -> tuple[Point, Linearised, dict[str, Any]]:
-        """Nothing to add."""
-        return y, aux, {}
+    steps: Int[Array, ""]
+    flat: Bool[Array, ""]
+    stuck: Bool[Array, ""]
 
 
 SILENT = 1e-20
@@ -315,126 +233,170 @@ COLLINEAR = 1e-12
 """Curvature along a direction, relative to the parameters' own, that is no more than rounding."""
 TAKES_PART = 0.1
 """Share of such a direction from which a parameter is called undetermined."""
+PROFILED = 1e-6
+"""Share of the sum of squares that better initial states would still take off: as good as none."""
+MOST_TRIALS = 8
+"""Initial states that are tried for each window."""
+OF_AN_ERROR = 0.2
+"""Change in standard errors up to which steps do not matter: it adds 2 % to a root mean square."""
+OF_A_VALUE = 1e-4
+"""Change as a share of the parameter up to which they do not, however small its standard error."""
+OF_A_SIMULATION = 1e-5
+"""Likewise, of what moves the simulation by its own size: of a parameter that is zero."""
 
-Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
-
-class SearchResult(NamedTuple):
-    """Where a search stands, and what is known there.
-
-    **Fields:** parameters and initial states; the sum of squares and the r.m.s. of each quantity
-    that these leave; how it ended, and in how many steps. Once it has ended, uncertainty,
-    inflation, bounds and blocks as of an [`Estimate`][]; `moment`, half the slope of the sum of
-    squares, negated; `information`, what priors and parameters that are held add to its curvature.
-    Once its steps were halved, `step_change` of each parameter, what of that is `allowed`, and
-    where it is more, so that steps are too `coarse`.
-    """
+class Place(NamedTuple):
+    """Where a search stands: parameters and initial states, the sum of squares that these leave and
+    the r.m.s. of each quantity, how it ended there and after how many steps."""
 
     theta: Theta
     initial: Initial
-    energy: Energies
+    cost: Float[Array, ""]
     rms: Energies
     status: RefinementStatus
     steps: Int[Array, ""]
-    uncertainty: Any = None
-    inflation: Any = None
-    at_bound: Any = None
-    block_count: Any = None
-    block_length: Any = None
-    moment: Any = None
-    information: Any = None
-    step_change: Any = None
-    allowed: Any = None
-    coarse: Any = None
 
-    @property
-    def place(self) -> "SearchResult":
-        """Where it stands alone, from which a search may go on."""
-        return SearchResult(*self[:6])
+    @classmethod
+    def of(cls, found: Estimate) -> "Place":
+        """Where a search ended."""
+        search = found.search
+        at = found.theta, search.initial_states
+        return cls(*at, search.cost, search.rms, search.status, search.steps)
 
 
 @kept_jit
-def begun(residuals: AbstractResiduals, initial: Initial) -> SearchResult:
-    """The start, with what it leaves at the initial states that suit it best."""
-    energy = residuals.energy(residuals.start, initial)
+def begun(residuals: AbstractResiduals, initial: Initial) -> Place:
+    """The start, with what it leaves at the initial states that suit it best.
+
+    Gauss and Newton's steps find these, while they make the sum of squares smaller.
+    """
+    energy = _profiled(residuals, initial)
+    cost, rms = jnp.sum(energy), residuals.rms(energy)
     status = RefinementStatus.where(
-        jnp.isfinite(jnp.sum(energy)), RefinementStatus.converged, RefinementStatus.not_finite
+        jnp.isfinite(cost), RefinementStatus.converged, RefinementStatus.not_finite
     )
-    rms = residuals.rms(energy)
-    return SearchResult(residuals.start, initial, energy, rms, status, jnp.array(0))
+    return Place(residuals.start, initial, cost, rms, status, jnp.zeros((), int))
+
+
+def _profiled(residuals: AbstractResiduals, initial: Initial) -> Energies:
+    start, table = residuals.start, residuals.table
+    if not residuals.initial_state_names:
+        return residuals.expansion(start, initial).energy
+    table = table.holding({**table.known, **dict(zip(table.free, start))})
+    held, initial = held_still((dataclasses.replace(residuals, table=table), initial))
+
+    # Initial states to try, the least energy so far, trials left, and whether to go on.
+    def tried(state: tuple[Array, Energies, Array, Array]) -> tuple[Array, ...]:
+        trial, least, trials, _ = state
+        at = held.expansion(jnp.zeros(0, start.dtype), trial)
+        moments = at.moments()
+        better = jnp.sum(at.energy) < jnp.sum(least)
+        energy = jnp.where(better, at.energy, least)
+        gradient = moments[:, 1:, :1]
+        step = -jax.vmap(lambda g, r: solve_scaled(g, r, RIDGE))(moments[:, 1:, 1:], gradient)
+        going = better & (-jnp.sum(gradient * step) > PROFILED * jnp.sum(energy))
+        return trial + step[:, :, 0], energy, trials - 1, going & (trials > 0)
+
+    none = jnp.full(len(residuals.labels), jnp.inf, start.dtype)
+    first: Any = (initial, none, jnp.asarray(MOST_TRIALS), jnp.asarray(True))
+    return jax.lax.while_loop(lambda state: state[3], tried, first)[1]
 
 
 class Problem(eqx.Module):
-    """Residuals with priors and bounds, of parameters in units of their scale.
-
-    **Fields:** `residuals`; `constraints`; `scale` of the parameters; `variance` of a residual.
-    """
+    """Residuals with priors and bounds; `variance` of a residual."""
 
     residuals: AbstractResiduals
     constraints: Constraints
-    scale: Float[Array, " p"]
     variance: Float[Array, ""]
 
     def limits(self) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-        """Bounds of the parameters in their units."""
+        """Bounds of the parameters."""
         lower, upper = self.constraints.limits(self.residuals.table.free)
-        return jnp.asarray(lower, self.scale.dtype), jnp.asarray(upper, self.scale.dtype)
+        dtype = self.residuals.start.dtype
+        return jnp.asarray(lower, dtype), jnp.asarray(upper, dtype)
 
-    def sides(self, point: Point) -> Float[Array, " p"]:
-        """Which parameters are at their lower (-1) or upper (1) bound, or beyond it."""
+    def sides(self, theta: Theta) -> Float[Array, " p"]:
+        """Which parameters are at their lower (-1) or upper (1) bound."""
         lower, upper = self.limits()
-        below = jnp.where(point.parameters <= lower / self.scale, -1.0, 0.0)
-        return jnp.where(point.parameters >= upper / self.scale, 1.0, below)
+        return jnp.where(theta >= upper, 1.0, jnp.where(theta <= lower, -1.0, 0.0))
 
-    def values(self, point: Point) -> tuple[Float[Array, " p"], Float[Array, "windows s"]]:
-        """Parameters and initial states in their units."""
-        (lower, upper), side = self.limits(), self.sides(point)
-        theta = jnp.where(
-            side < 0, lower, jnp.where(side > 0, upper, point.parameters * self.scale)
-        )
-        return theta, point.initial * self.residuals.scale[None, :]
+    def theta(self, point: Point) -> Theta:
+        """The parameters, of which those at a bound move with it."""
+        (lower, upper), side = self.limits(), self.sides(point.parameters)
+        return jnp.where(side < 0, lower, jnp.where(side > 0, upper, point.parameters))
 
     def linearised(self, point: Point) -> Linearised:
-        """The residuals by the parameters in units of their scale, to first order."""
-        theta, initial = self.values(point)
-        sizes = jnp.ones(1), self.scale, self.residuals.scale
-        scale = jnp.concatenate([size.astype(theta.dtype) for size in sizes])
-        expansion = self.residuals.expansion(theta, initial)
-        moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
+        """The residuals to first order."""
+        theta = self.theta(point)
+        expansion = self.residuals.expansion(theta, point.initial)
+        moments = expansion.moments()
         # A trial point that the model cannot stand is a poor one, and nothing else.
         finite = jnp.all(jnp.isfinite(moments), axis=(1, 2), keepdims=True)
         poor = jnp.zeros(moments.shape[1:], moments.dtype)
         poor = poor.at[0, 0].set(jnp.sqrt(jnp.finfo(moments.dtype).max))
         moments = jnp.where(finite, moments, poor[None])
         mean, weight = map(jnp.asarray, self.constraints.prior(self.residuals.table.free))
-        weight = weight * jnp.sqrt(self.variance)
-        prior, slope = weight * (theta - mean), weight * self.scale
+        slope = weight * jnp.sqrt(self.variance)
+        prior = slope * (theta - mean)
         # A parameter that is pushed against its bound is held there.
         p = theta.shape[0]
         push = -jnp.sum(moments[:, 1 : 1 + p, 0], axis=0) - slope * prior
-        free = (self.sides(point) * push <= 0).astype(moments.dtype)
+        free = (self.sides(theta) * push <= 0).astype(moments.dtype)
         moving = jnp.concatenate([jnp.ones(1), free, jnp.ones(moments.shape[-1] - 1 - p)])
         moments = moments * (moving[:, None] * moving[None, :])[None]
-        lower, upper = self.limits()
-        ends = lower / self.scale, upper / self.scale
-        return Linearised(moments, prior, slope * free, *ends, expansion)
+        return Linearised(moments, prior, slope * free, expansion)
 
 
-def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
-    """Residuals of each window, reduced to as many as there are columns; see the module.
+def levenberg_marquardt(
+    problem: Problem, first: Point, max_steps: int, report: Callable[[float], None] | None
+) -> Iteration:
+    """The steps from a point, initial states eliminated window by window; see the module.
 
-    **Returns:** these, and the linearised problem that they come from, which is looked at and never
-    differentiated.
+    They end at a cosine between residual and tangent space that the precision allows, which unlike
+    the size of a step depends on neither units nor damping. `report` is called with the sum of
+    squares after each of them.
     """
-    here = held_still(point)
-    at = held_still(problem.linearised(here))
-    factors, p = at.factors(), here.parameters.shape[0]
-    # Zero, whose derivative is one: the Jacobian is that of the moments.
-    change = jax.tree.map(operator.sub, point, here)
-    moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], change.parameters)
-    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], change.initial)
-    prior = at.prior + at.prior_slope * change.parameters
-    return (factors[:, :, 0] + moved, prior), at
+    dtype = first.parameters.dtype
+    least = 1e-6 if dtype == jnp.float64 else 1e-4
+    lowest, highest = problem.limits()
+    start = problem.residuals.start
+    unit = jnp.where(start != 0, jnp.abs(start), 1.0)
+
+    def step(at: Iteration) -> Iteration:
+        # Accept or reject the trial, and make the next one.
+        tried, begins = problem.linearised(at.trial), at.steps == 0
+        decrease = at.there.energy - tried.energy
+        ratio = decrease / (at.work + at.damped)
+        good = begins | ((decrease > 0) & (ratio > ACCEPTED))
+        lower = begins | (ratio > GOOD)
+        factor = jnp.where(good, jnp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
+        damping = jnp.maximum(at.damping * factor, jnp.finfo(dtype).eps)
+        point, there = jax.tree.map(
+            lambda new, old: jnp.where(good, new, old), (at.trial, tried), (at.point, at.there)
+        )
+        move, work, damped = there.step(damping)
+        move = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), move)
+        if report is not None:
+            jax.debug.callback(report, there.energy)
+        parameters = point.parameters + move.parameters
+        trial = Point(jnp.clip(parameters, lowest, highest), point.initial + move.initial)
+        flat = (work <= least**2 * there.energy) & (damped <= LITTLE_DAMPING * work)
+        # Of all parameters in units of their start, and of initial states.
+        pairs = (move.parameters / unit, point.parameters / unit), (move.initial, point.initial)
+        sizes = ([jnp.max(jnp.abs(v), initial=0.0) for v in pair] for pair in pairs)
+        stuck = jnp.all(jnp.stack([step <= NO_STEP * size for step, size in sizes]))
+        return Iteration(point, there, trial, damping, work, damped, at.steps + 1, flat, stuck)
+
+    nothing = jax.tree.map(
+        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(problem.linearised, first)
+    )
+    damping, one, no = FIRST_DAMPING / DAMPING_DECREASE, jnp.ones((), dtype), jnp.asarray(False)
+    begin = Iteration(
+        first, nothing, first, damping * one, one, 0 * one, jnp.zeros((), int), no, no
+    )
+    return jax.lax.while_loop(
+        lambda at: ~(at.flat | at.stuck) & (at.steps < max_steps), step, begin
+    )
 
 
 @eqx.filter_custom_jvp
@@ -469,51 +431,41 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
 def search(
     residuals: AbstractResiduals,
     constraints: Constraints,
-    before: SearchResult,
+    start: Place,
+    before: Place,
     intervals: AbstractIntervals,
-    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
-) -> SearchResult:
-    """The optimum, searched from a place that was reached before."""
-    scale = jnp.where(residuals.start != 0, jnp.abs(residuals.start), 1.0)
-    variance = residual_variance(residuals, before.energy)
-    problem = Problem(residuals, constraints, scale, variance)
-    states = before.initial / residuals.scale[None, :]
-    still, first = held_still((problem, Point(before.theta / scale, states)))
-    if solver is None:  # at the tolerance that the precision allows
-        rtol = 1e-6 if first.parameters.dtype == jnp.float64 else 1e-4
-        solver = LevenbergMarquardt(rtol, report=progress)
-    solution = optx.least_squares(
-        reduced_residual,
-        solver,
-        first,
-        args=still,
-        has_aux=True,
-        max_steps=max_steps,
-        throw=False,
-    )
+) -> tuple[Estimate, Float[Array, " p"]]:
+    """The optimum, searched from a place that was reached `before`, the `start` or another.
+
+    **Returns:** the estimate; and of each parameter, the change by halving the steps of the
+    simulation that does not matter.
+    """
+    problem = Problem(residuals, constraints, residual_variance(residuals, before.cost))
+    still, first = held_still((problem, Point(before.theta, before.initial)))
+    end = levenberg_marquardt(still, first, max_steps, progress)
     # The point differentiates by anything in `problem`, forward and in reverse.
-    point = _implicit(jax.lax.stop_gradient(solution.value), problem)
-    theta, initial = problem.values(point)
-    status, lost = RefinementStatus.failed, RefinementStatus.not_finite
-    spent = solution.result == optx.RESULTS.nonlinear_max_steps_reached
+    point = _implicit(jax.lax.stop_gradient(end.point), problem)
+    theta, initial = problem.theta(point), point.initial
+    near, lost = end.work <= NEARLY_FLAT**2 * end.there.energy, RefinementStatus.not_finite
+    status = RefinementStatus.failed
     for ended, reason in (
-        (spent, RefinementStatus.out_of_steps),
-        (solution.result == optx.RESULTS.successful, RefinementStatus.converged),
+        (~(end.flat | end.stuck), RefinementStatus.out_of_steps),
+        (end.flat | (end.stuck & near), RefinementStatus.converged),
         (before.status == lost, lost),
     ):
         status = RefinementStatus.where(ended, reason, status)
-    expansion = solution.aux.aside
-    at_bound = problem.sides(point) != 0
+    expansion = end.there.expansion
+    at_bound = problem.sides(theta) != 0
     blocks, short = residuals.blocks(residuals.curved(theta, initial, expansion))
-    variance = residual_variance(residuals, expansion.energy)
+    cost = jnp.sum(expansion.energy)
+    variance = residual_variance(residuals, cost)
     # What sits on its bound is held, and so is what nothing depends on, lest others go with it.
     total, names = blocks.flattened().total(), residuals.table.free
     gram, curvature = total.gram, jnp.diagonal(total.gram)
     known = variance * jnp.asarray(constraints.prior(names)[1]) ** 2
-    tiny = SILENT * jnp.sum(expansion.energy)
-    silent = (curvature * theta**2 <= tiny) & (theta != 0) | (curvature == 0)
+    silent = (curvature * theta**2 <= SILENT * cost) & (theta != 0) | (curvature == 0)
     held = at_bound | silent & (known == 0)
     # Parameters that others can make up for are held as well.
     free, informed = jnp.where(held, 0.0, 1.0), gram + jnp.diag(known)
@@ -522,8 +474,6 @@ def search(
     sizes, directions = symmetric_eigen(jax.lax.stop_gradient(scaled))
     weak = sizes < COLLINEAR * gram.shape[0]
     held = held | jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)
-    # To hold a parameter in a step needs no more than a steep slope.
-    information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
     nowhere = jnp.zeros_like(theta)
     blocks = constrained_blocks(blocks, nowhere, held, known)
     shared = np.array([residuals.table[name].recording is None for name in names])
@@ -536,25 +486,72 @@ def search(
         shared,
         intervals,
     )
+    uncertainty = constrained_uncertainty(uncertainty, statistics, constraints, known, held)
+    # To hold a parameter in a step needs no more than a steep slope.
+    information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
+    change, whole = _halving(residuals, theta, initial, total.moment, information)
+    of_value = max(OF_A_VALUE, float(np.sqrt(jnp.finfo(theta.dtype).eps)))
+    size = jnp.maximum(jnp.abs(theta), jnp.abs(residuals.start))
+    size = jnp.maximum(size, OF_A_SIMULATION / OF_A_VALUE * whole)
+    errors = jnp.sqrt(jnp.diagonal(uncertainty.covariance))
+    tested = (status == RefinementStatus.converged) & jnp.isfinite(errors)
+    allowed = jnp.maximum(of_value * size, jnp.where(tested, OF_AN_ERROR * errors, jnp.inf))
     used = jnp.sum(statistics.used)
-    return SearchResult(
-        theta,
-        initial,
-        expansion.energy,
-        residuals.rms(expansion.energy),
-        status,
-        before.steps + solution.stats["num_steps"],
-        constrained_uncertainty(uncertainty, statistics, constraints, known, held),
-        inflation,
-        at_bound,
-        used,
-        jnp.sum(short.durations) / used,
-        total.moment,
-        jnp.diag(information),
+    found = Search(
+        status=status,
+        steps=before.steps + end.steps,
+        rms_before=start.rms,
+        rms=residuals.rms(expansion.energy),
+        cost_before=start.cost,
+        cost=cost,
+        initial_states=initial,
+        step_change=change,
+        coarse=~(jnp.abs(change) <= allowed) & tested,
+        steps_label="" if residuals.method is None else residuals.method.label,
+        quantities=residuals.labels,
+        quantity_units=residuals.units,
+        initial_state_names=residuals.initial_state_names,
+        by=(),
     )
+    estimate = Estimate(
+        theta=theta,
+        uncertainty=uncertainty,
+        table=residuals.table,
+        inflation=inflation,
+        at_bound=at_bound,
+        block_count=used,
+        block_length=jnp.sum(short.durations) / used,
+        search=found,
+    )
+    return estimate, allowed
 
 
-def residual_variance(residuals: AbstractResiduals, energy: Energies) -> Float[Array, ""]:
+def _halving(
+    residuals: AbstractResiduals,
+    theta: Theta,
+    initial: Initial,
+    moment: Float[Array, " p"],
+    information: Float[Array, " p"],
+) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+    """What halving the steps of the simulation does to the optimum, nothing where there are none;
+    and the size of each parameter that moves the simulation by its own."""
+    finer = None if residuals.method is None else residuals.method.finer(2)
+    if finer is None:
+        return jnp.zeros_like(theta), jnp.zeros_like(theta)
+    # A check changes no derivative, and need not have one.
+    halved, theta, initial, moment, information = held_still(
+        (dataclasses.replace(residuals, method=finer), theta, initial, moment, information)
+    )
+    blocks, _ = halved.blocks(halved.expansion(theta, initial))
+    total = blocks.flattened().total()
+    curvature, slope = total.gram + jnp.diag(information), total.moment - moment
+    change = solve_scaled(curvature, slope[:, None], float(jnp.finfo(theta.dtype).eps))[:, 0]
+    # G_ii theta_i^2 = rows: so large a theta_i moves each residual by 1, a channel by its sigma.
+    diagonal = jnp.maximum(jnp.diagonal(total.gram), jnp.finfo(theta.dtype).tiny)
+    return change, jnp.sqrt(halved.independent_rows() / diagonal)
+
+
+def residual_variance(residuals: AbstractResiduals, cost: Float[Array, ""]) -> Float[Array, ""]:
     """Variance of a residual, of those that may be taken as independent."""
     free = len(residuals.table.free)
-    return jnp.sum(energy) / jnp.maximum(residuals.independent_rows() - free, 1)
+    return cost / jnp.maximum(residuals.independent_rows() - free, 1)

@@ -1,50 +1,32 @@
 """Output-error refinement: the model simulated over windows, and compared with the recording.
 
-Windows of a recording over which a model is simulated, and what was recorded in each.
-
-How long they are decides what is fitted. Of one time step, the state being measured anew at every
-sample, they make a fit of the equation error: nearly linear, and biased where the state is noisy.
-Of the whole record they make single shooting, the output-error fit: efficient where the model is
-right and noise is on the outputs, but what a wrong parameter does to the state adds up along the
-window, exponentially where motion is unstable, and with it the curvature of the sum of squares.
-Windows between the two (multiple shooting) bound that by their length, at the price of initial
-states to estimate.
-
-What a recording holds in the windows over which a model is simulated, and how it is cut to them.
+**Windows.** How long they are decides what is fitted. Of one time step, the state being measured
+anew at every sample, they make a fit of the equation error: nearly linear, and biased where the
+state is noisy. Of the whole record they make single shooting, the output-error fit: efficient where
+the model is right and noise is on the outputs, but what a wrong parameter does to the state adds up
+along the window, exponentially where motion is unstable, and with it the curvature of the sum of
+squares. Windows between the two (multiple shooting) bound that by their length, at the price of
+initial states to estimate.
 
 Recordings are filled up behind their end to lengths that others share, so that the next one, of
 another length, is simulated by functions that are compiled already. What is simulated there is not
 compared, and may diverge.
 
-Output error over windows: the model simulated from initial states, compared with the recording.
-
-The residual of a window is r = (y(theta, s) - measured) / sigma at every compared sample of every
-channel, y simulated from the initial state s. Its derivatives are those of the simulation: along
-each unit vector of (theta, s) the variational equation is stepped with the state, by forward
+**Residuals.** Of a window they are r = (y(theta, s) - measured) / sigma at every compared sample of
+every channel, y simulated from the initial state s. Their derivatives are those of the simulation:
+along each unit vector of (theta, s) the variational equation is stepped with the state, by forward
 differentiation of the very steps. That is the exact derivative of what is computed, takes p + s
 simulations beside the one, and keeps no step in memory for later. Reverse mode would take one pass
 for each residual, of which there are thousands.
 
-**Initial states projected out.** Let J = dr/dtheta, S = dr/ds, C = S^T S and B = J^T S of a window.
-To first order the best initial state follows theta by ds/dtheta = -C^-1 B^T, and the residual does
-
-    (J - S C^-1 B^T) dtheta.
-
-That is a linear map of columns, [r J S] -> [-r, J - S C^-1 B^T], the same in every piece of the
-window. Applied to the moments of pieces it gives scores of theta alone by blocks of time. Their sum
-has the Schur complement A - B C^-1 B^T of `optimum` for its Gram matrix: a covariance of theta
-that includes what is not known of initial states.
-
-Huber's loss, which grows with a residual's square up to a threshold and straight on past it.
-
-With the threshold c, rho(r) = r^2 / 2 up to c and c |r| - c^2 / 2 past it. What searches for least
-squares makes it small as the square of f(r) = sign(r) sqrt(2 rho(r)), whose slope is continuous.
-f f' is the score psi(r), r cut off at c, so the gradient is the loss's own; f'^2 > 0 past c keeps
-steps defined, and is more than the curvature psi' = 0 there. A sandwich takes psi' instead, or its
+**Huber's loss** grows with a residual's square up to a threshold and straight on past it. With the
+threshold c, rho(r) = r^2 / 2 up to c and c |r| - c^2 / 2 past it. What searches for least squares
+makes it small as the square of f(r) = sign(r) sqrt(2 rho(r)), whose slope is continuous. f f' is
+the score psi(r), r cut off at c, so the gradient is the loss's own; f'^2 > 0 past c keeps steps
+defined, and is more than the curvature psi' = 0 there. A sandwich takes psi' instead, or its
 standard errors were too small: by a fifth of a normal law at c = 1.345.
 """
 
-import dataclasses
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -62,8 +44,7 @@ from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, held_still, is_concrete, is_number, namespace
-from riecjax.linear_algebra import solve_scaled
+from riecjax.leaves import Leaf, is_concrete, is_number, namespace
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, Signal, both, filled_up, shared_length
 from riecjax.refinement.objective import (
@@ -75,11 +56,19 @@ from riecjax.refinement.objective import (
     Initial,
     Theta,
     as_parametric_system,
+    without_initial,
 )
 from riecjax.simulation.intersample import Intersample, bends_of, require_intersample, smooth_inputs
 from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
 from riecjax.simulation.method import AbstractMethod, FixedStep
-from riecjax.simulation.system import AbstractSystem, measured_states, state_sources
+from riecjax.simulation.simulate import signals_of
+from riecjax.simulation.system import (
+    AbstractSystem,
+    compared_signals,
+    input_levels,
+    measured_states,
+    state_sources,
+)
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
 
 SHORTEST = 2
@@ -113,28 +102,55 @@ class AbstractShooting(eqx.Module):
     """How a recording is cut into windows to simulate."""
 
     @abstractmethod
-    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
-        """The windows of one recording, unbroken in its inputs.
+    def longest(self, record: Record) -> int:
+        """How many samples a window has at most.
 
-        With `joined`, a window begins on the sample at which its neighbour ends; a start that is
-        estimated must not, for that sample would count twice.
-
-        **Raises:** `DataError` if the record has no such window; `ModelError` where a length
-        depends on a time step that is being traced.
+        **Raises:** `ModelError` where that depends on a time step that is being traced.
         """
 
     @abstractmethod
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
 
+    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
+        """The windows of one recording, unbroken in its inputs; the last of a stretch may be
+        shorter.
+
+        With `joined`, a window begins on the sample at which its neighbour ends; a start that is
+        estimated must not, for that sample would count twice.
+
+        **Raises:** `DataError` if the record has no such window.
+        """
+        longest, count = self.longest(record), record.sample_count
+        if is_concrete(record):
+            stretches = [(part.start, part.stop) for part in record.segments(inputs)]
+        elif record.present(inputs) is None:
+            stretches = [(0, count)]
+        else:
+            raise ModelError("a record with gaps cannot be traced here: cut it at its gaps first.")
+        first = [
+            (start, min(longest, stop - start))
+            for begin, stop in stretches
+            for start in range(begin, stop - 1, longest - joined)
+            if stop - start >= SHORTEST
+        ]
+        if not first:
+            raise DataError(
+                f"no unbroken stretch of {SHORTEST} samples is left in which {', '.join(inputs)} "
+                f"are recorded."
+            )
+        starts, lengths = np.array(first, np.int32).T
+        simulated = int(lengths.max())
+        # Whole stretches are of any lengths, and are simulated over one that others share.
+        return Shots(starts, lengths, simulated if longest < count else shared_length(simulated))
+
 
 class WholeRecord(AbstractShooting):
     """Each unbroken stretch of a recording at once: single shooting, the output-error fit."""
 
-    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
-        """One window for each unbroken stretch."""
-        cut = _tiles(record, inputs, record.sample_count, joined)
-        return dataclasses.replace(cut, longest=shared_length(cut.longest))
+    def longest(self, record: Record) -> int:
+        """All of its samples."""
+        return record.sample_count
 
     def describe(self) -> dict[str, object]:
         """Name."""
@@ -163,45 +179,20 @@ class Tiles(AbstractShooting):
         ):
             raise ModelError("tiles need a positive length.")
 
-    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
-        """Tiles of each unbroken stretch; the last of a stretch may be shorter."""
+    def longest(self, record: Record) -> int:
+        """One sample more than there are steps."""
         if self.samples is not None:
-            return _tiles(record, inputs, self.samples + 1, joined)
+            return self.samples + 1
         if not is_concrete(record.time_step):
             raise ModelError(
                 "the number of samples of a window must be known before tracing: give "
                 "Tiles(samples=...) or keep the record's time step out of jit and vmap."
             )
-        steps = max(round(float(self.seconds or 0.0) / float(record.time_step)), 1)
-        return _tiles(record, inputs, steps + 1, joined)
+        return max(round(float(self.seconds or 0.0) / float(record.time_step)), 1) + 1
 
     def describe(self) -> dict[str, object]:
         """Name and length."""
         return {"windows": "tiles", "seconds": self.seconds, "samples": self.samples}
-
-
-def _tiles(record: Record, inputs: Sequence[str], longest: int, joined: bool) -> Shots:
-    """Windows of up to `longest` samples, from the last sample of the one before, or after it."""
-    longest = min(longest, record.sample_count)
-    if is_concrete(record):
-        stretches = [(part.start, part.stop) for part in record.segments(inputs)]
-    elif record.present(inputs) is None:
-        stretches = [(0, record.sample_count)]
-    else:
-        raise ModelError("a record with gaps cannot be traced here: cut it at its gaps first.")
-    first = [
-        (start, min(longest, stop - start))
-        for begin, stop in stretches
-        for start in range(begin, stop - 1, longest - joined)
-        if stop - start >= SHORTEST
-    ]
-    if not first:
-        raise DataError(
-            f"no unbroken stretch of {SHORTEST} samples is left in which {', '.join(inputs)} are "
-            f"recorded."
-        )
-    starts, lengths = np.array(first, np.int32).T
-    return Shots(starts, lengths, int(lengths.max()))
 
 
 class Recorded(eqx.Module):
@@ -235,11 +226,6 @@ class Recorded(eqx.Module):
     every: int = eqx.field(static=True)
     piece: int = eqx.field(static=True)
 
-    @property
-    def windows(self) -> int:
-        """Number of windows."""
-        return self.initial.shape[0]
-
     def trajectory(
         self, method: AbstractMethod, system: AbstractSystem, initial: Float[Array, " states"]
     ) -> tuple[Float[Array, "longest states"], Bool[Array, ""]]:
@@ -258,11 +244,6 @@ def over_windows(function: Callable[[Any, Recorded], Any], initial: Array, part:
     """A function of each window's initial state and recording."""
     axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, part)
     return jax.vmap(function, in_axes=(0, axes))(initial, part)
-
-
-Along = tuple[Leaf, Leaf]
-"""States and inputs at points along a recording."""
-States = Float[Array, "windows longest states"]
 
 
 class Compared(NamedTuple):
@@ -295,24 +276,18 @@ def _cut(
     sample_count: Int[Array, ""],
     shots: Shots,
     compared: Compared,
-) -> tuple[Recorded, Along, Float[Array, " states"]]:
-    """What a recording holds in its windows; states and inputs at points spread over them; and the
-    mean square of each state.
+) -> tuple[Recorded, tuple[Leaf, Leaf]]:
+    """What a recording holds in its windows; and states and inputs at points spread over them.
 
     **Arguments:** `sample_count` of the recording; what lies behind only fills it up.
     """
     channels, given, every, joined, smooth = compared
     states, n = measured_states(system, record), record.sample_count
-    inputs = jnp.zeros((n, 0), record.time_step.dtype)
-    if system.input_names:
-        inputs = jnp.stack([record[name] for name in system.input_names], axis=-1)
+    inputs = input_levels(system, record)
     samples = shots.samples.reshape(-1)
     samples = samples[spread_points(samples.shape[0])]
     position = shots.samples[:, ::every]
-    initial = states[shots.first]
-    for name, value in given.items():
-        place = system.state_names.index(name)
-        initial = initial.at[:, place].set(jnp.asarray(value, initial.dtype))
+    initial = measured_states(system, record, given)[shots.first]
     # An initial state that is taken from the record leaves no error there.
     inside = within(shots.length, shots.longest)[:, ::every]
     inside = inside.at[:, 0].set(inside[:, 0] & (not joined))
@@ -325,8 +300,6 @@ def _cut(
     if smooth is not None:
         # Of the whole record: a window's neighbours tell what its inputs do at its ends.
         bends = bends_of(inputs, record.present(system.input_names), smooth)[shots.samples]
-    held = jnp.arange(n) < sample_count
-    squares = jnp.sum(jnp.where(held[:, None], states, 0.0) ** 2, axis=0) / sample_count
     recorded = Recorded(
         inputs[shots.samples],
         bends,
@@ -342,7 +315,7 @@ def _cut(
         every,
         min(max(short // every, 1), position.shape[1]),
     )
-    return recorded, (states[samples], inputs[samples]), squares
+    return recorded, (states[samples], inputs[samples])
 
 
 THRESHOLD = 1.345
@@ -352,17 +325,6 @@ LEAST_NOISE = 1e-3
 
 Threshold: TypeAlias = Float[Array, "1 channels"] | None
 """Past which a channel's loss is straight, in units of its residuals; `None` where nowhere."""
-
-
-def as_square(
-    residual: Float[Array, "*n channels"], threshold: Threshold
-) -> Float[Array, "*n channels"]:
-    """f(r), half the square of which is the loss."""
-    if threshold is None:
-        return residual
-    past = jnp.maximum(jnp.abs(residual), threshold)
-    bent = jnp.sign(residual) * jnp.sqrt(threshold * (2 * past - threshold))
-    return jnp.where(jnp.abs(residual) <= threshold, residual, bent)
 
 
 def loss_columns(
@@ -377,20 +339,13 @@ def loss_columns(
     if threshold is None:
         columns = jnp.concatenate([level[..., None], slopes], axis=-1)
         return columns, columns
-    score, energy = jnp.clip(level, -threshold, threshold), as_square(level, threshold) ** 2
-    inside = jnp.abs(level) <= threshold
+    score, size = jnp.clip(level, -threshold, threshold), jnp.abs(level)
+    inside = size <= threshold
+    energy = jnp.where(inside, size**2, threshold * (2 * size - threshold))
     weight = inside if curved else jnp.where(inside, 1.0, score**2 / jnp.where(inside, 1.0, energy))
     left = jnp.concatenate([score[..., None], weight[..., None] * slopes], axis=-1)
     energy = energy / jnp.where(score == 0, 1.0, score)
     return left, jnp.concatenate([energy[..., None], slopes], axis=-1)
-
-
-RIDGE = 1e-10
-"""What keeps an initial state that no residual depends on from a division by zero; relative."""
-PROFILED = 1e-6
-"""Share of the sum of squares that better initial states would still take off: as good as none."""
-MOST_TRIALS = 8
-"""Initial states that are tried for each window."""
 
 
 class OutputResiduals(AbstractResiduals):
@@ -403,19 +358,9 @@ class OutputResiduals(AbstractResiduals):
 
     system: ByFunction
     recorded: list[Recorded]
-    table: ParameterTable
-    start: Theta
     sigma: Float[Array, " channels"]
-    initial: Initial
-    scale: Float[Array, " s"]
-    longest_window: Float[Array, ""]
-    method: Any
-    threshold: Float[Array, "1 channels"] | None
-    labels: tuple[str, ...] = eqx.field(static=True)
-    units: tuple[str, ...] = eqx.field(static=True)
-    initial_state_names: tuple[str, ...] = eqx.field(static=True)
+    threshold: Threshold
     estimated: tuple[int, ...] = eqx.field(static=True)
-    most_steps: int = eqx.field(static=True)
 
     @property
     def work(self) -> int:
@@ -429,46 +374,12 @@ class OutputResiduals(AbstractResiduals):
         states = self.recorded[0].initial.shape[1]
         return samples * fixed.steps_per_sample * states * tangents
 
-    def energy(self, theta: Theta, initial: Initial) -> Energies:
-        """Of each channel, in units of sigma, profiled over initial states by Gauss and Newton,
-        while that makes the sum smaller."""
-        zero = jnp.zeros(len(self.labels), theta.dtype)
-        if not self.estimated:
-            squares = self._by_window(
-                lambda at, window, index: jnp.sum(
-                    as_square(self._error(theta, at, window, index), self.threshold) ** 2, axis=0
-                ),
-                initial,
-            )
-            return sum((jnp.sum(each, axis=0) for each in squares), start=zero)
-        table = self.table.holding({**self.table.known, **dict(zip(self.table.free, theta))})
-        held, initial = held_still((dataclasses.replace(self, table=table), initial))
-        none = jnp.zeros(0, initial.dtype)
-
-        # Initial states to try, the least energy so far, trials left, and whether to go on.
-        def tried(state: tuple[Array, Energies, Array, Array]) -> tuple[Array, ...]:
-            trial, least, trials, _ = state
-            at = held.expansion(none, trial)
-            moments = at.moments()
-            better = jnp.sum(at.energy) < jnp.sum(least)
-            energy = jnp.where(better, at.energy, least)
-            gradient = moments[:, 1:, :1]
-            step = -jax.vmap(lambda g, r: solve_scaled(g, r, RIDGE))(moments[:, 1:, 1:], gradient)
-            going = better & (-jnp.sum(gradient * step) > PROFILED * jnp.sum(energy))
-            return trial + step[:, :, 0], energy, trials - 1, going & (trials > 0)
-
-        first: Any = (initial, zero + jnp.inf, jnp.asarray(MOST_TRIALS), jnp.asarray(True))
-        return jax.lax.while_loop(lambda state: state[3], tried, first)[1]
-
-    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
-        """Of each window of each record, in pieces of time."""
-        return self._expansion(theta, initial, False)
-
     def curved(self, theta: Theta, initial: Initial, expansion: Expansion) -> Expansion:
         """With the curvature of Huber's loss itself, none past its threshold."""
-        return expansion if self.threshold is None else self._expansion(theta, initial, True)
+        return expansion if self.threshold is None else self.expansion(theta, initial, True)
 
-    def _expansion(self, theta: Theta, initial: Initial, curved: bool) -> Expansion:
+    def expansion(self, theta: Theta, initial: Initial, curved: bool = False) -> Expansion:
+        """Of each window of each record, in pieces of time."""
 
         def of_window(initial: Array, window: Recorded, index: int) -> tuple[Array, Array]:
             # Residuals, and their derivatives by parameters and initial states.
@@ -509,7 +420,7 @@ class OutputResiduals(AbstractResiduals):
 
     def _by_window(self, of: Callable[[Array, Recorded, int], Any], initial: Initial) -> list[Any]:
         """What is made of each window's initial state, the window and its record's number."""
-        edges = np.cumsum([part.windows for part in self.recorded])[:-1]
+        edges = np.cumsum([len(part.length) for part in self.recorded])[:-1]
         parts = enumerate(zip(self.recorded, jnp.split(initial, edges)))
         return [
             over_windows(lambda at, window, i=i: of(at, window, i), own, part)
@@ -518,7 +429,12 @@ class OutputResiduals(AbstractResiduals):
 
     def rms(self, energy: Energies) -> Energies:
         """Of simulated minus recorded."""
-        return self.sigma * jnp.sqrt(energy / _counts(self.recorded))
+        return self.sigma * jnp.sqrt(energy / self.counts)
+
+    @property
+    def counts(self) -> Float[Array, " channels"]:
+        """Of each channel, how many samples are compared, 1 at the least."""
+        return _counts(self.recorded)
 
     def independent_rows(self) -> Float[Array, ""]:
         """All that are compared."""
@@ -531,7 +447,7 @@ class OutputResiduals(AbstractResiduals):
         for part, pieces in zip(self.recorded, expansion.pieces):
             samples, most = part.short, part.short_blocks
             number = jnp.clip(-(-part.sample_count // samples), 2, most)
-            moments = jax.vmap(lambda m: _without_initial(m, p))(pieces)
+            moments = jax.vmap(lambda m: without_initial(m, p))(pieces)
             position = part.position[:, :: part.piece]
             index = jnp.minimum(position // samples, number - 1).reshape(-1)
             held = jax.vmap(partial(_in_pieces, length=part.piece))(part.present).sum(axis=(2, 3))
@@ -550,16 +466,8 @@ class OutputResiduals(AbstractResiduals):
         first = window.initial.at[np.array(self.estimated, int)].set(initial)
         states, kept = window.trajectory(self.method, system, first)
         states, levels = states[:: window.every], window.levels[:: window.every]
-        # A state goes before an output of its name, and that before a state's derivative.
-        made, names = {}, system.state_names
-        outputs = {name for name, _ in system.outputs} - {*names}
-        if {*self.labels} - outputs - {*names}:
-            rates = jax.vmap(system.derivative)(states, levels)
-            made |= {f"d{name}": rates[:, i] for i, name in enumerate(names)}
-        if outputs & {*self.labels}:
-            made |= jax.vmap(system.output)(states, levels)
-        made |= {name: states[:, i] for i, name in enumerate(names)}
-        simulated = jnp.stack([made[name] for name in self.labels], axis=-1)
+        made = signals_of(system, states, levels, self.labels)
+        simulated = jnp.stack(list(made.values()), axis=-1)
         # What a lost simulation shows after its loss must not pass for an answer.
         simulated = jnp.where(kept, simulated, jnp.inf)
         return jnp.where(window.present, (simulated - window.measured) / self.sigma[None, :], 0.0)
@@ -570,18 +478,6 @@ def _in_pieces(values: Array, length: int) -> Array:
     count = -(-values.shape[0] // length)
     pad = [(0, count * length - values.shape[0])] + [(0, 0)] * (values.ndim - 1)
     return jnp.pad(values, pad).reshape(count, length, *values.shape[1:])
-
-
-def _without_initial(
-    pieces: Float[Array, "pieces columns columns"], p: int
-) -> Float[Array, "pieces 1+p 1+p"]:
-    """Moments of minus the residual and of its derivatives while initial states follow."""
-    mix = jnp.eye(1 + p, dtype=pieces.dtype).at[0, 0].set(-1.0)
-    if pieces.shape[-1] > 1 + p:
-        whole = jnp.sum(pieces, axis=0)
-        following = solve_scaled(whole[1 + p :, 1 + p :], whole[1 + p :, 1 : 1 + p], ridge=RIDGE)
-        mix = jnp.concatenate([mix, jnp.pad(-following, [(0, 0), (1, 0)])])
-    return jnp.einsum("ia,pij,jb->pab", mix, pieces, mix)
 
 
 class OutputError(AbstractObjective):
@@ -667,10 +563,10 @@ class OutputError(AbstractObjective):
         """Over the windows of all records."""
         (model,) = models
         system: AbstractSystem = model.build(table.values_at(start, 0))
-        channels = _channels(system, records, self.channels)
-        for record in records:
-            for name in system.input_names:
-                _ = record.signals[name]
+        channels = compared_signals(system, records, self.channels)
+        if self.channels is None:
+            computed = [_computed(record, channels) for record in records]
+            channels = tuple(n for n in channels if not all(n in each for each in computed))
         for name, value in (self.sigma or {}).items():
             if name not in channels:
                 raise ModelError(
@@ -703,15 +599,14 @@ class OutputError(AbstractObjective):
             longer = _filled(record) if is_concrete(records) else record
             count = jnp.asarray(record.sample_count)
             parts.append(_cut(system, longer, count, shots, compared))
-        recorded, along, squares = map(list, zip(*parts))
-        told = not any("zero" in by_state.values() for by_state in sources)
-        method, simulated = _method(system, recorded, along, told, self.method)
+        recorded, along = map(list, zip(*parts))
+        method = self.method or FixedStep()
+        if self.method is None and is_concrete(system, recorded):
+            told = not any("zero" in by_state.values() for by_state in sources)
+            method = _suitable(system, recorded, along, told)
         units = dict(system.states) | dict(system.outputs)
-        motion = None if simulated is None else (tuple(sources[0].values()), simulated)
-        given_sigma = dict(self.sigma or {})
-        sigma, deviation, scale = _scales(
-            recorded, given_sigma, channels, estimated, squares[0], motion
-        )
+        sigma, deviation = _scales(recorded, dict(self.sigma or {}), channels)
+        places = np.array(estimated, int)
         threshold = None
         if self.loss == "huber":
             noise = noise_levels(records, channels)
@@ -722,11 +617,8 @@ class OutputError(AbstractObjective):
             table=table,
             start=start,
             sigma=sigma,
-            initial=jnp.concatenate(
-                [part.initial[:, np.array(estimated, int)] for part in recorded]
-            ),
-            scale=scale,
-            longest_window=jnp.zeros_like(scale, shape=()),
+            initial=jnp.concatenate([part.initial[:, places] for part in recorded]),
+            longest_window=jnp.zeros_like(sigma, shape=()),
             method=method,
             threshold=threshold,
             labels=channels,
@@ -744,31 +636,6 @@ class OutputError(AbstractObjective):
         return {"refine": "output-error", **shooting, "starts": initial, **loss}
 
 
-def _channels(
-    system: AbstractSystem, records: Sequence[Record], asked: tuple[str, ...] | None
-) -> tuple[str, ...]:
-    available = system.simulated_names
-    if asked is not None:
-        if unknown := [name for name in asked if name not in available]:
-            raise ModelError(
-                f"the simulation has no signal '{unknown[0]}' to compare; it has: "
-                f"{', '.join(available)}."
-            )
-        for record in records:
-            for name in asked:
-                _ = record.signals[name]
-        return asked
-    held = [name for name in available if all(name in record.arrays for record in records)]
-    chosen = [name for name in system.state_names if name in held] or held
-    if not chosen:
-        raise DataError(
-            f"the records hold nothing that is simulated, so there is nothing to compare; needed "
-            f"is one of: {', '.join(available)}."
-        )
-    computed = [_computed(record, chosen) for record in records]
-    return tuple(name for name in chosen if not all(name in of for of in computed))
-
-
 def _computed(record: Record, names: Sequence[str]) -> set[str]:
     """Signals that were made of others among these: their noise is the others', sample by sample.
 
@@ -779,40 +646,35 @@ def _computed(record: Record, names: Sequence[str]) -> set[str]:
     return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
 
 
-def _method(
+def _suitable(
     system: AbstractSystem,
     recorded: Sequence[Recorded],
-    along: Sequence[Along],
+    along: Sequence[tuple[Leaf, Leaf]],
     told: bool,
-    asked: AbstractMethod | None,
-) -> tuple[AbstractMethod, States | None]:
-    """The method that was asked for, or steps for the fastest motion of all recordings, which are
-    `told` all states, or not.
-
-    **Returns:** the method; the first recording's motion, simulated, if it has states that no
-    recording tells.
-    """
-    free = asked is None and is_concrete(system, recorded)
-    steps = _steps(system, recorded, along) if free else 1
-    method = FixedStep(steps) if free else asked or FixedStep()
+) -> FixedStep:
+    """Steps for the fastest motion of all recordings, which are `told` all states, or not: then
+    that as simulated counts as well."""
+    steps = fewest = _steps(system, recorded, along)
     if told:
-        return method, None
-    simulated, kept = _trajectories(system, recorded, method)
-    while free and steps < MOST_STEPS and not all(kept):
+        return FixedStep(steps)
+    simulated, kept = _trajectories(system, recorded, FixedStep(steps))
+    while steps < MOST_STEPS and not all(kept):
         steps = min(4 * steps, MOST_STEPS)
         simulated, kept = _trajectories(system, recorded, FixedStep(steps))
-    if not free or not all(kept):
-        return method, simulated[0]
+    if not all(kept):
+        return FixedStep(fewest)
     along = []
     for states, part in zip(simulated, recorded):
         # Of the samples within all windows: what lies behind may run away.
         places = np.nonzero(np.asarray(within(part.length, states.shape[1])))
         at = tuple(place[spread_points(place.size)] for place in places)
         along.append((np.asarray(states)[at], np.asarray(part.levels)[at]))
-    return FixedStep(max(steps, _steps(system, recorded, along))), simulated[0]
+    return FixedStep(max(steps, _steps(system, recorded, along)))
 
 
-def _steps(system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence[Along]) -> int:
+def _steps(
+    system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence[tuple[Leaf, Leaf]]
+) -> int:
     return max(
         suitable_steps(system, states, levels, float(part.time_step))
         for part, (states, levels) in zip(recorded, along)
@@ -822,7 +684,7 @@ def _steps(system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence
 @kept_jit
 def _trajectories(
     system: AbstractSystem, recorded: Sequence[Recorded], method: AbstractMethod
-) -> tuple[list[States], list[Bool[Array, ""]]]:
+) -> tuple[list[Float[Array, "windows longest states"]], list[Bool[Array, ""]]]:
     """Of each window of each recording, and whether all kept their solution."""
     runs = [
         over_windows(lambda first, own: own.trajectory(method, system, first), part.initial, part)
@@ -836,15 +698,8 @@ def _scales(
     recorded: Sequence[Recorded],
     sigma: dict[str, Any],
     channels: tuple[str, ...],
-    estimated: tuple[int, ...],
-    squares: Float[Array, " states"],
-    simulated: tuple[tuple[str, ...], States] | None,
-) -> tuple[Float[Array, " channels"], Float[Array, " channels"], Float[Array, " s"]]:
-    """What channels are weighed by, their standard deviations, and the size of estimated states.
-
-    **Arguments:** `squares` of the states over the first recording, and that motion as simulated
-    with the source of each state.
-    """
+) -> tuple[Float[Array, " channels"], Float[Array, " channels"]]:
+    """What channels are weighed by, and their standard deviations."""
 
     def mean(of: Callable[[Array], Array]) -> Array:
         held = (jnp.where(part.present, of(part.measured), 0.0) for part in recorded)
@@ -856,16 +711,7 @@ def _scales(
     deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 1.0)
     chosen = [sigma.get(name, deviation[i]) for i, name in enumerate(channels)]
     weights = jnp.stack([jnp.asarray(each, deviation.dtype) for each in chosen])
-    # Root mean square of each state: recorded, else simulated; 1 of one that rests.
-    if simulated is not None:
-        sources, states = simulated
-        inside = within(recorded[0].length, states.shape[1])
-        motion = jnp.sum(jnp.where(inside[..., None], states, 0.0) ** 2, axis=(0, 1))
-        told = np.array([source != "zero" for source in sources])
-        squares = jnp.where(told, squares, motion / jnp.sum(recorded[0].length))
-    usable = jnp.isfinite(squares) & (squares > 0)
-    scale = jnp.sqrt(jnp.where(usable, jnp.where(usable, squares, 1.0), 1.0))
-    return weights, deviation, scale[np.array(estimated, int)]
+    return weights, deviation
 
 
 def _counts(recorded: Sequence[Recorded]) -> Float[Array, " channels"]:

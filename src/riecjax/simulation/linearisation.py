@@ -143,15 +143,8 @@ MOST_POINTS = 2**14
 """Points of a long recording at which the Jacobian is formed."""
 
 
-class Growth(NamedTuple):
-    """How differences grow: by the `factor` at most, by e^2.5 within the `horizon` in seconds."""
-
-    factor: float
-    horizon: float
-
-
-def growth(system: AbstractSystem, record: Record) -> Growth | None:
-    """How a system's small differences grow along a recording; not under jit.
+def growth_horizon(system: AbstractSystem, record: Record) -> float | None:
+    """Seconds in which a system's small differences grow by e^2.5 along a recording; not under jit.
 
     **Returns:** `None` where they stay within a thousandfold, or where no Jacobian is finite.
     """
@@ -169,28 +162,26 @@ def growth(system: AbstractSystem, record: Record) -> Growth | None:
     step = stride * float(record.time_step)
     sizes = np.linalg.norm(slopes * step, 2, axis=(1, 2))
     slopes = slopes * np.minimum(1.0, STEEPEST / np.maximum(sizes, STEEPEST))[:, None, None]
-    # Lengths in samples, and the logarithm of the largest growth over any block so long.
     products = scipy.linalg.expm(slopes * step)
-    lengths = [1.0]
-    logs = [float(np.max(np.log(np.linalg.norm(products, 2, axis=(1, 2)))))]
     # Filled up to a power of two, so that the last product is that of all samples.
     further = (1 << (len(products) - 1).bit_length()) - len(products)
     still = np.broadcast_to(np.eye(len(spread)), (further, *products.shape[1:]))
-    products = np.concatenate([products, still])
-    scale = np.zeros(len(products))
-    while len(products) > 1:
-        products, scale = products[1::2] @ products[::2], scale[1::2] + scale[::2]
+    products, scale = np.concatenate([products, still]), np.zeros(len(products) + further)
+    # The logarithm of the largest growth over any block of 1, 2, 4, ... samples.
+    logs = []
+    while True:
         # The product's size is kept apart, so that no power of it overflows.
         size = np.linalg.norm(products, 2, axis=(1, 2))
         size = np.where(size > 0, size, 1e-300)
         products, scale = products / size[:, None, None], scale + np.log(size)
-        lengths.append(2 * lengths[-1])
         logs.append(float(np.max(scale)))
-    lengths, logs = np.array(lengths), np.array(logs)
+        if len(products) == 1:
+            break
+        products, scale = products[1::2] @ products[::2], scale[1::2] + scale[::2]
+    lengths, logs = 2.0 ** np.arange(len(logs)), np.array(logs)
     if np.max(logs) <= np.log(MOST_GROWTH):
         return None
     first = int(np.argmax(logs > FOLDS))
     below = first - 1 if first else 0
     share = np.interp(FOLDS, logs[[below, first]], lengths[[below, first]])
-    samples = max(float(share) * stride, FEWEST_SAMPLES)
-    return Growth(float(np.exp(min(np.max(logs), 700.0))), samples * float(record.time_step))
+    return max(float(share) * stride, FEWEST_SAMPLES) * float(record.time_step)

@@ -1,6 +1,6 @@
 """Simulation of a system along a record of its inputs."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 import jax
@@ -86,7 +86,8 @@ def simulate(
         "rx.find_model('duffing').build_system({}), or rx.equation_system(equation, values)",
     )
     require("the inputs", inputs, Record, "rx.Record.from_samples({'u': force}, time_step=h)")
-    require("the method", method or FixedStep(), AbstractMethod, "method=rx.FixedStep(8)")
+    method = method or FixedStep()
+    require("the method", method, AbstractMethod, "method=rx.FixedStep(8)")
     require_intersample(intersample)
     start = dict(initial_state or {})
     system.require_states(start)
@@ -94,7 +95,6 @@ def simulate(
     first = jnp.stack(
         [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]
     )
-    method = FixedStep() if method is None else method
     smooth = smooth_inputs(intersample, system.input_names)
     return _simulate(system, levels, inputs, first, method, smooth)
 
@@ -114,6 +114,23 @@ def _simulate(
     states, status, reached = method.trajectory(
         system, levels, inputs.time_step, initial_state, *bends
     )
+    names = [*(f"d{name}" for name in system.state_names), *system.state_names]
+    made = signals_of(system, states, levels, [*names, *(name for name, _ in system.outputs)])
+    units = dict(inputs.units) | dict(system.states) | dict(system.outputs)
+    driving = {name: inputs.signal(name) for name in system.input_names}
+    signals = {name: Signal(s.values, s.present, s.unit) for name, s in driving.items()}
+    signals |= {name: Signal(values, unit=units.get(name, "")) for name, values in made.items()}
+    record = Record(signals, inputs.time_step, inputs.start_time, inputs.stamps, inputs.skipped)
+    return Simulation(record, status, reached)
+
+
+def signals_of(
+    system: AbstractSystem,
+    states: Float[Array, "n states"],
+    levels: Float[Array, "n inputs"],
+    names: Iterable[str],
+) -> dict[str, Float[Array, " n"]]:
+    """Samples of some of the states, outputs and derivatives along a motion, in this order."""
 
     def derivative(state: State, level: Array) -> State:
         """That of a velocity which sticks is zero."""
@@ -121,15 +138,12 @@ def _simulate(
             return system.derivative(state, level)
         return regime_at(system, state, level).derivative(system, state, level)
 
-    derivatives = jax.vmap(derivative)(states, levels)
-    made = {
-        **{f"d{name}": derivatives[:, i] for i, name in enumerate(system.state_names)},
-        **{name: states[:, i] for i, name in enumerate(system.state_names)},
-        **jax.vmap(system.output)(states, levels),
-    }
-    units = dict(inputs.units) | dict(system.states) | dict(system.outputs)
-    driving = {name: inputs.signal(name) for name in system.input_names}
-    signals = {name: Signal(s.values, s.present, s.unit) for name, s in driving.items()}
-    signals |= {name: Signal(values, unit=units.get(name, "")) for name, values in made.items()}
-    record = Record(signals, inputs.time_step, inputs.start_time, inputs.stamps, inputs.skipped)
-    return Simulation(record, status, reached)
+    # A state goes before an output of its name, and that before a state's derivative.
+    made = {name: states[:, i] for i, name in enumerate(system.state_names)}
+    wanted = dict.fromkeys(names)
+    if {name for name, _ in system.outputs} & (wanted.keys() - made):
+        made = {**jax.vmap(system.output)(states, levels), **made}
+    if wanted.keys() - made:
+        rates = jax.vmap(derivative)(states, levels)
+        made = {**{f"d{n}": rates[:, i] for i, n in enumerate(system.state_names)}, **made}
+    return {name: made[name] for name in wanted}

@@ -1,13 +1,14 @@
 """A state-space system, the form in which every model is simulated."""
 
-from collections.abc import Iterable, Mapping
-from typing import ClassVar
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from riecjax.errors import ModelError
+from riecjax.errors import DataError, ModelError
 from riecjax.records.record import Record
 
 Quantities = tuple[tuple[str, str], ...]
@@ -99,24 +100,56 @@ def input_levels(system: AbstractSystem, record: Record) -> Float[Array, "n inpu
     return jnp.stack(columns, axis=-1) if columns else jnp.zeros((record.sample_count, 0))
 
 
-def measured_states(system: AbstractSystem, record: Record) -> Float[Array, "n states"]:
-    """Each state at each sample; zero where nothing tells it, or what is carried along has."""
+def measured_states(
+    system: AbstractSystem, record: Record, given: Mapping[str, Any] = MappingProxyType({})
+) -> Float[Array, "n states"]:
+    """Each state at each sample: as it is `given`, or recorded; zero where nothing tells it, or
+    what is carried along has."""
     integral = {velocity: state for state, velocity in system.velocity_of.items()}
-    columns = []
+    count, dtype = record.sample_count, record.time_step.dtype
+    columns = {}
     for name, source in state_sources(system, record).items():
-        if source == "measured":
-            columns.append(record[name])
+        if name in given:
+            columns[name] = jnp.full(count, given[name], dtype)
+        elif source == "measured":
+            columns[name] = record[name]
         elif source == "differences":
             # Second-order differences, one-sided at the ends.
             q = record[integral[name]]
             first = -3 * q[0] + 4 * q[1] - q[2]
             last = 3 * q[-1] - 4 * q[-2] + q[-3]
             rises = jnp.concatenate([first[None], q[2:] - q[:-2], last[None]])
-            columns.append(rises / (2 * record.time_step))
+            columns[name] = rises / (2 * record.time_step)
         else:
-            columns.append(jnp.zeros(record.sample_count, record.time_step.dtype))
-    known = dict(record.arrays) | dict(zip(system.state_names, columns))
-    for name, samples in system.carried_levels(known).items():
-        if name not in record.arrays:
-            columns[system.state_names.index(name)] = samples
-    return jnp.stack(columns, axis=-1)
+            columns[name] = jnp.zeros(count, dtype)
+    carried = system.carried_levels({**record.arrays, **columns})
+    columns |= {n: carried[n] for n in carried if n not in record.arrays and n not in given}
+    return jnp.stack([columns[name] for name in system.state_names], axis=-1)
+
+
+def compared_signals(
+    system: AbstractSystem, records: Sequence[Record], asked: Sequence[str] | None = None
+) -> tuple[str, ...]:
+    """What of a simulation is compared with records: what is asked for, or the states that all of
+    them hold, or if there are none, all else that is simulated and recorded.
+
+    **Raises:** `ModelError` for what is not simulated; `DataError` for what is not recorded, inputs
+    among it.
+    """
+    available = system.simulated_names
+    if unknown := [name for name in asked or () if name not in available]:
+        raise ModelError(
+            f"the simulation has no signal '{unknown[0]}' to compare; it has: "
+            f"{', '.join(available)}."
+        )
+    for record in records:
+        for name in (*system.input_names, *(asked or ())):
+            record.signal(name)  # or an error that says which there are
+    held = [name for name in available if all(name in record.arrays for record in records)]
+    chosen = asked or [name for name in system.state_names if name in held] or held
+    if not chosen:
+        raise DataError(
+            f"the records hold nothing that is simulated, so there is nothing to compare; needed "
+            f"is one of: {', '.join(available)}."
+        )
+    return tuple(chosen)

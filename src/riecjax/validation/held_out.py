@@ -4,11 +4,7 @@ A simulation that runs to its end has shown nothing yet. The verdict is about th
 (`nrmse_fit`) of 80 % and more is predicted well, of 50 to 80 % roughly, less is not predicted, and
 below 0 % the measured mean would have been the better prediction.
 
-Stretches of a recording along which a model can be simulated from a state that is known.
-
-How well predicted signals fit measured ones.
-
-With the error e and the measured x of mean m and standard deviation s over n samples,
+**Fits.** With the error e and the measured x of mean m and standard deviation s over n samples,
 
     p   = 100 |e| / |x|                eq. (28)
     fit = 100 (1 - |e| / |x - m|)      NRMSE fit
@@ -31,14 +27,15 @@ from jaxtyping import Array, Bool, Float
 
 from riecjax.errors import DataError, SimulationError
 from riecjax.leaves import finite
-from riecjax.records.record import Record, filled_up
+from riecjax.records.record import Record, filled_up, shared_length
 from riecjax.records.signal import Signal, both
 from riecjax.shows import Drawn
-from riecjax.simulation.linearisation import jacobians
+from riecjax.simulation.linearisation import jacobians, spread_points
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import (
     AbstractSystem,
+    compared_signals,
     input_levels,
     measured_states,
     state_sources,
@@ -200,10 +197,6 @@ def unbroken_stretches(
     return found
 
 
-FREE_POINTS = 16
-"""Measured points at which a state is tested for having no influence on the motion."""
-
-
 class HeldOut(Drawn, eqx.Module):
     """What became of a model on a recording.
 
@@ -211,7 +204,7 @@ class HeldOut(Drawn, eqx.Module):
 
     - `signals`: fit of each signal that was compared.
     - `judged`: those that `predicts` is about: the states, or what the caller named.
-    - `ran`: whether every stretch was simulated to its end; `reason` says why not, else is empty.
+    - `reason` why not every stretch was simulated to its end; empty where it `ran`.
     - `predicts`: it ran, and every judged signal has a fit of at least 50 %.
     - `verdict`: one sentence about all of this.
     - `record`: inputs and everything simulated, on the time of the measured record; samples that
@@ -227,7 +220,6 @@ class HeldOut(Drawn, eqx.Module):
     signals: dict[str, SignalFit]
     record: Record
     judged: tuple[str, ...] = eqx.field(static=True)
-    ran: bool = eqx.field(static=True)
     reason: str = eqx.field(static=True)
     predicts: bool = eqx.field(static=True)
     verdict: str = eqx.field(static=True)
@@ -236,6 +228,17 @@ class HeldOut(Drawn, eqx.Module):
     drifting: tuple[str, ...] = eqx.field(static=True)
     horizon: float | None = eqx.field(static=True, default=None)
     measured: Record | None = None
+
+    @property
+    def ran(self) -> bool:
+        """Whether every stretch was simulated to its end."""
+        return not self.reason
+
+    @property
+    def worst_fit(self) -> float:
+        """The worst fit in percent of any judged signal; -inf if it did not run."""
+        fits = [float(self.signals[name].fit) for name in self.judged] if self.ran else []
+        return min((fit for fit in fits if fit == fit), default=-float("inf"))
 
     def entry(self) -> dict[str, Any]:
         """Everything but the record, as plain data for JSON; fits in percent, `None` if unknown."""
@@ -295,25 +298,14 @@ def validate_held_out(
       unstable motion the rest shows no more than how its first error grew.
 
     **Raises:** `DataError` if an input or one of `signals` is not in the record, if nothing can be
-    compared, or if no stretch has 20 samples; `ModelError` for an unknown state.
+    compared, or if no stretch has 20 samples; `ModelError` for a state or a signal that the system
+    does not have.
     """
     given = dict(initial_state or {})
     system.require_states(given)
+    judged = compared_signals(system, [measured], signals)
+    compared = signals or [name for name in system.simulated_names if name in measured.arrays]
     recorded = [name for name in system.state_names if name in measured.arrays]
-    available = system.simulated_names
-    if unknown := [name for name in signals or () if name not in available]:
-        raise DataError(
-            f"the simulation has no signal '{unknown[0]}' to compare; it has: "
-            f"{', '.join(available)}."
-        )
-    for name in (*system.input_names, *(signals or ())):
-        measured.signal(name)  # or an error that says which there are
-    compared = tuple(signals or (name for name in available if name in measured.arrays))
-    if not compared:
-        raise DataError(
-            f"the record holds nothing that is simulated, so there is nothing to compare; needed "
-            f"is one of: {', '.join(available)}."
-        )
     sources = state_sources(system, measured)
     sources |= {name: "carried" for name in system.carried if sources[name] == "zero"}
     sources |= dict.fromkeys(given, "given")
@@ -321,7 +313,6 @@ def validate_held_out(
     driving = system.input_names or list(measured.arrays)[:1]
     inputs = Record({name: measured[name] for name in driving}, measured.time_step)
     stretches = unbroken_stretches(system, measured, recorded, sources, horizon)
-    simulated = np.zeros(measured.sample_count, bool)
     arrays: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
     reason = ""
@@ -332,20 +323,12 @@ def validate_held_out(
             for name, value in given.items()
             if start == stretches[0][0] or name not in recorded
         }
-        beginning = measured.part(start, start + 3)
-        states = np.asarray(measured_states(system, beginning))[0]
-        first = dict(zip(system.state_names, states)) | first
-        there: dict[str, Any] = {
-            name: np.asarray(samples)[:1] for name, samples in beginning.arrays.items()
-        }
-        there |= {name: np.reshape(np.asarray(value), 1) for name, value in first.items()}
-        told = {*recorded, *given}
-        first |= {n: v[0] for n, v in system.carried_levels(there).items() if n not in told}
+        states = measured_states(system, measured.part(start, start + 3), first)
+        first = dict(zip(system.state_names, np.asarray(states)[0]))
         count = stop - start
-        # Each length compiles; with powers of two there are few.
-        length = count if count == inputs.sample_count else 1 << (count - 1).bit_length()
-        padded = filled_up(inputs, length, start, stop)
-        simulation = simulate(system, padded, method=method, initial_state=first)
+        # Each length compiles; of those that others share there are few.
+        filled = filled_up(inputs, shared_length(count), start, stop)
+        simulation = simulate(system, filled, method=method, initial_state=first)
         reached = min(int(simulation.samples_reached), count)
         if reached < count and not reason:
             try:
@@ -353,12 +336,9 @@ def validate_held_out(
             except SimulationError as error:
                 reason = str(error)
         # All that was simulated on the time of the measured record.
-        made = simulation.record.select(
-            *(n for n in simulation.record.arrays if n not in system.input_names)
-        )
+        made = simulation.record.select(*system.simulated_names)
         units |= dict(made.units)
         part = slice(start, start + reached)
-        simulated[part] = True
         for name, values in made.arrays.items():
             array = arrays.setdefault(name, np.full(measured.sample_count, np.nan))
             array[part] = np.asarray(values)[:reached]
@@ -371,7 +351,6 @@ def validate_held_out(
         values, truth, present = in_both(record, measured, name)
         samples = truth.size if present is None else int(jnp.sum(present))
         fits[name] = SignalFit(*_measures(values, truth, present), samples)
-    judged = tuple(signals or [name for name in compared if name in recorded] or compared)
     # Positions that are not predicted though their velocity is, and that nothing depends on.
     drifting = [
         position
@@ -382,8 +361,8 @@ def validate_held_out(
         and fits[velocity].grade in ("well", "roughly")
     ]
     if drifting:
-        chosen = np.flatnonzero(simulated)
-        chosen = chosen[:: max(1, chosen.size // FREE_POINTS)]
+        chosen = np.flatnonzero(~np.isnan(arrays[system.state_names[0]]))
+        chosen = chosen[spread_points(chosen.size)]
         states = measured_states(system, record)[chosen]
         influence = jacobians(system, states, input_levels(system, measured)[chosen])
         place = system.state_names.index
@@ -419,7 +398,6 @@ def validate_held_out(
         fits,
         record,
         judged,
-        not reason,
         reason,
         predicts,
         f"It did not run: {reason}" if reason else verdict,

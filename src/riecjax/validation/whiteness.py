@@ -107,10 +107,11 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
     if not all(np.isfinite(part).all() for part in left):
         return None
     squares = sum(np.sum(one**2, axis=(0, 1)) for one in left)
-    size = np.sqrt(squares / np.maximum(sum(np.sum(one, axis=(0, 1)) for one in masks), 1))
+    size = np.sqrt(squares / np.asarray(residuals.counts))
     series = left
     if any(
-        part.windows > 1 and part.measured.shape[1] < MANY_SAMPLES for part in residuals.recorded
+        len(part.length) > 1 and part.measured.shape[1] < MANY_SAMPLES
+        for part in residuals.recorded
     ):
         weight = 1 / np.where(size > 0, size, 1.0)
         slopes = [np.asarray(part) for part in residuals.slopes_by_initial(*at)]
