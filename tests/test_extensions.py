@@ -16,16 +16,13 @@ from tests.machines import DRAG
 import riecjax as rx
 from nightly import nightly
 from riecjax.cli.main import ORDER, run
-from riecjax.errors import DataError, ModelError
-from riecjax.extensions import NEEDS, ExtensionError, element, extension, require_packages
+from riecjax.errors import DataError
+from riecjax.extensions import NEEDS, ExtensionError, extension, require_packages
 from riecjax.records.reading import endings, read_channels
-from riecjax.settings import Elements
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 
 FOREIGN = """
-import dataclasses
-
 import click
 import numpy as np
 from riecjax.records.reading import Channels, apart
@@ -41,8 +38,8 @@ def read(file, decimal=None):
 def greet(name):
     click.echo(f"Hello {name}")
 
-def backlash(model, signal, hertz):
-    return dataclasses.replace(model, name=f"{model.name} with play of {signal} at {hertz}")
+def backlash():
+    pass
 
 NUMBER = 3
 
@@ -57,12 +54,6 @@ def read_lists(file):
 
 def read_and_exit(file):
     raise SystemExit(3)
-
-def failing(model, signal, hertz):
-    raise ValueError("no such joint")
-
-def forgetful(model, signal, hertz):
-    model.with_terms({})
 """
 READERS = {"xyz": "read", "rows": "read_rows", "wrong": "read_wrongly", "npz": "read", "h5": "read",
            "lost": "nobody", "lists": "read_lists", "exit": "read_and_exit"}  # fmt: skip
@@ -92,9 +83,7 @@ def install(tmp_path, monkeypatch):
 
 @pytest.fixture
 def foreign(install):
-    install("foreign", FOREIGN, readers=READERS, commands=COMMANDS_TOO,
-            elements={"backlash": "backlash", "number": "NUMBER", "failing": "failing",
-                      "forgetful": "forgetful"})  # fmt: skip
+    install("foreign", FOREIGN, readers=READERS, commands=COMMANDS_TOO)
 
 
 def test_a_foreign_reader_takes_part(foreign, tmp_path):
@@ -111,25 +100,12 @@ def test_a_foreign_reader_takes_part(foreign, tmp_path):
         read_channels(tmp_path / "a.xyz")
 
 
-def test_foreign_commands_and_elements_take_part(foreign, capfd):
+def test_foreign_commands_take_part(foreign, capfd):
     assert run(["greet", "Ada"]) == 0
     assert capfd.readouterr() == ("Hello Ada\n", "")
     assert run(["--help"]) == 0
     listed = re.findall(r"^  ([a-z]+)  ", capfd.readouterr().out, flags=re.MULTILINE)
     assert listed == [*ORDER, "greet", "number"]
-    duffing = rx.find_model("duffing")
-    play = Elements(added=[("backlash", "dy", 12.0), ("offset", "u", None)])
-    assert duffing.with_elements(play).name == "duffing with play of dy at 12.0"
-    offset = duffing.with_sensor_errors(offsets=["u"])
-    assert duffing.with_elements(play).parameters == offset.parameters
-    with pytest.raises(ModelError, match=r"^the element 'failing' failed at line \d+ of foreign"):
-        duffing.with_elements(Elements(added=[("failing", "dy", None)]))
-    with pytest.raises(ModelError, match=r"^what the element 'forgetful' returned is None\."):
-        duffing.with_elements(Elements(added=[("forgetful", "dy", None)]))
-    with pytest.raises(ModelError, match=r"no element 'absent'; there are: backlash, failing, "):
-        element("absent")
-    with pytest.raises(ExtensionError, match=r"from foreign:NUMBER: TypeError: 3 cannot be ca"):
-        element("number")
 
 
 def test_the_core_and_its_own_distribution_come_before_foreign_ones(foreign, tmp_path, capfd):
@@ -147,15 +123,17 @@ def test_the_core_and_its_own_distribution_come_before_foreign_ones(foreign, tmp
 def test_the_example_of_the_documentation_takes_part(install, tmp_path, capfd):
     page = (Path(__file__).parents[1] / "docs/reference/extensions.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    assert '[project.entry-points."riecjax.elements"]\ngravity = "bench_rig:gravity"\n' in page
-    install("bench_rig", code, readers={"rig": "read_rig"}, elements={"gravity": "gravity"})
+    assert '[project.entry-points."riecjax.readers"]\nrig = "bench_rig:read_rig"\n' in page
+    install("bench_rig", code, readers={"rig": "read_rig"}, commands={"noise": "noise"})
     record = DRAG.record(0.0, 1)
-    rows = np.column_stack([record.time, 1e3 * record["x"], record["u"] + 15.0])
+    rows = np.column_stack([record.time, 1e3 * record["x"], record["u"]])
     np.savetxt(tmp_path / "a.rig", rows)
-    rig = ("identify", str(tmp_path / "a.rig"), "--model", "drag-oscillator", "--refine", "none")
-    assert run([*rig, "--add", "gravity:x", "--no-sweep", "--json"]) == 0
-    weight = json.loads(capfd.readouterr().out)["parameters"]["weight_x"]
-    assert weight["value"] == pytest.approx(15.0, rel=0.01)
+    rig = (str(tmp_path / "a.rig"), "--model", "drag-oscillator")
+    assert run(["identify", *rig, "--refine", "none", "--no-sweep", "--json"]) == 0
+    stiffness = json.loads(capfd.readouterr().out)["parameters"]["k"]
+    assert stiffness["value"] == pytest.approx(DRAG.truth["k"], rel=0.01)
+    assert run(["noise", *rig]) == 0
+    assert capfd.readouterr().out.startswith("a.rig  x  ")
 
 
 def test_what_two_foreign_distributions_offer_is_refused_with_both_names(foreign, install):

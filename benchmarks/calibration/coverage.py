@@ -32,7 +32,7 @@ from riecjax.models.quarter_car.identification import (
     quarter_car_by_wheel,
     quarter_car_system,
 )
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.paper.published import TABLE_2
 from riecjax.paper.reproduction import TRUE_MASSES, identification_record
@@ -178,7 +178,7 @@ def study(case: Case, roads: int, seed: int = 0) -> dict[str, Any]:
 
 def main(roads: int = 800, out: Path | None = None) -> None:
     jax.config.update("jax_enable_x64", True)
-    source = quarter_car_source(reconstructed())
+    source = quarter_car_source()
     truth = {"K_t": 180e3, **TRUE_MASSES}
     exact, disturbed = (partial(source_record, source=source, noise=share) for share in (0.0, 0.05))
     cases = {

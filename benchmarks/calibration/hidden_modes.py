@@ -26,7 +26,7 @@ import riecjax as rx
 from benchmarks.calibration.noise_problems import car_motion
 from benchmarks.recorded import FOLDER, write_json
 from riecjax.estimation.evidence import ModeEvidence, mode_evidence
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.published import TABLE_6
 from riecjax.studies import over_keys
 
@@ -96,7 +96,7 @@ def mount_roads(
 
     The source's mount stiffens: `stiffness` is that at rest, which no motion of finite size shows.
     """
-    source = quarter_car_source(reconstructed(), mount_rate=stiffness, mount_damping=damping)
+    source = quarter_car_source({"K_m": stiffness, "B_m": damping})
 
     def road(key: Any, source: Any) -> dict[str, Any]:
         record = car_motion(key, source, 8000)

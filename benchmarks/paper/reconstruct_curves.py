@@ -131,7 +131,7 @@ def residuals(step: Float[Array, " shapes"], args: tuple[Any, ...]) -> Float[Arr
     """What Levenberg-Marquardt makes small."""
     build, keys, weights = args
     shapes = build(step)
-    source = quarter_car_source(shapes)
+    source = quarter_car_source(shapes=shapes)
     result = jax.vmap(lambda key: run_road(key, source, shapes, method=FixedStep(6)))(keys)
     identified, validated, touching = distances(result)
     # Grows faster than linearly, so that no number is given up for the sake of the others.
@@ -184,7 +184,7 @@ def judge(shapes: Reconstruction, roads: int) -> dict[str, Any]:
         run_road,
         jax.random.key(HELD_OUT_SEED),
         roads,
-        quarter_car_source(shapes),
+        quarter_car_source(shapes=shapes),
         shapes,
     )
     judged: dict[str, Any] = {"contact": contact(result).reproduced}

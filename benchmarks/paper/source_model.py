@@ -128,7 +128,7 @@ def errors(system: rx.simulation.AbstractSystem, truth: rx.Record) -> float:
 def study(seeds: int, noise: float) -> dict[str, Any]:
     """Means and standard errors over roads."""
     shapes = reconstructed()
-    source = quarter_car_source(shapes)
+    source = quarter_car_source(shapes=shapes)
     sums: dict[str, dict[str, list[float]]] = {"road": {}, "pothole": {}}
     parameters: dict[str, list[float]] = {}
     for seed, key in enumerate(jax.random.split(jax.random.key(181), seeds)):

@@ -17,7 +17,7 @@ from benchmarks.speed.timing import Comparison, Size, compare
 from riecjax.equations.model import as_model
 from riecjax.estimation.stages import solve
 from riecjax.models.quarter_car.identification import body_equation
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.reproduction import identification_record
 from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.one_pass import stage_normal_equations
@@ -93,7 +93,7 @@ def over_seeds(record: rx.Record, keys: Array) -> Float[Array, "seeds 5"]:
 
 def run(size: Size) -> Iterator[Comparison]:
     yield long_record(size)
-    full = identification_record(quarter_car_source(reconstructed()), jax.random.key(0)).record
+    full = identification_record(quarter_car_source(), jax.random.key(0)).record
     record = full.select(*SIGNALS)
     signals = {name: np.asarray(record[name]) for name in SIGNALS}
     step = float(record.time_step)

@@ -17,7 +17,7 @@ from benchmarks.speed.baselines import pysindy_weak, scipy_drag
 from benchmarks.speed.baselines.numpy_bootstrap import replicates
 from benchmarks.speed.timing import Comparison, Size, compare
 from riecjax.models.quarter_car.identification import quarter_car_by_body
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Signals
 from riecjax.uncertainty.intervals import Uncertainty
@@ -33,7 +33,7 @@ def judged(own: rx.Record, criterion: rx.RIEC) -> Uncertainty:
 
 
 def bootstrap(size: Size) -> Comparison:
-    source = quarter_car_source(reconstructed())
+    source = quarter_car_source()
     full = identification_record(source, jax.random.key(0)).record
     own = full.select("x1", "x2", "x3", "x4", "F_t")
     signals = {name: np.asarray(own[name]) for name in own.arrays}

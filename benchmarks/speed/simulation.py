@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from benchmarks.speed.baselines.numba_quarter_car import numba_solution
 from benchmarks.speed.baselines.quarter_car import car_of, numpy_solution
 from benchmarks.speed.timing import Comparison, Size, compare
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.models.quarter_car.source import QuarterCarSource
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
@@ -50,7 +50,7 @@ def many_roads(source: QuarterCarSource, velocities: Array) -> Float[Array, "roa
 
 
 def run(size: Size) -> Iterator[Comparison]:
-    source = quarter_car_source(reconstructed())
+    source = quarter_car_source()
     velocity = noise(jax.random.key(0))
     car, sampled = car_of(source), np.asarray(velocity)
     truth = np.asarray(states(source, velocity, Adaptive(rtol=1e-10, atol=1e-12)))

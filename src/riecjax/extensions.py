@@ -1,4 +1,4 @@
-"""What stands around the core: readers, commands and elements, found by name when one is asked for.
+"""What stands around the core: readers and commands, found by name when one is asked for.
 
 A distribution declares them as entry points:
 
@@ -7,7 +7,6 @@ A distribution declares them as entry points:
   [`Channels`][riecjax.records.reading.Channels]. It may have keywords `delimiter`, `decimal` and
   `columns`, what users say of a table as text.
 - `riecjax.commands`: name of a command; a `click.Command`.
-- `riecjax.elements`: name of an element of a machine; what makes it.
 
 What the core has itself is never looked for here, so that nothing can take its place. Of two
 extensions with one name this distribution's own wins; where neither is its own, both are refused.
@@ -16,19 +15,18 @@ extensions with one name this distribution's own wins; where neither is its own,
 import functools
 import importlib.util
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
-from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
+from riecjax.errors import DataError, RiecjaxError, reason_of
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-Kind = Literal["readers", "commands", "elements"]
+Kind = Literal["readers", "commands"]
 
 NEEDS = {
     "frame": ("a data frame needs", ("pandas",), "frames"),
-    "data set": ("a data set needs", ("xarray",), "frames"),
     "figure": ("a figure needs", ("matplotlib",), "report"),
     "report": ("figures and reports need", ("matplotlib", "plotly", "jinja2"), "report"),
     "fleet": (
@@ -96,19 +94,6 @@ def extension(kind: Kind, name: str) -> Callable[..., Any] | None:
             f"'{name}' of riecjax.{kind} cannot be loaded from {points[0].value}: "
             f"{reason_of(error).rstrip('.')}. Update or uninstall {packages[0]}."
         ) from None
-
-
-def element(name: str, own: Sequence[str] = ()) -> Callable[..., Any]:
-    """What adds the element of this name to a model, given a signal and perhaps a frequency in Hz.
-
-    **Arguments:** `own`, names that the core has, for an error to list.
-
-    **Raises:** `ModelError` if no distribution has it; `ExtensionError` as `extension`.
-    """
-    if (made := extension("elements", name)) is None:
-        listed = ", ".join(dict.fromkeys([*own, *extension_names("elements")]))
-        raise ModelError(f"there is no element '{name}'; there are: {listed}.")
-    return made
 
 
 @functools.cache

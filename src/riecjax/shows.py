@@ -7,8 +7,7 @@ each kind as soon as one is asked for, and an object of another kind brings its 
 """
 
 import functools
-import os
-from collections.abc import Callable, ItemsView, Iterator, KeysView, Mapping
+from collections.abc import Callable, ItemsView, Iterator, KeysView
 from typing import Any
 
 from riecjax.extensions import require_packages
@@ -45,7 +44,7 @@ table_of = _verb("table")
 draw = _verb()
 """Draw a chart by matplotlib; see [`Drawn.plot`][riecjax.shows.Drawn.plot]."""
 save = _verb()
-"""Write an object to a file; see [`Saved.save`][riecjax.shows.Saved.save]."""
+"""Write an object to a file; see [`Estimate.save`][riecjax.Estimate.save]."""
 show = _verb()
 """Write the report of an object to a temporary folder, and open it in the browser."""
 
@@ -80,10 +79,6 @@ class Drawn(Shown):
         return draw(chart_of(self), ax)
 
 
-COLUMNS = ("value", "std_error", "low95", "high95")
-"""Numbers of each parameter in a frame."""
-
-
 class Tabled(Drawn):
     """Values by name, as of a mapping, that leave as dictionaries, frames and tables.
 
@@ -100,19 +95,13 @@ class Tabled(Drawn):
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
-    def __contains__(self, name: object) -> bool:
-        return any(name == each for each in self)
-
     def keys(self) -> KeysView[str]:
         """Names of all parameters, those that were estimated first."""
-        return self._by_name().keys()
+        return dict.fromkeys(self).keys()
 
     def items(self) -> ItemsView[str, Any]:
         """Pairs of name and value."""
-        return self._by_name().items()
-
-    def _by_name(self) -> Mapping[str, Any]:
-        return {name: self[name] for name in self}
+        return {name: self[name] for name in self}.items()
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self)
@@ -146,35 +135,25 @@ class Tabled(Drawn):
         **Raises:** `DataError` if pandas is not installed.
         """
         require_packages("frame")
+        import numpy as np
         import pandas
 
-        data, axes = self._columns()
-        shape, names = data["value"].shape, list(self)
+        names, entries = list(self), [*self.to_dict().values()]
+        shape, missing = np.shape(entries[0]["value"]), (None, None)
         index = pandas.Index(names, name="parameter")
-        if len(shape) > 1:
-            levels = [*map(range, shape[:-1]), names]
-            index = pandas.MultiIndex.from_product(levels, names=axes)
-        frame = pandas.DataFrame({name: data[name].ravel() for name in COLUMNS}, index)
+        if shape:
+            batch = [f"member_{i}" for i in range(len(shape))] if len(shape) > 1 else ["member"]
+            levels = [*map(range, shape), names]
+            index = pandas.MultiIndex.from_product(levels, names=[*batch, "parameter"])
+        rows = [(e["value"], e["std_error"], *(e["interval"] or missing)) for e in entries]
+        data: dict[str, Any] = {
+            # NaN where there is no number.
+            name: np.stack([np.broadcast_to(np.array(x, float), shape) for x in column], -1).ravel()
+            for name, column in zip(("value", "std_error", "low95", "high95"), zip(*rows))
+        }
         for name in ("unit", "known"):
-            frame[name] = data[name] * (frame.shape[0] // len(names))
-        return frame
-
-    def _columns(self) -> tuple[dict[str, Any], list[str]]:
-        """Each column's numbers, shape `(*batch, parameters)`, with units and what is known; names
-        of the axes."""
-        import numpy as np
-
-        entries = [*self.to_dict().values()]
-        shape = np.shape(entries[0]["value"])
-        data: dict[str, Any] = {name: np.full((*shape, len(entries)), np.nan) for name in COLUMNS}
-        for i, entry in enumerate(entries):
-            ends = entry["interval"] or (None, None)
-            for name, value in zip(COLUMNS, (entry["value"], entry["std_error"], *ends)):
-                if value is not None:
-                    data[name][..., i] = np.array(value, float)
-        data |= {name: [entry[name] for entry in entries] for name in ("unit", "known")}
-        batch = [f"member_{i}" for i in range(len(shape))] if len(shape) > 1 else ["member"]
-        return data, [*(batch if shape else ()), "parameter"]
+            data[name] = [entry[name] for entry in entries] * (len(index) // len(names))
+        return pandas.DataFrame(data, index)
 
     def to_markdown(self) -> str:
         """A table in Markdown: value, standard error, unit, rounded by the standard error."""
@@ -183,31 +162,3 @@ class Tabled(Drawn):
     def to_latex(self) -> str:
         """The same as a `tabular` of LaTeX, which needs no package."""
         return table_of(self).latex()
-
-
-class Saved(Tabled):
-    """Can be kept in a file, and as a data set of xarray."""
-
-    def to_xarray(self) -> Any:
-        """An xarray data set over `parameter`: value, std_error, low95, high95, unit, known.
-
-        Axes of a batch come first, as `member`, of a nested one `member_0`, `member_1`, ...
-
-        **Raises:** `DataError` if xarray is not installed.
-        """
-        require_packages("data set")
-        import xarray
-
-        data, axes = self._columns()
-        named = {name: (axes if name in COLUMNS else "parameter", x) for name, x in data.items()}
-        return xarray.Dataset(named, {"parameter": list(self)})
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to a file of exactly this name, whole or not at all; see [`load`][].
-
-        It holds everything, the Summary too: values, intervals of any level, and findings.
-
-        **Raises:** `DataError` if the file cannot be written; `ModelError` for a batch, for what
-        is being traced, or a criterion with a law that is a function.
-        """
-        save(self, path)

@@ -1,7 +1,5 @@
 """A test function is one class: those of the package, and one that it does not know."""
 
-import json
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,11 +8,10 @@ import scipy.integrate
 
 import riecjax as rx
 from nightly import nightly
-from riecjax.cli.main import run
 from riecjax.criteria.suited import criterion_for
 from riecjax.criteria.test_functions import TEST_FUNCTIONS
 from riecjax.settings import Fit
-from riecjax.settings.kinds import TEST_FUNCTIONS as OFFERED
+from riecjax.settings.kinds import TEST_FUNCTION
 
 KEY = jax.random.key(0)
 MODEL = rx.Model("any", "Any model.")
@@ -108,7 +105,7 @@ def test_it_identifies_from_positions(windows):
 
 
 def test_the_command_line_offers_the_test_functions_that_are_there():
-    assert {*OFFERED} == {"auto", *TEST_FUNCTIONS}
+    assert {*TEST_FUNCTION.choices} == {"auto", *TEST_FUNCTIONS}
     model = rx.staged(rx.Equation(rx.Term("m", "x", derivative=2), -rx.Term(1.0, "F")))
     for name in TEST_FUNCTIONS:
         criterion = criterion_for(Fit(test_function=name), model, ())
@@ -116,50 +113,3 @@ def test_the_command_line_offers_the_test_functions_that_are_there():
         assert criterion.describe()["test_function"] == name
     finer = criterion_for(Fit(test_function="hat", quadrature="6"), model, ())
     assert finer == rx.RIEC.of_band((1.0, 10.0), rx.Hat(6))
-
-
-OWN_FILE = """
-import jax.numpy as jnp
-import riecjax as rx
-
-class Cosine(rx.criteria.AbstractSmoothTestFunction):
-    name = "cosine"
-
-    def weight(self, tau, length):
-        return jnp.cos(0.5 * jnp.pi * tau) ** 4
-
-class Nameless(rx.criteria.AbstractSmoothTestFunction):
-    def weight(self, tau, length):
-        return 1 - tau**2
-
-class Raises(Cosine):
-    def weight(self, tau, length):
-        raise RuntimeError("no weight today")
-
-oscillator = rx.Equation(
-    rx.Term("m", "x", derivative=2), rx.Term("d", "x", derivative=1), rx.Term("k", "x"),
-    -rx.Term(1.0, "u"),
-)
-"""
-
-
-def test_the_command_line_takes_it_from_a_file(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    _, record = oscillator()
-    columns = np.column_stack([record.time, record["x"], record["u"]])
-    np.savetxt("drive.csv", columns, delimiter=",", header="t,x,u", comments="")
-    (tmp_path / "own.py").write_text(OWN_FILE)
-    call = "identify drive.csv --model own.py:oscillator --json --refine none --test-function"
-    assert run([*call.split(), "own.py:Cosine"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["criterion"]["test_function"] == "cosine"
-    found = [document["parameters"][name]["value"] for name in "mdk"]
-    assert found == pytest.approx([2.0, 0.7, 30.0], rel=1e-3)
-    for name, words in (
-        ("oscillator", "is no test function"),
-        ("Nameless", "name"),
-        ("Raises", "no weight today"),
-    ):
-        assert run([*call.split(), f"own.py:{name}"]) == 1
-        assert words in capsys.readouterr().err
-    assert run([*call.split(), "cosine"]) == 2

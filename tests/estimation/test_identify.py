@@ -11,7 +11,7 @@ from tests.machines import MACHINES, Shape
 import riecjax as rx
 from nightly import nightly
 from riecjax.models.quarter_car.identification import quarter_car_by_body, quarter_car_by_wheel
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.reproduction import identification_record
 
 fit = partial(rx.identify, intervals=rx.Naive())
@@ -84,7 +84,7 @@ def numpy_quarter_car(windows, record, by_wheel):
 
 @pytest.fixture(scope="module")
 def drive():
-    source = quarter_car_source(reconstructed())
+    source = quarter_car_source()
     return identification_record(source, jax.random.key(0)).record
 
 

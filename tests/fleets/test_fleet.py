@@ -80,7 +80,6 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bits(
 ):
     _, out = by_vehicle
     monkeypatch.setattr(engine, "TOGETHER", 2)
-    monkeypatch.setattr(kept, "MOST_WAITING", 1)
     summed, given = [], {"by": "vehicle", "workers": 0, "out": tmp_path}
 
     def interrupted(what: str, done: int, total: int, samples: int) -> None:

@@ -75,7 +75,7 @@ def test_a_store_is_looked_at_and_a_file_of_it_brought_here():
         found = find_sources(["memory://bench"])
         assert named(found) == ["vehicle=7/a.csv", "vehicle=8/b.csv"]
         assert found[0].keys == (("vehicle", "7"),)
-        with at_hand(Piece(found[1]), (0, 0), {}) as file:
+        with at_hand(Piece(found[1]), (0, 0)) as file:
             assert file.name == "b.csv"
             assert file.read_bytes() == b"t,x\n0,2\n"
         assert not file.exists()
@@ -85,9 +85,9 @@ def test_a_store_is_looked_at_and_a_file_of_it_brought_here():
 
 def test_rows_of_a_data_set_are_taken_across_its_files(folder):
     (week,) = find_sources([folder / "week.parquet"])
-    (whole,) = recordings_of(week, [], {})
+    (whole,) = recordings_of(week, [])
     for low, high in ((0, 12), (3, 5), (7, 9), (4, 8), (11, 12)):
-        with at_hand(whole, (low, high), {}) as file:
+        with at_hand(whole, (low, high)) as file:
             found = parquet.read_table(file)["x"].to_numpy()
         np.testing.assert_array_equal(found, (np.arange(12) % 4)[low:high])
 
@@ -96,17 +96,17 @@ def test_rows_that_agree_in_a_column_are_recordings(tmp_path):
     write(tmp_path / "a.parquet/0.parquet", 5, drive=["p", "p", "q", "q", "p"])
     write(tmp_path / "a.parquet/1.parquet", 3, drive=["p", "p", "r"])
     (source,) = find_sources([tmp_path / "a.parquet"])
-    found = recordings_of(source, ["drive"], {})
+    found = recordings_of(source, ["drive"])
     assert [(p.keys[0][1], p.first, p.stop) for p in found] == [
         ("p", 0, 2),
         ("q", 2, 4),
         ("p", 4, 7),  # on through the next file
         ("r", 7, 8),
     ]
-    (whole,) = recordings_of(source, [], {})
+    (whole,) = recordings_of(source, [])
     assert (whole.first, whole.stop) == (0, 8)
     with pytest.raises(DataError, match="no column 'truck'"):
-        recordings_of(source, ["truck"], {})
+        recordings_of(source, ["truck"])
 
 
 def test_stretches_hold_every_start_once_and_the_last_is_no_stump():
@@ -126,7 +126,7 @@ def test_a_stretch_takes_along_only_the_files_that_it_reads(tmp_path):
     for number, count in enumerate(counts):
         write(tmp_path / f"weeks.parquet/{number:02}.parquet", int(count))
     (source,) = find_sources([tmp_path / "weeks.parquet"])
-    (whole,) = recordings_of(source, [], {})
+    (whole,) = recordings_of(source, [])
     rows = int(counts.sum())
     every = list(stretches(whole, 3000, 50))
     assert max(len(piece.files) for piece in every) < 20
@@ -134,7 +134,7 @@ def test_a_stretch_takes_along_only_the_files_that_it_reads(tmp_path):
     for piece in every:
         low, high = piece.reach(50)
         assert (low, high) == (max(piece.first - 1024, 0), min(piece.stop + 1074, rows))
-        with at_hand(piece, (low, high), {}) as file:
+        with at_hand(piece, (low, high)) as file:
             found = parquet.read_table(file)["x"].to_numpy()
         np.testing.assert_array_equal(found, values[low:high])
 
@@ -143,4 +143,4 @@ def test_a_data_set_without_rows_is_said(tmp_path):
     write(tmp_path / "week.parquet/0.parquet", rows=0)
     (week,) = find_sources([tmp_path / "week.parquet"])
     with pytest.raises(DataError, match="holds no rows"):
-        recordings_of(week, [], {})
+        recordings_of(week, [])

@@ -10,7 +10,7 @@ import pytest
 from riecjax import RIEC, AllWindows, Boxcar, Naive, Record, identify, simulate
 from riecjax.models.oscillators import two_mass_system
 from riecjax.models.quarter_car.identification import quarter_car_by_body
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper import reproduction
 from riecjax.paper.claims import (
     Claim,
@@ -111,7 +111,7 @@ def test_window_lengths(bias, narrow, expected):
 
 @pytest.mark.slow
 def test_estimates_over_lengths_are_those_of_identify():
-    source = quarter_car_source(reconstructed())
+    source = quarter_car_source()
     key = jax.random.key(2)
     pairs = [(0.05, 0.5), (0.1, 0.15)]
     found = reproduction.estimates_over_lengths(key, source, jnp.array(pairs))

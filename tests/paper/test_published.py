@@ -24,7 +24,7 @@ def roads():
         run_road,
         jax.random.key(11),
         ROADS,
-        quarter_car_source(shapes),
+        quarter_car_source(shapes=shapes),
         shapes,
     )
 
@@ -58,7 +58,7 @@ def test_a_road_of_other_amplitude_is_not_the_published_one(roads):
         run_road,
         jax.random.key(11),
         ROADS,
-        quarter_car_source(shapes),
+        quarter_car_source(shapes=shapes),
         eqx.tree_at(lambda s: s.roughness, shapes, shapes.roughness / 16),
     )
     assert distances(calm, "5").mean() > 0.05
@@ -67,7 +67,7 @@ def test_a_road_of_other_amplitude_is_not_the_published_one(roads):
 def chain(damper_rate):
     """From the damper's slope at rest to a validation error: everything in between."""
     shapes = eqx.tree_at(lambda s: s.damper.low_speed_rate, reconstructed(), damper_rate)
-    source = quarter_car_source(shapes)
+    source = quarter_car_source(shapes=shapes)
     training = identification_record(source, jax.random.key(0)).record.part(0, 1000)
     criterion = rx.RIEC(rx.RandomWindows(0.05, 0.5, 2000))
     parameters = dict(zip(PARAMETERS, by_body(training, criterion, jax.random.key(1))))

@@ -28,7 +28,7 @@ def varied() -> reproduction.RoadVariations:
 @pytest.fixture(scope="module")
 def tables() -> reproduction.RoadResult:
     return eqx.filter_jit(reproduction.run_road)(
-        KEY, quarter_car_source(SHAPES), SHAPES, method=METHOD
+        KEY, quarter_car_source(shapes=SHAPES), SHAPES, method=METHOD
     )
 
 
@@ -50,12 +50,12 @@ def test_at_the_bandwidth_of_table_2_models_are_those_of_the_tables(
 
 @pytest.fixture(scope="module")
 def damper() -> reproduction.Hysteresis:
-    return eqx.filter_jit(reproduction.hysteresis)(KEY, quarter_car_source(SHAPES))
+    return eqx.filter_jit(reproduction.hysteresis)(KEY, quarter_car_source(shapes=SHAPES))
 
 
 @pytest.mark.slow
 def test_hysteresis_is_the_damper_s_distance_from_its_curve(damper):
-    source = quarter_car_source(SHAPES)
+    source = quarter_car_source(shapes=SHAPES)
     record = reproduction.identification_record(
         source, reproduction.road_keys(KEY).training, method=FixedStep(12)
     ).record

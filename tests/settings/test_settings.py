@@ -271,11 +271,11 @@ def of_job(text: str, *typed: str, folder: str = "") -> Given:
     return given_to(commands()["identify"], "--job", str(file), *typed)
 
 
-def test_a_job_of_an_earlier_version_and_of_another_folder(tmp_path, monkeypatch):
+def test_a_job_of_another_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("jobs").mkdir()
     Path("out").write_text("in the way, but not of the job's folder")
-    given = of_job("own = ['offset']\nout = 'out'\ncolumns = []\n", folder="jobs")
+    given = of_job("per-record = ['offset']\nout = 'out'\ncolumns = []\n", folder="jobs")
     assert (given.per_record, given.columns) == (("offset",), ())
     assert given.out == Path("jobs/out")
 
@@ -320,8 +320,11 @@ def test_a_job_may_ask_for_one_document(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err.endswith("See 'riecjax identify --help'.\n")
 
 
-def test_an_element_that_is_near_no_frequency():
+def test_elements_by_their_kind():
+    model, elements = rx.find_model("drag-oscillator"), rx.settings.Elements
+    offset = model.with_elements(elements(added=[("offset", "u", None)]))
+    assert offset.parameters == model.with_sensor_errors(offsets=["u"]).parameters
+    with pytest.raises(rx.ModelError, match="no element 'absent'; there are: mode, spring, offset"):
+        model.with_elements(elements(added=[("absent", "u", None)]))
     with pytest.raises(rx.ModelError, match="offset:u is near no frequency: leave out =3"):
-        rx.find_model("drag-oscillator").with_elements(
-            rx.settings.Elements(added=[("offset", "u", 3.0)])
-        )
+        model.with_elements(elements(added=[("offset", "u", 3.0)]))

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from nightly import nightly
 from riecjax.errors import SimulationError
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.simulation.method import Adaptive, FixedStep
@@ -24,7 +24,7 @@ STATED_ACCURACY = 2e-4
 
 
 def source():
-    return quarter_car_source(reconstructed())
+    return quarter_car_source()
 
 
 def road(seed: int, count: int = 8000, step: float = STEP) -> Record:

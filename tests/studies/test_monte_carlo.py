@@ -8,10 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.machines import MACHINES, SHORT
 
-import riecjax as rx
-from riecjax.studies import over_keys, seed_scatter
+from riecjax.studies import over_keys
 
 KEY = jax.random.key(42)
 TRACES = []
@@ -83,25 +81,3 @@ def test_results_do_not_depend_on_the_number_of_devices(tmp_path):
         found = np.load(tmp_path / f"{chunk}.npz")
         assert_equal_trees({name: found[name] for name in expected}, expected)
     assert run.stdout.split() == ["2"]
-
-
-MODEL, RECORD = MACHINES["linear"].model, MACHINES["linear"].record(0.02, shape=SHORT)
-DRAWN = rx.RIEC(rx.RandomWindows(0.05, 0.4, 500))
-
-
-def test_each_seed_is_the_fit_with_that_key():
-    scatter = seed_scatter(MODEL, RECORD, DRAWN, key=KEY, seeds=5)
-    assert scatter.parameters == ("m", "c", "k")
-    for key, theta in zip(jax.random.split(KEY, 5), scatter.theta):
-        alone = rx.identify(MODEL, RECORD, DRAWN, key=key, intervals=rx.Naive(), noise="none")
-        np.testing.assert_allclose(theta, alone.theta, rtol=1e-9)
-    np.testing.assert_allclose(scatter.spread, np.std(np.asarray(scatter.theta), axis=0, ddof=1))
-    known = seed_scatter(MODEL, RECORD, DRAWN, key=KEY, known={"m": 2.0}, seeds=3)
-    assert known.parameters == ("c", "k")
-
-
-def test_what_draws_nothing_has_no_seeds():
-    with pytest.raises(rx.ModelError, match="only random windows"):
-        seed_scatter(MODEL, RECORD, rx.RIEC(rx.AllWindows(0.05, 0.4)), key=KEY)
-    with pytest.raises(rx.ModelError, match="at least two"):
-        seed_scatter(MODEL, RECORD, DRAWN, key=KEY, seeds=1)

@@ -18,7 +18,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.term import Term
 from riecjax.estimation.identify import identify
 from riecjax.models.quarter_car.identification import quarter_car_by_body
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.reproduction import identification_record
 from riecjax.records.record import Record
 from riecjax.simulation.inputs import band_limited_noise
@@ -185,7 +185,7 @@ def test_window_errors_are_those_of_every_window_in_every_block():
 @pytest.mark.raises_finding("unmodelled_mode")
 @pytest.mark.parametrize("seed", [0, *nightly([1])])
 def test_the_engine_on_its_mount_shows_in_the_quarter_car(seed):
-    record = identification_record(quarter_car_source(reconstructed()), jax.random.key(seed)).record
+    record = identification_record(quarter_car_source(), jax.random.key(seed)).record
     record = record.select("F_t", "x1", "x2", "x3", "x4", "v_r")
     estimate = fit(quarter_car_by_body(), record, CRITERION)
     tests = residual_tests(quarter_car_by_body(), record, estimate)

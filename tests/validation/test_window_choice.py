@@ -4,7 +4,7 @@ import pytest
 
 import riecjax as rx
 from riecjax.models.quarter_car.identification import mass_equation, quarter_car_by_body
-from riecjax.models.quarter_car.reconstruction import quarter_car_source, reconstructed
+from riecjax.models.quarter_car.reconstruction import quarter_car_source
 from riecjax.paper.reproduction import identification_record
 from riecjax.simulation.inputs import band_limited_noise
 from riecjax.validation.choice import window_choice
@@ -12,7 +12,7 @@ from riecjax.validation.choice import window_choice
 
 @pytest.fixture(scope="module")
 def quarter_car():
-    record = identification_record(quarter_car_source(reconstructed()), jax.random.key(0)).record
+    record = identification_record(quarter_car_source(), jax.random.key(0)).record
     return record.select("F_t", "x1", "x2", "x3", "x4", "v_r")
 
 

@@ -117,7 +117,6 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
       hidden modes.
     - `tests` of your own, each a function that makes a [`Test`][riecjax.validation.Test] of the
       model, the records and the answer; what one raises is a finding.
-    - `on_estimate`: called with the estimate before all that is slow, unless refinement answers.
     - `progress`: called with the sum of squares after each step of a refinement that was asked for.
 
     **Returns:** an [`Assessment`][].
@@ -174,11 +173,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         of_windows = refusal is not None and refusal.about.refuses == "windows"
         if not of_windows or settings.refine != "auto":
             raise_if_refused(excited)
-        if settings.on_estimate is not None and refusal is None:
-            settings.on_estimate(estimate)
-
-        # Not earlier: to import all that simulates takes seconds, and a reader at a terminal
-        # should not wait for it.
+        # Not earlier: to import all that simulates takes seconds, for which no refusal waits.
         from riecjax.assessment.refining import Problem, Track, against_priors, answered
 
         checked = check_sums(model, as_recordings(records), table_of_data, linear, excited)

@@ -16,7 +16,6 @@ from click.core import ParameterSource
 
 from riecjax.findings import Finding
 from riecjax.settings import Contradiction, Elements, Option, Reading, Settings
-from riecjax.settings.kinds import TEST_FUNCTIONS
 from riecjax.standard_output import keep_for_answers
 from riecjax.whole_files import read_plain, seen_from
 
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     from riecjax.equations.model import Model
     from riecjax.records.recording import Recording
 
-RENAMED = {"own": "per-record"}
-"""Keys of job files of earlier versions."""
 SMALL_FILES = 2**24
 """Bytes of all recordings below which compiling code takes longer than running it."""
 
@@ -91,14 +88,8 @@ class Given:
         return click.get_current_context().obj or ()
 
     def take(self, kind: type[Kind]) -> Kind:
-        """The settings of one kind, with the user's own test function for its name."""
-        values = {name: self.values[name] for name in kind.options() if name in self.values}
-        asked, weight = kind(**values), values.get("test_function")
-        if weight is None or weight in TEST_FUNCTIONS:
-            return asked
-        from riecjax.models.catalogue import test_function_of_file
-
-        return dataclasses.replace(asked, test_function=test_function_of_file(weight))
+        """The settings of one kind."""
+        return kind(**{name: self.values[name] for name in kind.options() if name in self.values})
 
     def model(self) -> "Model":
         """The model, with the elements that are added to it."""
@@ -332,7 +323,7 @@ class SettingsCommand(click.Command):
             if option.key != "job"
         }
         names = {option.key: name for name, option in self.options.items() if name != "job"}
-        for key, value in ((RENAMED.get(key, key), value) for key, value in job.items()):
+        for key, value in job.items():
             if key not in names:
                 if key in others:
                     is_said = others[key].of_plain(value) != others[key].default

@@ -44,8 +44,7 @@ from riecjax.equations.hidden_elements import (
 from riecjax.equations.memories import Memory
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm, Term
-from riecjax.errors import ModelError, refuse_unknown, require, users_code
-from riecjax.extensions import element
+from riecjax.errors import ModelError, refuse_unknown, require
 from riecjax.leaves import Leaf, is_concrete, is_number, is_under_trace
 from riecjax.records.record import Record
 from riecjax.shows import Shown
@@ -402,18 +401,14 @@ class Model(Shown, eqx.Module):
         asked += [(kind, signal, None) for kind, signals in plain.items() for signal in signals]
         asked += elements.added
         for kind, signal, hertz in asked:
+            if kind not in ("mode", *plain):
+                listed = ", ".join(("mode", *plain))
+                raise ModelError(f"there is no element '{kind}'; there are: {listed}.")
             if kind in plain and hertz is not None:
                 raise ModelError(f"{kind}:{signal} is near no frequency: leave out ={hertz:g}.")
-        ours = ("mode", *plain)
-        others = [(kind, element(kind, ours), *of) for kind, *of in asked if kind not in ours]
         of_kind = {kind: [signal for each, signal, _ in asked if each == kind] for kind in plain}
         offsets, gains = (tuple(dict.fromkeys(of_kind[kind])) for kind in ("offset", "gain"))
         model = self.with_sensor_errors(offsets, gains)
-        for kind, add, signal, hertz in others:
-            with users_code(f"the element '{kind}'"):
-                model = add(model, signal, hertz)
-            write = "a function that returns the model with it"
-            require(f"what the element '{kind}' returned", model, Model, write)
         if modes := [HiddenMode(signal, hertz) for kind, signal, hertz in asked if kind == "mode"]:
             model = model.with_modes(*modes)
         if springs := of_kind["spring"]:

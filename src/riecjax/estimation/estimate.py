@@ -1,5 +1,6 @@
 """Parameters with units and uncertainty, however they were estimated."""
 
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Self
@@ -19,7 +20,7 @@ from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
 from riecjax.leaves import Leaf, is_concrete, namespace, on_host
 from riecjax.linear_algebra import gram_condition_limit
-from riecjax.shows import Saved
+from riecjax.shows import Tabled, save
 from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.intervals import Uncertainty
 
@@ -141,7 +142,7 @@ class Search(eqx.Module):
         return ", ".join(f"{number} x {words}" for words, number in ended.items())
 
 
-class Estimate(Saved, eqx.Module):
+class Estimate(Tabled, eqx.Module):
     """Parameters with units and uncertainty, and how they were obtained.
 
     Read one by one as from a mapping: `estimate["M_s"]`. A pytree: `theta` and the covariance
@@ -216,6 +217,16 @@ class Estimate(Saved, eqx.Module):
     def units(self) -> tuple[tuple[str, str], ...]:
         """Pairs of name and unit, of known parameters too."""
         return self.table.units
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to a file of exactly this name, whole or not at all; see [`load`][].
+
+        It holds everything, the Summary too: values, intervals of any level, and findings.
+
+        **Raises:** `DataError` if the file cannot be written; `ModelError` for a batch, for what
+        is being traced, or a criterion with a law that is a function.
+        """
+        save(self, path)
 
     def __getitem__(self, name: str) -> Float[Array, "*batch"]:
         if not isinstance(name, str) or name not in self.known:

@@ -67,7 +67,7 @@ def fleet(
         )
 
         def look() -> list[Source]:
-            return find_sources(listed, asked.storage, lambda path: kept.is_result(folder, path))
+            return find_sources(listed, lambda path: kept.is_result(folder, path))
 
         table, sources = Path(listed[0]), []
         if has_table := len(listed) == 1 and kept.is_table(table):
@@ -120,19 +120,16 @@ def _sum(
         return
     done, samples = len(pieces) - len(lacking), 0
     tell("summing", done, len(pieces), samples)
-    try:
-        for some, rows in runs.each(sum_up, order.packed, lacking, lambda p: p.source.size):
-            if isinstance(rows, Lost):
-                rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
-            failures = [row.status for row in rows if row.status != DONE]
-            if failures and order.settings.strict:
-                raise DataError(failures[0])
-            store.add(rows)
-            done += len(some)
-            samples += sum(row.samples for row in rows)
-            tell("summing", done, len(pieces), samples)
-    finally:  # also where it ends early, as by Ctrl-C
-        store.write()
+    for some, rows in runs.each(sum_up, order.packed, lacking, lambda p: p.source.size):
+        if isinstance(rows, Lost):
+            rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
+        failures = [row.status for row in rows if row.status != DONE]
+        if failures and order.settings.strict:
+            raise DataError(failures[0])
+        store.add(rows)
+        done += len(some)
+        samples += sum(row.samples for row in rows)
+        tell("summing", done, len(pieces), samples)
 
 
 def _estimate(

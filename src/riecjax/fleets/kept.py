@@ -6,7 +6,6 @@ import hashlib
 import itertools
 import os
 import shutil
-import time
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,9 +14,10 @@ from typing import Any, NamedTuple, TypeVar
 import pyarrow as pa
 from pyarrow import parquet
 
-from riecjax.errors import DataError, ModelError, RiecjaxError, reason_of
+from riecjax.errors import DataError, ModelError, RiecjaxError
 from riecjax.fleets.engine import batches
 from riecjax.fleets.order import DONE, Order, Row
+from riecjax.fleets.sources import in_words
 from riecjax.whole_files import no_folder, write_file
 
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
@@ -25,8 +25,6 @@ ESTIMATES = "estimates.parquet"
 RESULTS = (SUMMARIES, ESTIMATES, "results.json")
 SCHEMA_KEY, SCHEMA = b"riecjax.fleet", b"2"
 ORDER, DIGEST = b"riecjax.order", b"riecjax.digest"
-MOST_WAITING, LONGEST_WAIT = 256, 5.0
-"""Rows, and seconds, that are lost at most when a run is killed."""
 ROWS, HELD = 256, 16
 """Rows of a batch, which are read together, at most; and batches that are held."""
 
@@ -100,22 +98,20 @@ def _opened(file: str | os.PathLike[str]) -> Iterator[tuple[Any, dict[bytes, byt
     damaged while it is read; `ModelError` for one of another schema.
     """
     name = Path(file).name
-    try:
-        with parquet.ParquetFile(file, page_checksum_verification=True) as source:
-            metadata = source.metadata.metadata or {}
-            if SCHEMA_KEY not in metadata:
-                raise DataError(f"{name}: it is no summaries.parquet of 'riecjax fleet'.")
-            if metadata[SCHEMA_KEY] != SCHEMA:
-                raise ModelError(
-                    f"{name}: it was written with schema {metadata[SCHEMA_KEY].decode()}, this "
-                    f"version reads {SCHEMA.decode()}: sum the recordings anew."
-                )
-            yield source, metadata
-    except RiecjaxError:
-        raise
     # A damaged file leads to anything, such as a name that is no text.
-    except Exception as error:
-        raise DataError(f"{name}: no readable table of a fleet: {reason_of(error)}") from None
+    with (
+        in_words(f"{name}: no readable table of a fleet"),
+        parquet.ParquetFile(file, page_checksum_verification=True) as source,
+    ):
+        metadata = source.metadata.metadata or {}
+        if SCHEMA_KEY not in metadata:
+            raise DataError(f"{name}: it is no summaries.parquet of 'riecjax fleet'.")
+        if metadata[SCHEMA_KEY] != SCHEMA:
+            raise ModelError(
+                f"{name}: it was written with schema {metadata[SCHEMA_KEY].decode()}, this "
+                f"version reads {SCHEMA.decode()}: sum the recordings anew."
+            )
+        yield source, metadata
 
 
 def _sound(source: Any, metadata: Mapping[bytes, bytes]) -> Iterator[list[Row]]:
@@ -123,8 +119,7 @@ def _sound(source: Any, metadata: Mapping[bytes, bytes]) -> Iterator[list[Row]]:
     digest = _digest_of(metadata)
     numbers = range(source.num_row_groups)
     yield from _digested((_batch(source, number) for number in numbers), digest)
-    # Earlier versions wrote none.
-    if metadata.get(DIGEST, b"") not in (b"", digest.hexdigest().encode()):
+    if metadata.get(DIGEST) != digest.hexdigest().encode():
         raise ValueError("its checksum differs")
 
 
@@ -165,8 +160,6 @@ class SumStore:
         self._folder, self._parts = folder, folder / PARTS
         self._metadata = {SCHEMA_KEY: SCHEMA, ORDER: order.digest.encode()}
         self._metadata[b"riecjax.model"] = order.model.name.encode()
-        self._waiting: list[Row] = []
-        self._written = time.monotonic()
         # Where the rows of each piece lie: the file, and numbers of its batches, mostly one.
         self._places: dict[str, tuple[Path, dict[int, None]]] = {}
         self._parts.mkdir(parents=True, exist_ok=True)
@@ -203,22 +196,9 @@ class SumStore:
 
         **Raises:** `DataError` where they cannot be written.
         """
-        self._waiting += rows
-        waited = time.monotonic() - self._written
-        if len(self._waiting) >= MOST_WAITING or waited > LONGEST_WAIT:
-            self.write()
-
-    def write(self) -> None:
-        """Write what is not written yet.
-
-        **Raises:** `DataError` where it cannot be.
-        """
-        if self._waiting:
-            file = self._parts / f"{uuid.uuid4().hex}.parquet"
-            together = [*_in_batches(self._waiting)]
-            write_batches(file, Row, together, self._metadata)
-            self._take_up(file, together)
-            self._waiting, self._written = [], time.monotonic()
+        file, together = self._parts / f"{uuid.uuid4().hex}.parquet", [*_in_batches(rows)]
+        write_batches(file, Row, together, self._metadata)
+        self._take_up(file, together)
 
     def finish(self, pieces: Sequence[str]) -> Path:
         """Write the rows of these pieces, in this order, to one file in place of all parts.

@@ -7,11 +7,11 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,11 +65,6 @@ class Order:
         return read_recordings(file, **{**vars(self.settings.reading), "model": self.model})
 
     @property
-    def storage(self) -> Mapping[str, Any]:
-        """What fsspec is told of the store."""
-        return self.settings.storage or {}
-
-    @property
     def columns(self) -> tuple[str, ...]:
         """What recordings are grouped by beside their paths."""
         return () if self.settings.keys[0] in WHOLE_PATHS else self.settings.keys
@@ -85,7 +80,7 @@ class Order:
         is_read_by_rows = source.is_long or (source.is_parquet and bool(columns))
         if piece.stop or not is_read_by_rows:
             return [piece]
-        return recordings_of(source, columns, self.storage)
+        return recordings_of(source, columns)
 
     @property
     def longest(self) -> float:
@@ -139,7 +134,7 @@ class Order:
             try:
                 run = self.runs_of(Piece(source))[0]
                 rows = run.low, min(run.high, run.low + LOOKED_AT)
-                with at_hand(run, rows, self.storage) as file:
+                with at_hand(run, rows) as file:
                     first = self.recordings_in(file)[0]
                 break
             except Exception as error:
@@ -285,7 +280,7 @@ def rows_of(order: Order, piece: Piece) -> list[Row]:
         rows.append(lost(piece, reason_of(error)))
     for run in runs:
         try:
-            with at_hand(run, run.reach(order.window), order.storage) as file:
+            with at_hand(run, run.reach(order.window)) as file:
                 recordings = order.recordings_in(file)
         except Exception as error:
             rows.append(lost(run, reason_of(error), run.part))

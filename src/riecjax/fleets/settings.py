@@ -1,9 +1,8 @@
 """Settings of a fleet: what is estimated together, how all recordings are read, and by whom."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from riecjax import settings
 from riecjax.errors import ModelError
@@ -59,14 +58,12 @@ class Fleets(
 
     **Fields:** also `allow_duplicates`: count recordings of a group that hold the same samples
     each; `out`: folder for `summaries.parquet` and `estimates.parquet`, `None` keeps nothing;
-    `storage`: what fsspec is to know of the store; `progress`: called with what is being done, how
-    much of it is, of how much, and samples.
+    `progress`: called with what is being done, how much of it is, of how much, and samples.
     """
 
     allow_duplicates: bool = flag("--allow-duplicates")
     """Take recordings that hold the same samples, which are refused otherwise."""
     out: str | os.PathLike[str] | None = None
-    storage: Mapping[str, Any] | None = None
     progress: Progress | None = None
 
     @property

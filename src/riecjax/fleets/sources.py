@@ -65,20 +65,19 @@ class Source(NamedTuple):
 
 def find_sources(
     patterns: Sequence[str | os.PathLike[str]],
-    storage: Mapping[str, Any] | None = None,
     is_other: Callable[[str], bool] = lambda _: False,
 ) -> list[Source]:
     """All that match a path, a folder (with all that it holds) or a pattern, sorted by name.
 
     **Arguments:** `patterns`: also URLs of a file system that fsspec knows, `s3://bucket/drives/*`;
-    `storage`: what fsspec needs to know of it; `is_other`, which paths are no recordings.
+    `is_other`, which paths are no recordings.
 
     **Raises:** `DataError` for a pattern that nothing matches, and a store that does not answer.
     """
     files: Infos = {}
     roots = []
     for pattern in [os.fspath(pattern) for pattern in patterns]:
-        root, matching = _files(pattern, storage or {})
+        root, matching = _files(pattern)
         matching = {url: info for url, info in matching.items() if not is_other(url)}
         if not matching:
             raise DataError(f"nothing that can be read matches '{pattern}'.")
@@ -107,12 +106,12 @@ def find_sources(
     return sorted(source(url, urls) for url, urls in sets.items())
 
 
-def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, Infos]:
+def _files(pattern: str) -> tuple[str, Infos]:
     """The folder that a pattern looks into, and what the store says of all files that match."""
     import fsspec
 
-    with _in_words(f"'{pattern}' cannot be looked at"):
-        fs, path = fsspec.core.url_to_fs(pattern, **storage)
+    with in_words(f"'{pattern}' cannot be looked at"):
+        fs, path = fsspec.core.url_to_fs(pattern)
         fs.invalidate_cache()  # what changes while others are summed must be seen
         matched = fs.glob(path, detail=True) if fsspec.core.has_magic(path) else {}
         if not matched and fs.exists(path):  # also where a name holds such a sign
@@ -136,8 +135,8 @@ def _files(pattern: str, storage: Mapping[str, Any]) -> tuple[str, Infos]:
 
 
 @contextlib.contextmanager
-def _in_words(what: str) -> Iterator[None]:
-    """Make a `DataError` of what a store's client raises, which each has exceptions of its own for.
+def in_words(what: str) -> Iterator[None]:
+    """Make a `DataError` of whatever a store's client, or a damaged file, leads to.
 
     What reads the data within raises as it does.
     """
@@ -220,9 +219,7 @@ def stretches(piece: Piece, starts: int, window: int) -> Iterator[Piece]:
         first = last
 
 
-def recordings_of(
-    source: Source, columns: Sequence[str], storage: Mapping[str, Any]
-) -> list[Piece]:
+def recordings_of(source: Source, columns: Sequence[str]) -> list[Piece]:
     """Rows of a Parquet source that follow one another and agree in these columns.
 
     **Raises:** `DataError` where a column is in none of its files; `OSError`.
@@ -230,7 +227,7 @@ def recordings_of(
     runs: list[tuple[Keys, int]] = []
     files, stop = [], 0
     for url in source.urls:
-        with _parquet(url, storage) as file:
+        with _parquet(url) as file:
             if lacking := {*columns} - {*file.schema_arrow.names}:
                 raise DataError(f"there is no column '{min(lacking)}' to group by.")
             runs += _runs(file, columns)
@@ -258,7 +255,7 @@ def _runs(file: Any, columns: Sequence[str]) -> Iterator[tuple[Keys, int]]:
 
 
 @contextlib.contextmanager
-def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> Iterator[Path]:
+def at_hand(piece: Piece, rows: tuple[int, int]) -> Iterator[Path]:
     """A source's one file as a file of this machine, brought here if it lies in a store; of a
     recording in a Parquet source, some rows, as a file of its source's name.
 
@@ -275,7 +272,7 @@ def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> 
     offsets: list[int] = []
     for url, begin, stop in piece.files:
         if begin < high and stop > low:
-            with _parquet(url, storage) as file:
+            with _parquet(url) as file:
                 # Only groups of rows are read that hold some.
                 counts = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
                 edges = begin + np.cumsum([0, *counts])
@@ -285,8 +282,8 @@ def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> 
     with tempfile.TemporaryDirectory(prefix="riecjax-") as folder:
         here = Path(folder) / posixpath.basename(whole or piece.source.name)
         if whole:
-            with _in_words(f"'{whole}' cannot be read"):
-                fs, path = fsspec.core.url_to_fs(whole, **storage)
+            with in_words(f"'{whole}' cannot be read"):
+                fs, path = fsspec.core.url_to_fs(whole)
                 fs.get_file(path, str(here))
         else:
             table = concat_tables(tables).slice(offsets[0], high - low)
@@ -296,14 +293,14 @@ def at_hand(piece: Piece, rows: tuple[int, int], storage: Mapping[str, Any]) -> 
 
 
 @contextlib.contextmanager
-def _parquet(url: str, storage: Mapping[str, Any]) -> Iterator[Any]:
+def _parquet(url: str) -> Iterator[Any]:
     """A Parquet file of a source, to be read in pieces.
 
     **Raises:** `DataError` where it cannot be.
     """
     import fsspec
 
-    with _in_words(f"'{url}' cannot be read"), fsspec.open(url, "rb", **storage) as stream:
+    with in_words(f"'{url}' cannot be read"), fsspec.open(url, "rb") as stream:
         with foreign_reader("Parquet"):
             file = parquet.ParquetFile(stream, page_checksum_verification=True)
         yield file

@@ -3,7 +3,6 @@
 import contextlib
 import functools
 import importlib.util
-import inspect
 import pkgutil
 import sys
 from collections.abc import Iterator
@@ -17,7 +16,6 @@ from riecjax.errors import ModelError, require, users_code
 from riecjax.whole_files import no_file
 
 if TYPE_CHECKING:
-    from riecjax.criteria.test_functions import AbstractTestFunction
     from riecjax.equations.model import Model
 
 _ROAD = (Quantity("v_r", "m/s", "road velocity, downwards positive"),)
@@ -111,7 +109,7 @@ LISTED = {
             name="quarter-car-source",
             summary="seven-state source model of the paper, eqs (19)-(20); simulation only",
             system=Machine(
-                "riecjax.models.quarter_car.reconstruction:source_system",
+                "riecjax.models.quarter_car.reconstruction:quarter_car_source",
                 (
                     Quantity("M_w", "kg", "wheel mass", 30.0),
                     Quantity("M_b", "kg", "body mass", 200.0),
@@ -299,31 +297,6 @@ def object_of_file(reference: str) -> object:
     if not hasattr(module, attribute):
         raise ModelError(f"{path} has no object '{attribute}'.")
     return getattr(module, attribute)
-
-
-def test_function_of_file(reference: str) -> "AbstractTestFunction":
-    """A test function of the user's own, whose class or object `path/to/file.py:object` names.
-
-    **Raises:** `ModelError` for what is none, and what lacks a part of one, which shows here and
-    not in the middle of a fit.
-    """
-    import numpy as np
-
-    from riecjax.criteria.test_functions import AbstractTestFunction
-
-    named = object_of_file(reference)
-    kind = named if isinstance(named, type) else type(named)
-    if not issubclass(kind, AbstractTestFunction) or inspect.isabstract(kind):
-        raise ModelError(
-            f"{reference} is no test function: derive the class from "
-            f"riecjax.criteria.AbstractSmoothTestFunction."
-        )
-    with users_code(reference):
-        weight: Any = named() if isinstance(named, type) else named
-        weight.describe()
-        weight.gain(np.array([1.0]), np.array([0.5]))
-        _ = weight.smoothness, weight.row_seconds
-    return weight
 
 
 def _load(path: Path) -> ModuleType:

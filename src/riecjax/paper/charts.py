@@ -33,7 +33,7 @@ VELOCITY, FORCE = "suspension velocity / (m/s)", "damper force / kN"
 
 def study_charts(study: reproduction.PaperStudy, shapes: Reconstruction) -> dict[str, Chart]:
     """The figures that the study has the numbers for, and the map of window lengths."""
-    roads, further, source = study.roads, study.further, quarter_car_source(shapes)
+    roads, further, source = study.roads, study.further, quarter_car_source(shapes=shapes)
     figures = {
         "tables": tables_at_a_glance(roads),
         "figure_3": figure_3(),

@@ -2,7 +2,6 @@
 
 import functools
 import os
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -11,8 +10,6 @@ from riecjax.runtime import start_jax
 from riecjax.settings import Output, Seed, Settings, flag, setting, whole
 
 DEFAULT_ROADS = 32
-PARTS = "variations.parts"
-"""Folder of what is finished of an interrupted study, inside the one of --out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +35,7 @@ class Study(Settings):
 def command(given: Given) -> None:
     """Reproduce Best and Gordon (1999) on simulated roads.
 
-    Without --full or --quick: Tables 1, 3, 4 and 5, and the statements that they decide. A study
-    with --out that is interrupted goes on where it was when it is started again.
+    Without --full or --quick: Tables 1, 3, 4 and 5, and the statements that they decide.
     """
     given.take(Study)
     out = given.out
@@ -55,11 +51,11 @@ def command(given: Given) -> None:
 
     if out is not None:
         require_folder(out)
-    shapes, parts = reconstructed(), None if out is None else out / PARTS
+    shapes = reconstructed()
     scale = QUICK if given.quick else FULL if given.full else given.roads or DEFAULT_ROADS
     key = jax.random.key(given.seed)
     with Progress() as progress:
-        study = run_study(scale, key, shapes, folder=parts, progress=progress.count)
+        study = run_study(scale, key, shapes, progress.count)
         progress.count("statements", 0, 1)
         claims = evaluate_claims(study.parts)
     others, further = {}, study.further
@@ -74,5 +70,3 @@ def command(given: Given) -> None:
         page=reproduction_page,
         others=others,
     )
-    if further is not None and parts is not None:
-        shutil.rmtree(parts, ignore_errors=True)

@@ -110,7 +110,7 @@ def _mode_document(mode: PublishedMode) -> Document:
 def reconstruction_document() -> Document:
     """What is published, derived and reconstructed, as plain data in SI units."""
     shapes, mount = reconstructed(), TABLE_6["pathological"]
-    source, hole = quarter_car_source(shapes), shapes.pothole
+    source, hole = quarter_car_source(shapes=shapes), shapes.pothole
     return {
         "note": "curves, pot-hole and road amplitude are reconstructed, not published",
         "published": {

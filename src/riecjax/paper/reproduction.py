@@ -3,13 +3,7 @@
 Parameters of identified models are arrays whose last axis is in the order of [`PARAMETERS`][].
 """
 
-import contextlib
-import functools
-import hashlib
-import io
-import json
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,7 +41,7 @@ from riecjax.simulation import (
 from riecjax.studies import over_keys
 from riecjax.summaries import NormalEquations, stage_normal_equations
 from riecjax.validation import percentage_error
-from riecjax.whole_files import Store, stamp
+from riecjax.whole_files import stamp
 
 TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 TRUE = {**TRUE_MASSES, "K_t": 180e3, "K_s": 20e3}
@@ -385,6 +379,8 @@ def window_error_moments(
 # of these models are validated on the two inputs of Section 5.
 
 Values = Array | np.ndarray
+ROADS_AT_ONCE = 4
+"""Each at all bandwidths."""
 
 
 class RoadVariations(NamedTuple):
@@ -415,7 +411,7 @@ def vary_road(
     The road of a key is that of [`run_road`][]: at 30 Hz and with the pathological mount, its first
     draw gives the models of Tables 3 to 5.
     """
-    source = quarter_car_source(shapes, mount_rate=mount.stiffness, mount_damping=mount.damping)
+    source = quarter_car_source({"K_m": mount.stiffness, "B_m": mount.damping}, shapes)
     keys, criteria = road_keys(key), paper_criteria()
     noise = training_noise(keys.training)
     # Windows are drawn by the road's own key first.
@@ -459,64 +455,6 @@ class VariedStudy(NamedTuple):
         errors = self.cases[case].errors[:, :, models, INPUTS.index(where)].sum(axis=-1)
         kept = self.cases[case].successful[:, :, models] & np.isfinite(errors)
         return np.where(kept, errors, np.inf).mean(axis=-1)
-
-
-ROADS_TO_A_PART = 4
-MOST_KEPT = 2**40
-"""Bytes of finished parts: all of them."""
-
-
-def run_variations(
-    key: Key[Array, ""],
-    shapes: Reconstruction,
-    bandwidths: tuple[float, ...],
-    roads: int,
-    draws: int,
-    *,
-    folder: Path | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> VariedStudy:
-    """Each case of Table 6 on all roads, at bandwidths in Hz, with so many draws of windows.
-
-    **Arguments:**
-
-    - `folder`: where finished parts are kept if it can be written, some roads under one mount in
-      each. Those of an interrupted study with the same numbers, key and versions are taken up.
-    - `progress`: called with the numbers of finished and of all parts.
-    """
-    # What a part's numbers depend on.
-    depends_on = {
-        "plan": (bandwidths, roads, draws),
-        "key": np.asarray(jax.random.key_data(key)).tolist(),
-        "versions": [version(name) for name in ("riecjax", "jax", "jaxlib")],
-        "precision": str(jnp.zeros(()).dtype),
-    }
-    settings = hashlib.sha256(json.dumps(depends_on).encode()).hexdigest()
-    if folder is not None:
-        with contextlib.suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-    store = None if folder is None else Store(folder, ".part", MOST_KEPT)
-    places = [(case, first) for case in TABLE_6 for first in range(0, roads, ROADS_TO_A_PART)]
-    parts: dict[str, list[RoadVariations]] = {case: [] for case in TABLE_6}
-    for done, (case, first) in enumerate(places, 1):
-        name, part = f"{case}-{first:05d}-{settings}", None
-        if store is not None and (content := store.get(name)) is not None:
-            with contextlib.suppress(Exception):  # what is damaged is made anew
-                part = RoadVariations(**np.load(io.BytesIO(content)))
-        if part is None:
-            # Arrays, so that all mounts share what is compiled.
-            mount, arrays = jax.tree.map(jnp.asarray, (TABLE_6[case], shapes))
-            count, bands = min(ROADS_TO_A_PART, roads - first), jnp.asarray(bandwidths)
-            settled = (mount, bands, arrays, draws)
-            computed = over_keys(vary_road, key, count, *settled, first=first, chunk=count)
-            part = jax.tree.map(np.asarray, computed)
-            if store is not None:
-                np.savez(content := io.BytesIO(), **part._asdict())
-                store.put(name, content.getvalue())
-        parts[case].append(part)
-        progress(done, len(places))
-    cases = {case: RoadVariations(*map(np.concatenate, zip(*some))) for case, some in parts.items()}
-    return VariedStudy(np.array(bandwidths), cases)
 
 
 def variations_table(study: VariedStudy) -> pa.Table:
@@ -683,8 +621,6 @@ def run_study(
     scale: Scale | int,
     key: Key[Array, ""],
     shapes: Reconstruction,
-    *,
-    folder: Path | None = None,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> PaperStudy:
     """Compute it, with the same roads in every part.
@@ -692,26 +628,38 @@ def run_study(
     **Arguments:**
 
     - `scale` of the whole study, or a number of roads for the tables alone.
-    - `folder`, where finished parts of the variations are kept (see [`run_variations`][]).
     - `progress`: called with what is computed, and the numbers of steps done and in all.
     """
-    source = quarter_car_source(shapes)
+    source = quarter_car_source(shapes=shapes)
 
-    def over(what: str, experiment: Callable[..., Any], count: int, *args: Any) -> Any:
-        progress(what, 0, count)
-        return over_keys(
-            experiment, key, count, *args, progress=lambda done: progress(what, done, count)
-        )
+    def over(
+        what: str, experiment: Callable[..., Any], count: int, *args: Any, chunk: int = 8
+    ) -> Any:
+        def told(done: int) -> None:
+            progress(what, done, count)
 
-    def once(what: str, compute: Callable[..., Any], *args: Any, **settings: Any) -> Any:
+        told(0)
+        return over_keys(experiment, key, count, *args, chunk=chunk, progress=told)
+
+    def once(what: str, compute: Callable[..., Any], *args: Any) -> Any:
         progress(what, 0, 1)
-        return compute(*args, **settings)
+        return compute(*args)
 
     if isinstance(scale, int):
         return PaperStudy(over("roads", run_road, scale, source, shapes))
-    what, plan = "bandwidths and engine mounts", (scale.bandwidths, scale.studied, scale.draws)
-    settings = {"folder": folder, "progress": functools.partial(progress, what)}
-    variations = once(what, run_variations, key, shapes, *plan, **settings)
+    # Arrays, so that all mounts share what is compiled.
+    settled = jax.tree.map(jnp.asarray, (np.array(scale.bandwidths), shapes))
+    cases = {
+        case: over(
+            f"bandwidths, {case} engine mount",
+            vary_road,
+            scale.studied,
+            *(jax.tree.map(jnp.asarray, mount), *settled, scale.draws),
+            chunk=ROADS_AT_ONCE,
+        )
+        for case, mount in TABLE_6.items()
+    }
+    variations = VariedStudy(np.array(scale.bandwidths), jax.tree.map(np.asarray, cases))
     roads = over("roads", run_road, scale.roads, source, shapes)
     few, pairs = jax.tree.map(lambda leaf: leaf[: scale.studied], roads), jnp.asarray(PAIRS)
     computed = (

@@ -89,7 +89,7 @@ def linear_source(mount: MountVariant = TABLE_6["pathological"]) -> QuarterCarSo
         reconstructed(),
         (jnp.asarray(DAMPING_RATE), jnp.full(2, DAMPING_RATE), np.zeros(2), np.zeros(())),
     )
-    return quarter_car_source(shapes, mount_rate=mount.stiffness, mount_damping=mount.damping)
+    return quarter_car_source({"K_m": mount.stiffness, "B_m": mount.damping}, shapes)
 
 
 WHEEL, BODY, ENGINE = 2, 3, 5

@@ -101,7 +101,7 @@ def _results(file: Path) -> Answer:
 
 @shows.save.register
 def save(estimate: Estimate, path: str | os.PathLike[str]) -> None:
-    """Write an estimate to a file; see [`Saved.save`][riecjax.shows.Saved.save]."""
+    """Write an estimate to a file; see [`Estimate.save`][riecjax.Estimate.save]."""
     if not is_concrete(estimate):
         raise ModelError("an estimate that jax.jit is making is saved outside of it.")
     if estimate.batch_shape:

@@ -196,8 +196,8 @@ class Elements(Settings):
     gains_of: Sequence[str] = many("--unknown-gain SIGNAL", TEXT)
     """Estimate the factor by which this signal's readings are to be multiplied."""
     added: Sequence[tuple[str, str, float | None]] = many("--add KIND:SIGNAL[=HZ]", ELEMENT)
-    """Add an element of this kind: mode, spring, offset or gain, as the options of these names do,
-    or one that an installed package brings."""
+    """Add an element of this kind: mode, spring, offset or gain, as the options of these names
+    do."""
 
 
 @dataclass(frozen=True, kw_only=True)

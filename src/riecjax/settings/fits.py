@@ -57,7 +57,7 @@ class Fit(Settings):
         TEST_FUNCTION,
         default_in_words="auto, the boxcar, or the bump where no sensor measured a velocity",
     )
-    """Weight inside a window, or a class of your own; hat and bump need no velocities."""
+    """Weight inside a window; hat and bump need no velocities."""
     quadrature: Literal["2", "4", "6", "8"] | None = setting(
         "--quadrature",
         choice("2", "4", "6", "8"),

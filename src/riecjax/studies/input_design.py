@@ -210,10 +210,9 @@ class Design(eqx.Module):
     - `record`: the input.
     - `frequencies` in Hz, with the `amplitudes` (in the input's unit) and `phases` (rad) of the
       multisine.
-    - `standard_error` of the `parameter` that was asked for, in its unit, with all others and the
-      initial state unknown; `standard_errors` of all that are estimated.
-    - `rms` of the input; `peaks`: largest size of each limited state over the samples.
-    - `starts`: what the search from each start promised, infinite where the travel is exceeded.
+    - `standard_errors` of all that are estimated, in their units, with all others and the initial
+      state unknown; `parameter`, the one that was asked for.
+    - `peaks`: largest size of each limited state over the samples.
     - `status` of the search.
     """
 
@@ -221,13 +220,15 @@ class Design(eqx.Module):
     frequencies: Float[Array, " k"]
     amplitudes: Float[Array, " k"]
     phases: Float[Array, " k"]
-    standard_error: Float[Array, ""]
     standard_errors: dict[str, Float[Array, ""]]
-    rms: Float[Array, ""]
     peaks: dict[str, Float[Array, ""]]
-    starts: Float[Array, " starts"]
     status: DesignStatus
     parameter: str = eqx.field(static=True)
+
+    @property
+    def standard_error(self) -> Float[Array, ""]:
+        """Of the parameter that was asked for."""
+        return self.standard_errors[self.parameter]
 
     @property
     def reason(self) -> str:
@@ -402,11 +403,8 @@ def _best(
         frequencies=problem.frequencies,
         amplitudes=factor * jnp.hypot(cosine, sine),
         phases=jnp.arctan2(-sine, cosine),
-        standard_error=errors[best, place],
         standard_errors=dict(zip(experiment.parameters, errors[best])),
-        rms=_rms(wave),
         peaks={name: peak[best] for name, peak in peaks.items()},
-        starts=promised,
         status=status,
         parameter=experiment.parameters[place],
     )

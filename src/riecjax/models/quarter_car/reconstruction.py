@@ -88,26 +88,15 @@ ROUGHNESS = 1.5e-5
 
 
 def quarter_car_source(
-    shapes: Reconstruction,
-    *,
-    mount_rate: float | Array | None = None,
-    mount_damping: float | Array | None = None,
+    values: Mapping[str, float | Array] = {}, shapes: Reconstruction | None = None
 ) -> QuarterCarSource:
-    """The source model with these shapes, and one of Table 6's mounts, the pathological one if
-    nothing is said."""
-    values = {q.name: q.default for q in LISTED["quarter-car-source"].system.parameters}
-    mount = {"K_m": mount_rate, "B_m": mount_damping}
-    given = {**values, **{name: value for name, value in mount.items() if value is not None}}
-    return source_system({name: jnp.asarray(value) for name, value in given.items()}, shapes)
-
-
-def source_system(
-    parameters: Mapping[str, Array], shapes: Reconstruction | None = None
-) -> QuarterCarSource:
-    """The source model with these masses and rates, and with the reconstructed curves or others.
+    """The source model with these masses and rates, else the catalogue's, and with the
+    reconstructed curves or others.
 
     The mount's whole curve is scaled by the gain of its stiffness, as the paper does.
     """
+    listed = {q.name: q.default for q in LISTED["quarter-car-source"].system.parameters}
+    parameters = {name: jnp.asarray(value) for name, value in {**listed, **values}.items()}
     shapes = reconstructed() if shapes is None else shapes
     gaps, rates = jnp.asarray(shapes.stop_gaps), jnp.asarray(shapes.stop_rates)
     gain = parameters["K_m"] / MOUNT_RATE
