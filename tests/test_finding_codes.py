@@ -84,12 +84,10 @@ def test_an_unknown_code_is_said_in_its_own_words():
 
 @pytest.mark.raises_finding("noise_dominates")
 def test_noise_that_makes_up_much_of_what_tells_parameters_apart():
-    size, own, noise, share, most = map(jnp.asarray, ([1.0, 1.0], [0.5, 0.5], [0.1, 0.1], 0.3, 0.5))
-    direction = jnp.asarray([0.7, -0.7])
+    size, own, noise = np.array([[1.0, 1.0], [0.5, 0.5], [0.1, 0.1]])
+    direction = np.array([0.7, -0.7])
     rows = Parameter("m", "m"), Parameter("k", "k")
-    excited = Excitation(
-        size, own, noise, direction, share, direction, most, rows, "axis", True, "x"
-    )
+    excited = Excitation(size, own, noise, direction, 0.3, direction, 0.5, rows, "axis", True, "x")
     (finding,) = excited.findings()
     assert "50 % of what tells these apart is noise of x" in finding.message
     assert (finding.signals, finding.parameters) == (("x",), ("m", "k"))

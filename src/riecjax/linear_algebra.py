@@ -110,6 +110,9 @@ def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Fl
 
     Under vmap, a CPU takes one matrix at a time; other devices take them all at once.
     """
+    if namespace(matrix) is np:
+        eigen: Any = np.linalg.eigh(matrix)
+        return eigen.eigenvalues, eigen.eigenvectors
     return jax.lax.platform_dependent(matrix, cpu=_one_by_one, default=_eigen)
 
 

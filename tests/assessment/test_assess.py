@@ -8,7 +8,6 @@ import pytest
 from tests.machines import MACHINES, Shape
 
 import riecjax as rx
-from riecjax.assessment import assess
 from riecjax.findings import Finding
 
 AXIS, TRUTH = MACHINES["linear"].model, MACHINES["linear"].truth
@@ -101,8 +100,7 @@ def test_slips_are_named_with_what_to_write(arguments, settings, words):
 
 
 @pytest.mark.parametrize("refine", [False, "by-hand", rx.OutputError, ["auto"]])
-def test_what_is_no_refinement_is_refused_before_the_fit(refine, monkeypatch):
-    monkeypatch.setattr(assess, "estimated", lambda *_: pytest.fail("fitted"))
+def test_what_is_no_refinement_is_refused_before_the_fit(refine):
     recording = rx.read_recording(write("run.csv", motion()))
     with pytest.raises(rx.ModelError, match=r"^refine is .* Write .*'?auto'?"):
-        rx.assess(AXIS, recording, HATS, refine=refine)
+        rx.assess(AXIS, recording, HATS, refine=refine, on_estimate=lambda _: pytest.fail("fitted"))

@@ -9,7 +9,7 @@ from nightly import by_day, nightly
 from riecjax.discovery import Candidate
 from riecjax.discovery.discover import discover, model_source
 from riecjax.models.catalogue import find_model
-from riecjax.reporting.discovery import choice_in_words
+from riecjax.reporting.discovery import choice_lines
 
 QUICK = {"intervals": rx.Naive(), "resamples": 0}
 TRUTH = {"m": 1.5, "stiffness": 20.0, "quadratic_drag": 0.5, "viscous": 0.8}
@@ -94,7 +94,7 @@ def test_what_is_held_out_has_no_part_in_the_choice(record):
     assert {*found.names} == DRAG.missing
     last = rx.identify(found.model, rx.split(record, 0.3)[1], intervals=rx.Naive())
     assert dict(found.estimate.values) == pytest.approx(dict(last.values), rel=1e-3)
-    assert "chosen without the last 30 %" in choice_in_words(found)
+    assert "chosen without the last 30 %" in choice_lines(found)[-1]
 
 
 @pytest.mark.slow

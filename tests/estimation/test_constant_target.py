@@ -7,7 +7,7 @@ import pytest
 import riecjax as rx
 from nightly import nightly
 from riecjax.equations.model import as_model
-from riecjax.estimation.constant_target import constant_targets
+from riecjax.estimation.constant_target import target_findings
 from riecjax.estimation.parameters import plan_parameters
 
 M, C, K, FORCE = 2.0, 3.0, 80.0, 40.0
@@ -64,7 +64,8 @@ def findings(model, records, criterion=HATS, **settings):
     sums = rx.summarise(model, records, criterion)
     given = {"known": None, "per_record": (), **settings}
     asked = plan_parameters(model, len(records), given["known"], given["per_record"])
-    return constant_targets(model, asked, sums)
+    found = target_findings(model, asked, sums)
+    return [finding for finding in found if finding.code == "constant_target"]
 
 
 HUM = FORCE * (1 + 0.02 * np.sin(2 * np.pi * 49 * TIME))

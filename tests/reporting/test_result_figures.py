@@ -48,7 +48,7 @@ def result_of(estimate, model, record) -> Assessment:
         model=as_model(model),
         recordings=[rx.Recording(record, "a.csv", ("filtered",))],
         validated_on=[],
-        checked=Check([], [], ()),
+        checked=Check([], [], (), estimate.criterion),
         estimate=estimate,
         tests=(ResidualTests(()),),
         key=jax.random.key(5),

@@ -5,11 +5,12 @@ beforehand whether there is an answer.
 """
 
 import contextlib
+import functools
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Array, Key
 
@@ -21,18 +22,17 @@ from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.errors import DataError, IdentifiabilityError
 from riecjax.estimation.check import (
     Check,
+    check_recordings,
     check_sums,
-    linear_sums,
+    looked_at,
     naming_copies,
     raise_if_not_carried,
-    raise_if_refused,
     read_of,
-    refusal_by,
 )
 from riecjax.estimation.constraints import Constraints
 from riecjax.estimation.estimate import Estimate
-from riecjax.estimation.excitation import excitations
-from riecjax.estimation.identify import estimated
+from riecjax.estimation.evidence import ModeTests, mode_evidence
+from riecjax.estimation.identify import estimate, estimated
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
@@ -51,7 +51,6 @@ from riecjax.validation.tests import own_tests, residuals_tested
 if TYPE_CHECKING:
     from riecjax.assessment.refining import Refinement
     from riecjax.equations.equation import Equation
-    from riecjax.estimation.evidence import ModeTests
     from riecjax.records.record import Record, Records
     from riecjax.summaries.summary import Summary
 
@@ -76,7 +75,7 @@ class Assessment(Evidence, Drawn):
         """The refinement, if one was asked for or `refine="auto"` tried one."""
         return self.test("refinement")
 
-    @property
+    @functools.cached_property
     def verdict(self) -> Verdict:
         """Which parameters can be trusted, how far, and what to do about the rest."""
         return verdict(self)
@@ -117,6 +116,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
       hidden modes.
     - `tests` of your own, each a function that makes a [`Test`][riecjax.validation.Test] of the
       model, the records and the answer; what one raises is a finding.
+    - `on_estimate`: called with the estimate before all that is slow, unless refinement answers.
     - `progress`: called with the sum of squares after each step of a refinement that was asked for.
 
     **Returns:** an [`Assessment`][].
@@ -163,27 +163,32 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         with explaining_errors(fitted, model.says_change_of):
             summary = summarise(model, records, criterion, key=settings.key, bins=bins, survey=True)
         estimate = on_host(estimated(model, summary, table, intervals, constraints))
-        modes, linear = _mode_tests(model, estimate), linear_sums(model, summary, estimate.table)
+        modes = ModeTests(mode_evidence(model, estimate)) if model.modes else None
         # Nothing else is asked of recordings that priors and bounds tell.
         table_of_data = estimate.told_by_data
-        excited = excitations(linear, table_of_data)
-        raise_if_not_carried(() if modes is None else modes.modes, excited)
-        refusal = refusal_by(finding for stage in excited for finding in stage.findings())
+        of_sums, linear = check_sums(model, summary, table_of_data, estimate.known)
+        raise_if_not_carried(() if modes is None else modes.modes, of_sums.excitations)
+        refusal = of_sums.refusal
         # What windows cannot tell from noise, output error may: it needs no derivative.
         of_windows = refusal is not None and refusal.about.refuses == "windows"
         if not of_windows or settings.refine != "auto":
-            raise_if_refused(excited)
-        # Not earlier: to import all that simulates takes seconds, for which no refusal waits.
+            of_sums.raise_if_refused()
+        if settings.on_estimate is not None and refusal is None:
+            settings.on_estimate(estimate)
+
+        # Not earlier: to import all that simulates takes seconds, and a reader at a terminal
+        # should not wait for it.
         from riecjax.assessment.refining import Problem, Track, against_priors, answered
 
-        checked = check_sums(model, as_recordings(records), table_of_data, linear, excited)
+        checked = check_recordings(model, as_recordings(records), table_of_data, linear, of_sums)
         checked = with_doubts(checked, estimate, model, records, again)
         unseen = [*(Track(part, number) for number, part in enumerate(held)), *map(Track, further)]
         problem = Problem(model, fitted, unseen, settings)
         refinement, validation = answered(problem, estimate, refusal is not None)
         failures = [*validation.failures, *against_priors(estimate, limits[1])]
-        if refinement is None or not refinement.chosen:
-            raise_if_refused(excited)
+        refined = None if refinement is None else refinement.answer
+        if refined is None:
+            of_sums.raise_if_refused()
         residuals = residuals_tested(model, records, estimate, again)
         failures += at_rest_findings(
             model, records, estimate, lambda other: again(records, other, intervals)
@@ -196,23 +201,18 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
                     edges = sweep_edges(records, summary.criterion)
                     summary = summarise(model, records, summary.criterion.every, bins=edges)
                 sweep = on_host(sweep_of_sums(summary, table_of_data))
-        validation = validation if validation.runs else None
-        tests = (modes, sweep, *residuals.tests, refinement, validation)
-    assessment = Assessment(
+    validation = validation if validation.runs else None
+    own = own_tests(settings.tests, model, records, estimate if refined is None else refined)
+    tests = (modes, sweep, *residuals.tests, refinement, validation, *own.tests)
+    return Assessment(
         model=model,
         recordings=fitted,
         validated_on=further,
         checked=checked,
         estimate=estimate,
         tests=tuple(test for test in tests if test is not None),
-        failures=failures,
-        key=settings.key,
-    )
-    own = own_tests(settings.tests, model, records, assessment.answer)
-    return replace(
-        assessment,
-        tests=(*assessment.tests, *own.tests),
         failures=[*failures, *own.findings],
+        key=settings.key,
     )
 
 
@@ -275,58 +275,28 @@ def assess_summary(
     [`check`][riecjax.check] refuses.
     """
     model = as_model(model)
-    summary.require_model(model)
-    table = plan_parameters(model, len(summary.recordings), known, ())
-    estimate = on_host(estimated(model, summary, table, intervals_of(intervals)))
-    modes, linear = _mode_tests(model, estimate), linear_sums(model, summary, estimate.table)
-    excited = excitations(linear, table)
-    raise_if_refused(excited)
+    found = on_host(estimate(model, summary, known=known, intervals=intervals))
+    modes = ModeTests(mode_evidence(model, found)) if model.modes else None
+    checked, _ = check_sums(model, summary, found.table, found.known)
+    checked.raise_if_refused()
     sweep = None
     if lengths is not None and not model.has_hidden:
         with contextlib.suppress(DataError):  # too short for any
             lengths.require_model(model)
-            sweep = on_host(sweep_of_sums(lengths, table))
+            sweep = on_host(sweep_of_sums(lengths, found.table))
     return Assessment(
         model=model,
         recordings=(),
         validated_on=(),
-        checked=Check(
-            [*findings, *(f for stage in excited for f in stage.findings())], excited, ()
-        ),
-        estimate=estimate,
+        checked=replace(checked, findings=[*findings, *checked.findings]),
+        estimate=found,
         tests=tuple(test for test in (modes, sweep) if test is not None),
     )
 
 
-def _mode_tests(model: Model, estimate: Estimate) -> "ModeTests | None":
-    """What speaks for hidden modes, of a model with some."""
-    if not model.modes:
-        return None
-    from riecjax.estimation.evidence import ModeTests, mode_evidence
-
-    return ModeTests(mode_evidence(model, estimate))
-
-
-class Answering(NamedTuple):
-    """What was `checked`, for which `criterion`, and what answers.
-
-    **Fields:** `by_refinement`: standard error of each parameter as a share of its value, where
-    windows cannot tell parameters from noise, and output error from these recordings can.
-    """
-
-    checked: Check
-    criterion: AbstractCriterion
-    by_refinement: dict[str, float] | None
-
-    @property
-    def refusal(self) -> Finding | None:
-        """What rules out an answer both by windows and by refinement."""
-        return self.checked.refusal if self.by_refinement is None else None
-
-
 def check_answering(
     model: "Equation | Model", records: "Records", settings: CheckSettings
-) -> Answering:
+) -> Check:
     """[`check`][], and where noise rules out an answer by windows, whether refinement has one.
 
     Windows need derivatives of what is recorded, whose noise grows with frequency; output error
@@ -336,25 +306,20 @@ def check_answering(
     **Raises:** as [`check`][].
     """
     model, recordings = as_model(model), as_recordings(records)
-    plain, key = [each.record for each in recordings], settings.key
-    criterion = criterion_for(settings, model, plain)
-    require_memory_to_assess(model, plain, criterion, checking=True)
-    summary = summarise(model, recordings, criterion, key=key, survey=True)
-    table = plan_parameters(model, len(recordings), settings.known, settings.per_record)
-    linear = linear_sums(model, summary, table)
-    excited = excitations(linear, table)
-    checked = check_sums(model, ready(model, recordings), table, linear, excited)
-    by_refinement = None
-    if checked.refusal is not None and checked.refusal.about.refuses == "windows":
-        # Not earlier: to import all that simulates takes seconds.
-        from riecjax.assessment.refining import Problem, answered
+    plain = [each.record for each in recordings]
+    require_memory_to_assess(model, plain, criterion_for(settings, model, plain), checking=True)
+    checked, summary, table = looked_at(model, recordings, settings)
+    if checked.refusal is None or checked.refusal.about.refuses != "windows":
+        return checked
+    # Not earlier: to import all that simulates takes seconds.
+    from riecjax.assessment.refining import Problem, answered
 
-        problem = Problem(model, recordings, [], Assess(key=key, intervals=Sandwich()))
-        with contextlib.suppress(IdentifiabilityError):
-            start = on_host(estimated(model, summary, table, Sandwich()))
-            refinement, _ = answered(problem, start, True)
-            refined = None if refinement is None else refinement.answer
-            if refined is not None:
-                errors = zip(refined.parameters, refined.standard_errors)
-                by_refinement = {name: float(e) / size_of(refined[name]) for name, e in errors}
-    return Answering(checked, criterion, by_refinement)
+    problem = Problem(model, recordings, [], Assess(key=settings.key, intervals=Sandwich()))
+    with contextlib.suppress(IdentifiabilityError):
+        start = on_host(estimated(model, summary, table, Sandwich()))
+        refinement, _ = answered(problem, start, True)
+        if refinement is not None and (refined := refinement.answer) is not None:
+            errors = zip(refined.parameters, refined.standard_errors)
+            shares = {name: float(error) / size_of(refined[name]) for name, error in errors}
+            return replace(checked, by_refinement=shares)
+    return checked

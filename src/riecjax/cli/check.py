@@ -38,12 +38,8 @@ def command(given: Given) -> None:
     with Progress():
         recordings = given.recordings(model)
         asked = dataclasses.replace(asked, key=jax.random.key(given.seed))
-        answering = check_answering(model, recordings, asked)
-    reporting.emit(
-        check_document(answering, model.name, recordings),
-        as_json=given.as_json,
-        out=None,
-        show=lambda _, console: print_check(answering, recordings, console),
-    )
-    if answering.refusal is not None:
+        checked = check_answering(model, recordings, asked)
+    document = check_document(checked, model.name, recordings)
+    reporting.emit(document, as_json=given.as_json, out=None, show=print_check)
+    if not checked.answerable:
         click.get_current_context().exit(1)

@@ -45,6 +45,7 @@ def command(given: Given) -> None:
             key=jax.random.key(given.seed),
             intervals=intervals_of(given.intervals, given.seed),
             validate_on=given.recordings(model, given.validate_on),
+            on_estimate=progress.show_estimate,
             progress=progress.refining,
         )
         assessment = assess(model, recordings, **vars(asked))

@@ -1,26 +1,32 @@
 """Before a fit: whether these records can answer the question that a model asks."""
 
 import contextlib
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import IdentifiabilityError
-from riecjax.estimation.constant_target import constant_targets, wrong_zeros
-from riecjax.estimation.excitation import Excitation, excitations
+from riecjax.estimation.constant_target import target_findings
+from riecjax.estimation.excitation import (
+    Excitation,
+    excitations,
+    raise_if_refused,
+    refusal_by,
+)
+from riecjax.estimation.hidden_modes import linearised
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
-from riecjax.findings import CODES, Finding
+from riecjax.findings import Finding
 from riecjax.records.faults.derivative_pairs import check_derivatives
 from riecjax.records.faults.signals import check_signals
 from riecjax.records.record import Record, Records
-from riecjax.records.recording import Recording, findings_of
+from riecjax.records.recording import Recording, explaining_errors, findings_of
 from riecjax.settings import Check as CheckSettings
 from riecjax.settings import taking
 from riecjax.shows import Shown
@@ -45,12 +51,16 @@ KNOWN_TERMS = "the known terms"
 class Check(Shown):
     """What stands against identifying a model from records.
 
-    **Fields:** `findings`; `excitations`, one for each stage; `signals`, what is read.
+    **Fields:** `findings`; `excitations`, one for each stage; `signals`, what the `criterion`
+    reads; `by_refinement`, standard error of each parameter as a share of its value, where windows
+    cannot tell parameters from noise, and output error from these recordings can.
     """
 
     findings: list[Finding]
     excitations: list[Excitation]
     signals: tuple[str, ...]
+    criterion: AbstractCriterion
+    by_refinement: dict[str, float] | None = None
 
     @property
     def refusal(self) -> Finding | None:
@@ -58,21 +68,19 @@ class Check(Shown):
 
         Where one signal is a copy of another, that is said in its place.
         """
-        return refusal_by(self.findings)
+        return refusal_by(self.findings) if self.by_refinement is None else None
 
     @property
     def answerable(self) -> bool:
         """Whether nothing found rules an answer out."""
         return self.refusal is None
 
+    def raise_if_refused(self) -> None:
+        """Raise what rules an answer out.
 
-def raise_if_refused(excitations: Iterable[Excitation]) -> None:
-    """Raise what a check refuses beside what `identify` raises, before the rest of it is done.
-
-    **Raises:** `IdentifiabilityError` with the finding's message and code.
-    """
-    if refusal := refusal_by(f for stage in excitations for f in stage.findings()):
-        raise IdentifiabilityError(refusal.message, refusal.code)
+        **Raises:** `IdentifiabilityError` with the finding's message and code.
+        """
+        raise_if_refused(self.findings)
 
 
 def raise_if_not_carried(
@@ -110,15 +118,6 @@ def naming_copies(
         raise
 
 
-def refusal_by(findings: Iterable[Finding]) -> Finding | None:
-    """What rules an answer out, or else why; `None` if nothing does."""
-    findings, importance = list(findings), [*CODES].index
-    refusals = [finding for finding in findings if finding.about.refuses]
-    first = min(refusals, key=lambda finding: importance(finding.code), default=None)
-    reasons = (finding for finding in findings if finding.about.explains_refusal)
-    return None if first is None else next(reasons, first)
-
-
 @taking(CheckSettings)
 def check(model: Equation | Model, records: Records, settings: CheckSettings) -> Check:
     """Look at sensors, sampling, length and excitation before a fit; arguments as for `identify`.
@@ -129,42 +128,45 @@ def check(model: Equation | Model, records: Records, settings: CheckSettings) ->
 
     **Raises:** as `identify`, for what can be said without arithmetic.
     """
-    recordings = ready(as_model(model), records, settings.noise)
+    return looked_at(as_model(model), records, settings)[0]
+
+
+def looked_at(
+    model: Model, records: Records, settings: CheckSettings
+) -> tuple[Check, Summary, ParameterTable]:
+    """[`check`][], with the sums that it is of and what would be estimated of them."""
+    recordings = ready(model, records, settings.noise)
     asked = task(model, recordings, settings, settings.key)
-    model = asked.model
-    for recording in recordings:
-        read_of(model, recording, asked.criterion)
     table = plan_parameters(model, len(recordings), settings.known, settings.per_record)
-    summary = linear_sums(model, summed(asked, survey=True), table)
-    return check_sums(model, recordings, table, summary, excitations(summary, table))
-
-
-def linear_sums(model: Model, summary: Summary, table: ParameterTable) -> Summary:
-    """The sums, linearised about hidden elements where there are some."""
-    if not model.has_hidden:
-        return summary
-    from riecjax.estimation.hidden_modes import linearised
-
-    return linearised(model, summary, table.known)
+    with explaining_errors(recordings, model.says_change_of):
+        summary = summed(asked, survey=True)
+    checked, linear = check_sums(model, summary, table, table.known)
+    return check_recordings(model, recordings, table, linear, checked), summary, table
 
 
 def check_sums(
+    model: Model, summary: Summary, table: ParameterTable, known: Mapping[str, Array]
+) -> tuple[Check, Summary]:
+    """What sums by themselves tell of the parameters to be estimated; and the sums, linearised
+    about hidden elements, of which these values are `known`."""
+    summary = linearised(model, summary, known)
+    excited = excitations(summary, table)
+    findings = [finding for stage in excited for finding in stage.findings()]
+    return Check(findings, excited, (), summary.criterion), summary
+
+
+def check_recordings(
     model: Model,
     recordings: Sequence[Recording],
     table: ParameterTable,
     summary: Summary,
-    excited: list[Excitation],
+    checked: Check,
 ) -> Check:
-    """[`check`][] of recordings of whose noise something is known.
-
-    **Arguments:** `summary`, what [`summarise`][] made of them with a survey, as
-    [`linear_sums`][riecjax.estimation.check.linear_sums]; `excited`, what
-    [`excitations`][riecjax.estimation.excitation.excitations] says of it.
-    """
+    """What was `checked` of sums, with what their recordings and survey tell; of whose noise
+    something is known."""
     read = [read_of(model, one, summary.criterion, summed=True) for one in recordings]
-    settings = model, table, summary
     # Deviations from the mean are no regressors of hidden elements.
-    constant = () if model.has_hidden else (*constant_targets(*settings), *wrong_zeros(*settings))
+    constant = [] if model.has_hidden else target_findings(model, table, summary)
     sensors = [of_sensors(model, one, names) for one, names in zip(recordings, read)]
 
     def told(number: int, finding: Finding) -> Finding:
@@ -186,9 +188,10 @@ def check_sums(
         *_quadrature(summary),
         *_break_points(model, summary),
         *constant,
-        *(finding for stage in excited for finding in stage.findings()),
+        *checked.findings,
     ]
-    return Check(findings, excited, tuple(dict.fromkeys(n for names in read for n in names)))
+    signals = tuple(dict.fromkeys(name for names in read for name in names))
+    return replace(checked, findings=findings, signals=signals)
 
 
 def read_of(
@@ -249,14 +252,12 @@ def parameters_reading(
 
 def _break_points(model: Model, summary: Summary) -> Iterator[Finding]:
     """Roof functions past the reach of the data, whose values would be extrapolated."""
-    reach: dict[str, list[Float[np.ndarray, "2"]]] = {}
-    for survey, _ in _surveys(summary):
-        for prefix, ends in survey.reach.items():
-            reach.setdefault(prefix, []).append(np.asarray(ends))
+    surveys = [survey for survey, _ in _surveys(summary)]
     for term in (term for equation in model.equations for term in equation.terms):
         if not isinstance(term.basis, RoofFunctions):
             continue
-        least, most = np.min(reach[str(term.name)]), np.max(reach[str(term.name)])
+        reach = [s.reach[str(term.name)] for s in surveys if term.name in s.reach]
+        least, most = np.min(reach), np.max(reach)
         points = np.asarray(term.basis.break_points)
         # The end segments are continued: what counts is data past the last but one.
         below = least > points[1] or (least > 0.5 * (points[0] + points[1]) and most >= points[-2])

@@ -29,11 +29,10 @@
 # one's c_i; deviations are what is left when columns are projected off it, or off each record's
 # part of it where means are its own.
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import constant
@@ -68,67 +67,61 @@ Rows = Float[np.ndarray, " rows"]
 
 # Values too large to be squared are for the fit to refuse.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def constant_targets(model: Model, table: ParameterTable, summary: Summary) -> list[Finding]:
-    """Equations whose target is zero, or constant and reproduced by one term (not under jit).
+def target_findings(model: Model, table: ParameterTable, summary: Summary) -> list[Finding]:
+    """Equations whose target is zero, or constant and reproduced by one term; then those that
+    motion explains, and a fit with the means does not (not under jit).
 
     **Arguments:** `summary`, with a constant beside all equations.
     """
-    findings = []
-    for seen in _averaged(model, table, summary):
+    constants, zeros = [], []
+    for stage, (_, unknown), *recordings in zip(
+        model.stages, table.stages, *(recording.stages for recording in summary.recordings)
+    ):
+        seen = [
+            _Averaged(equation, table, summary, sums, unknown)
+            for equation, *sums in zip(stage, *recordings)
+        ]
         for one in seen:
             others = [other for other in seen if other is not one]
             elsewhere = {name for other in others for name in other.names}
-            message = _fitted_by_zero(one, others) or _fitted_by_one(one, elsewhere)
-            if message:
+            if message := _fitted_by_zero(one, others) or _fitted_by_one(one, elsewhere):
                 message = f"{one.equation.name}: {message}"
-                findings.append(Finding("constant_target", message, parameters=tuple(one.columns)))
-    return findings
+                constants.append(Finding("constant_target", message, parameters=tuple(one.columns)))
+            zeros += _wrong_zero(one, table)
+    return [*constants, *zeros]
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def wrong_zeros(model: Model, table: ParameterTable, summary: Summary) -> Iterator[Finding]:
-    """`wrong_zero` of equations that motion explains, and a fit with the means does not.
-
-    Deviations from the mean know of no sensor's zero. Arguments as of `constant_targets`; equations
-    are left out that read what an earlier stage finds.
-    """
-    for seen in itertools.chain.from_iterable(_averaged(model, table, summary)):
-        names = {*table.everywhere(seen.equation.parameters)}
-        if not names <= {*seen.names, *table.known}:
-            continue
-        if any(term.of is constant for term in seen.equation.terms) or not seen.columns:
-            continue
-        if not seen.share(seen.target) > seen.rounding:  # nothing of it moves
-            continue
-        left = seen.left_by_motion()
-        if not (fitted := seen.left_by_means(left)) > LEAST:
-            continue
-        inputs = seen.inputs
-        remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
-        moved = seen.moved_by_means()
-        most = max(moved, key=lambda name: moved[name])
-        yield Finding(
-            "wrong_zero",
-            f"{seen.equation.name}: the constant parts of the signals disagree with their motion, "
-            f"as with a wrong zero of a sensor: together they leave {100 * fitted:.2g} % of how "
-            f"the target varies, motion alone {100 * left:.2g} %. It moves {most} by "
-            f"{100 * moved[most]:.2g} % of its value. Estimate the zero as a constant"
-            + (f" (on the command line: {' '.join(remedy)})" if remedy else "")
-            + ": rx.Term('offset', rx.constant); or remove the signals' offsets.",
-            tuple(inputs),
-            tuple(seen.columns),
-            doubts=moved,
-            remedy=remedy,
-            step="Estimate the zero of a sensor, as a constant force",
-        )
-
-
-def _averaged(model: Model, table: ParameterTable, summary: Summary) -> Iterator[list["_Averaged"]]:
-    """The equations of each stage."""
-    for number, stage in enumerate(model.stages):
-        _, unknown = table.stages[number]
-        sums = zip(*(recording.stages[number] for recording in summary.recordings))
-        yield [_Averaged(e, table, summary, of, unknown) for e, of in zip(stage, sums)]
+def _wrong_zero(seen: "_Averaged", table: ParameterTable) -> list[Finding]:
+    """That the means disagree with the motion, of which deviations from the mean know nothing;
+    empty if they do not, and of what an earlier stage finds."""
+    names, known = {*table.everywhere(seen.equation.parameters)}, {*seen.names, *table.known}
+    has_zero = any(term.of is constant for term in seen.equation.terms)
+    moves = seen.share(seen.target) > seen.rounding
+    if not (names <= known and seen.columns and moves) or has_zero:
+        return []
+    left = seen.left_by_motion()
+    if not (fitted := seen.left_by_means(left)) > LEAST:
+        return []
+    inputs = seen.inputs
+    remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
+    # How far each coefficient is from that of motion alone, as a share of it in the fit.
+    columns = [*seen.columns.values()]
+    whole = _fit(seen.target, columns)
+    alone = _fit(seen.moving(seen.target), [seen.moving(column) for column in columns])
+    shares = np.minimum(np.abs(alone - whole) / np.maximum(np.abs(whole), 1e-300), MOST_MOVED)
+    moved = dict(zip(seen.columns, shares.tolist()))
+    most = max(moved, key=lambda name: moved[name])
+    message = (
+        f"{seen.equation.name}: the constant parts of the signals disagree with their motion, "
+        f"as with a wrong zero of a sensor: together they leave {100 * fitted:.2g} % of how "
+        f"the target varies, motion alone {100 * left:.2g} %. It moves {most} by "
+        f"{100 * moved[most]:.2g} % of its value. Estimate the zero as a constant"
+        + (f" (on the command line: {' '.join(remedy)})" if remedy else "")
+        + ": rx.Term('offset', rx.constant); or remove the signals' offsets."
+    )
+    step = "Estimate the zero of a sensor, as a constant force"
+    parameters = tuple(seen.columns)
+    return [Finding("wrong_zero", message, tuple(inputs), parameters, 0.0, moved, remedy, step)]
 
 
 def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
@@ -229,20 +222,33 @@ class _Averaged:
         )
         dtype = np.asarray(recordings[0].moments).dtype
         self.rounding = max(ROUNDING * float(np.finfo(dtype).eps) ** 0.5, FACTORED)
-        names = [table.of_record(one.parameters, i) for i, one in enumerate(recordings)]
-        # Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them.
-        rows = []
-        noise = []
-        for one in (sums.of_bins(*summary.band) for sums in recordings):
-            gram, added = np.zeros((2, *(2 + len(one.parameters),) * 2))
+        # Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them;
+        # mixes of their columns are the target less what is known, and regressors of the unknown.
+        called = [table.of_record(one.parameters, i) for i, one in enumerate(recordings)]
+        columns = [*dict.fromkeys(n for names in called for n in names if n in self.names)]
+        rows, noise, mixes = [], [], []
+        for sums, names in zip(recordings, called):
+            one = sums.of_bins(*summary.band)
+            gram, added = np.zeros((2, *(2 + len(names),) * 2))
             gram[0] = gram[:, 0] = np.asarray(one.constant).sum((0, 1))
             gram[1:, 1:] = np.asarray(one.moments).sum((0, 1))
             if one.noise is not None:
                 added[1:, 1:] = np.asarray(one.noise).sum((0, 1))
             rows.append(factor_of_gram(gram))
             noise.append(factor_of_gram(added))
-        self.target, self.columns = _columns(rows, names, self.names, table.known)
-        self.noise = _columns(noise, names, self.names, table.known)
+            mixes.append(np.zeros((2 + len(names), 1 + len(columns))))
+            mixes[-1][1, 0] = 1.0
+            for mix, name in zip(mixes[-1][2:], names):
+                if name in columns:
+                    mix[1 + columns.index(name)] = 1.0
+                else:
+                    mix[0] = -float(table.known.get(name, 1.0))
+
+        def mixed(factors: list[np.ndarray]) -> tuple[Rows, dict[str, Rows]]:
+            target, *found = np.concatenate([f @ mix for f, mix in zip(factors, mixes)]).T
+            return target, dict(zip(columns, found))
+
+        (self.target, self.columns), self.noise = mixed(rows), mixed(noise)
         # Unit vectors along what is constant over all records, or over each of them.
         edges = np.cumsum([0, *map(len, rows)])
         constants = np.zeros((edges[-1], len(rows)))
@@ -291,14 +297,6 @@ class _Averaged:
         )
         return fitted if fitted > DISAGREEING * np.hypot(left, noise) + SLIGHT else 0.0
 
-    def moved_by_means(self) -> dict[str, float]:
-        """How far each coefficient is from that of motion alone, as a share of it in the fit."""
-        columns = [*self.columns.values()]
-        whole = _fit(self.target, columns)
-        alone = _fit(self.moving(self.target), [self.moving(column) for column in columns])
-        moved = np.abs(alone - whole) / np.maximum(np.abs(whole), 1e-300)
-        return dict(zip(self.columns, np.minimum(moved, MOST_MOVED).tolist()))
-
     def candidates(self) -> list[list[str]]:
         """Columns that may stand for all: of each term, still ones first, and of all that are."""
         groups: list[list[str]] = []
@@ -308,26 +306,6 @@ class _Averaged:
                 groups.append(names)
         groups.sort(key=lambda names: max(self.share(self.columns[name]) for name in names))
         return [*groups, [name for name, c in self.columns.items() if self.share(c) <= STILL]]
-
-
-def _columns(
-    factors: Sequence[np.ndarray],
-    names: Sequence[tuple[str, ...]],
-    unknown: set[str],
-    given: Mapping[str, Array],
-) -> tuple[Rows, dict[str, Rows]]:
-    """Target and regressors of the unknown, of factors whose regressors are called `names`."""
-    edges = np.cumsum([0, *(len(factor) for factor in factors)])
-    target = np.concatenate([factor[:, 1] for factor in factors])
-    columns: dict[str, Rows] = {}
-    for i, (factor, called) in enumerate(zip(factors, names)):
-        rows = slice(edges[i], edges[i + 1])
-        for name, column in zip(called, factor[:, 2:].T):
-            if name in unknown:
-                columns.setdefault(name, np.zeros(edges[-1]))[rows] += column
-            else:
-                target[rows] -= float(given.get(name, 1.0)) * column
-    return target, columns
 
 
 def _fit(target: Rows, columns: list[Rows]) -> Float[np.ndarray, " columns"]:

@@ -22,7 +22,6 @@ from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.hidden_modes import (
-    ZOOMS,
     ModeMap,
     ModeStage,
     Values,
@@ -279,7 +278,6 @@ def _evidence(
             stage._replace(sought=(*others, mode)),
             band,
             jnp.concatenate([jnp.zeros(0), *others.values()]),
-            ZOOMS,
         ),
         jnp.mean(left),
         jnp.mean(without),

@@ -1,23 +1,17 @@
 """What a fit refuses once the sums are there: no rows, no numbers, or nothing to tell by."""
 
-import dataclasses
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from riecjax.compilation import kept_jit
-from riecjax.equations.model import Model
 from riecjax.errors import DataError, IdentifiabilityError
-from riecjax.estimation.constant_target import constant_targets
 from riecjax.estimation.estimate import Estimate, combination, weighing
 from riecjax.estimation.parameters import Parameter, ParameterTable
 from riecjax.estimation.stages import largest_share, stages_over_records
-from riecjax.findings import Finding
-from riecjax.leaves import on_host
+from riecjax.findings import CODES, Finding
+from riecjax.leaves import Leaf, on_host
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
@@ -45,6 +39,24 @@ def raise_if_nothing_to_fit(table: ParameterTable, totals: Sequence[NormalEquati
             )
 
 
+def refusal_by(findings: Iterable[Finding]) -> Finding | None:
+    """What rules an answer out, or else why; `None` if nothing does."""
+    findings, importance = list(findings), [*CODES].index
+    refusals = [finding for finding in findings if finding.about.refuses]
+    first = min(refusals, key=lambda finding: importance(finding.code), default=None)
+    reasons = (finding for finding in findings if finding.about.explains_refusal)
+    return None if first is None else next(reasons, first)
+
+
+def raise_if_refused(findings: Iterable[Finding]) -> None:
+    """Raise what findings rule out.
+
+    **Raises:** `IdentifiabilityError` with the message and code of the most important.
+    """
+    if refusal := refusal_by(findings):
+        raise IdentifiabilityError(refusal.message, refusal.code)
+
+
 def not_excited(stage_name: str, row: Parameter) -> Finding:
     """That a parameter's regressor is zero throughout."""
     return Finding(
@@ -55,14 +67,6 @@ def not_excited(stage_name: str, row: Parameter) -> Finding:
     )
 
 
-def raise_if_constant(model: Model, fit: Estimate, summary: Summary) -> None:
-    """Raise `IdentifiabilityError` for a target that says nothing of the parameters that data tell,
-    unless sums that were made under jit have no constant to tell means from motion by."""
-    if all(one.stages[0][0].constant is not None for one in summary.recordings):
-        for finding in constant_targets(model, fit.told_by_data, summary):
-            raise IdentifiabilityError(finding.message, finding.code)
-
-
 def raise_if_unidentifiable(fit: Estimate) -> None:
     """Raise `IdentifiabilityError` for a stage whose regressors are collinear."""
     for stage in fit.stages:
@@ -71,8 +75,7 @@ def raise_if_unidentifiable(fit: Estimate) -> None:
         label, _ = fit.table.stages[stage.stage]
         for name, size in zip(stage.parameters, np.asarray(stage.relative_size)):
             if size == 0:
-                silent = not_excited(label, fit.table[name])
-                raise IdentifiabilityError(silent.message, silent.code)
+                raise_if_refused([not_excited(label, fit.table[name])])
         direction = np.asarray(stage.solution.weakest_direction)
         which = combination(stage.parameters, direction)
         rows = [fit.table[name] for name in weighing(stage.parameters, direction)]
@@ -123,7 +126,7 @@ DROWNED = 0.9
 """The same past which the combination is lost; a quarter where the noise is not taken off."""
 
 
-class Excitation(eqx.Module):
+class Excitation(NamedTuple):
     """How one stage's regressors are excited.
 
     **Fields:**
@@ -140,17 +143,17 @@ class Excitation(eqx.Module):
     - `corrected`: whether what noise adds is taken off before estimation.
     """
 
-    size: Float[Array, " p"]
-    own_share: Float[Array, " p"]
-    noise_share: Float[Array, " p"]
-    weakest_direction: Float[Array, " p"]
-    weakest_share: Float[Array, ""]
-    noisiest_direction: Float[Array, " p"]
-    noisiest_share: Float[Array, ""]
-    rows: tuple[Parameter, ...] = eqx.field(static=True)
-    stage_name: str = eqx.field(static=True)
-    corrected: bool = eqx.field(static=True, default=False)
-    noisiest: str = eqx.field(static=True, default="")
+    size: Float[Leaf, " p"]
+    own_share: Float[Leaf, " p"]
+    noise_share: Float[Leaf, " p"]
+    weakest_direction: Float[Leaf, " p"]
+    weakest_share: float
+    noisiest_direction: Float[Leaf, " p"]
+    noisiest_share: float
+    rows: tuple[Parameter, ...]
+    stage_name: str
+    corrected: bool = False
+    noisiest: str = ""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -159,63 +162,68 @@ class Excitation(eqx.Module):
 
     def findings(self) -> list[Finding]:
         """What stands against identifying this stage (not under jit)."""
-        silent = [row for row, size in zip(self.rows, self.size) if float(size) == 0]
+        silent = [row for row, size in zip(self.rows, self.size) if size == 0]
         if silent:
             return [not_excited(self.stage_name, row) for row in silent]
-        noise, drowned = float(self.noisiest_share), DROWNED if self.corrected else 0.25
-        direction, share = np.asarray(self.weakest_direction), float(self.weakest_share)
+        noise, drowned = self.noisiest_share, DROWNED if self.corrected else 0.25
+        share = self.weakest_share
         of_noise = share >= UNIDENTIFIABLE and noise > min(DOMINATES, drowned)
-        direction = np.asarray(self.noisiest_direction) if of_noise else direction
+        direction = np.asarray(self.noisiest_direction if of_noise else self.weakest_direction)
         names = weighing(self.parameters, direction)
         hold = self.parameters[int(np.argmax(np.abs(direction)))]
         remedy = excite_or_hold([row for row in self.rows if row.name in names], hold)
         whose = f"noise of {self.noisiest}" if self.noisiest else "noise of the signals"
+        signals = (self.noisiest,) if self.noisiest else ()
         if share < UNIDENTIFIABLE:
-            why = Finding("unidentifiable", "the record cannot tell these apart")
+            code, why, signals = "unidentifiable", "the record cannot tell these apart", ()
         elif noise > drowned:
-            why = Finding(
-                "unidentifiable",
-                f"what tells these apart is {100 * noise:.0f} % {whose}",
-                (self.noisiest,) if self.noisiest else (),
-            )
+            code, why = "unidentifiable", f"what tells these apart is {100 * noise:.0f} % {whose}"
         elif noise > DOMINATES:
-            why = Finding(
-                "noise_dominates",
+            code = "noise_dominates"
+            why = (
                 f"{100 * noise:.0f} % of what tells these apart is {whose}, so that they rest on "
-                f"how well that is known",
-                (self.noisiest,) if self.noisiest else (),
+                f"how well that is known"
             )
             remedy = (
                 f"Take longer windows (--beta), refine by output error (--refine output-error), or "
                 f"give the noise if it is known (--noise {self.noisiest or 'SIGNAL'}=SD)."
             )
         elif share < NEARLY_COLLINEAR:
-            why = Finding(
-                "nearly_collinear",
+            code, signals = "nearly_collinear", ()
+            why = (
                 f"only {100 * share:.2g} % of the regressors tells these apart, so a small error "
-                f"of a sensor moves them far",
+                f"of a sensor moves them far"
             )
         else:
             return []
         which = combination(self.parameters, direction)
         scale = f"{which}, in units of each regressor's size"
-        message = f"{self.stage_name}: {why.message}: {scale}. {remedy}"
-        return [why._replace(message=message, parameters=names)]
+        message = f"{self.stage_name}: {why}: {scale}. {remedy}"
+        return [Finding(code, message, signals, names)]
 
 
+@np.errstate(divide="ignore", invalid="ignore")
 def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
-    """How each stage's regressors are excited (not under jit).
+    """How the regressors are excited of each stage that finds something (not under jit).
 
     Noise is what is taken off the sums; of a criterion that takes off none, what noise of each
     signal's size adds to rows, sent through the equation once, if the Summary has a survey.
 
+    With the regressors scaled to unit length their Gram matrix is G = V diag(s^2) V^T: s_1, the
+    least singular value, is the size of the smallest combination of them (`weakest_share`), and
+    v_1 is that combination. What of regressor j no others explain has the square 1 / (G^-1)_jj, as
+    the inverse of a block of one shows, and (G^-1)_jj = sum_i v_ij^2 / s_i^2 is large where a weak
+    direction holds j. Noise that is a share n_j of each column adds sum_j v_1j^2 n_j^2 to s_1^2;
+    `findings` compares the two.
+
     **Raises:** `DataError` for a stage without rows, or with terms that are not finite.
     """
-    equations = summary.equations()
+    equations = on_host(summary.equations())
     totals = [sum_of_equations([e.flattened().total() for e in stage]) for stage in equations]
     raise_if_nothing_to_fit(table, totals)
 
     def with_surveyed_noise(i: int, j: int) -> NormalEquations:
+        """In one block for each record."""
         blocks = equations[i][j]
         records = blocks.in_blocks(lambda values: values.sum(1))
         if records.noise is not None:
@@ -230,35 +238,9 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
         [with_surveyed_noise(i, j) for j, _ in enumerate(stage)]
         for i, stage in enumerate(equations)
     ]
-    found, added = on_host(_excitations(of_records, table))
-    if all(e.noise is None for stage in equations for e in stage):
-        return found
-    names = [list(one.noise.sources) for one in summary.recordings]
-    places = (np.unravel_index(int(np.argmax(of_stage)), of_stage.shape) for of_stage in added)
-    return [
-        dataclasses.replace(stage, corrected=True, noisiest=names[record][source])
-        for stage, (record, source) in zip(found, places)
-    ]
-
-
-@kept_jit
-def _excitations(
-    equations: list[list[NormalEquations]], table: ParameterTable
-) -> tuple[list[Excitation], list[Float[Array, "records sources"]]]:
-    """Of each stage that finds something, and what each of the noise's sources adds to its noisiest
-    combination.
-
-    With the regressors scaled to unit length their Gram matrix is G = V diag(s^2) V^T: s_1, the
-    least singular value, is the size of the smallest combination of them (`weakest_share`), and
-    v_1 is that combination. What of regressor j no others explain has the square 1 / (G^-1)_jj, as
-    the inverse of a block of one shows, and (G^-1)_jj = sum_i v_ij^2 / s_i^2 is large where a weak
-    direction holds j. Noise that is a share n_j of each column adds sum_j v_1j^2 n_j^2 to s_1^2;
-    `findings` compares the two.
-
-    **Arguments:** `equations`, in one block for each record, with their noise.
-    """
-    stages, _ = stages_over_records(equations, table)
-    found, added = [], []
+    corrected = any(e.noise is not None for stage in equations for e in stage)
+    sources = [list(one.noise.sources) for one in summary.recordings]
+    stages, found = stages_over_records(of_records, table)[0], []
     for stage, (label, unknown) in zip(stages, table.stages):
         if not unknown:
             continue
@@ -266,31 +248,36 @@ def _excitations(
         assert total.noise is not None
         assert of_source is not None
         index = 1 + np.array([total.parameters.index(name) for name in unknown])
-        count = jnp.where(total.count > 0, total.count, 1.0)
+        count = np.where(total.count > 0, total.count, 1.0)
         mean, noise = (m[np.ix_(index, index)] / count for m in (total.moments, total.noise))
-        size = jnp.sqrt(jnp.diagonal(mean))
+        size = np.sqrt(np.diagonal(mean))
         scaled, scale = unit_diagonal(mean)
         squares, directions = symmetric_eigen(scaled)
         # Rounding of the Gram matrix hides shares below the root of eps.
-        squares = jnp.maximum(squares, 0.0)
-        floor = jnp.finfo(size.dtype).eps * len(unknown)
+        squares = np.maximum(squares, 0.0)
+        floor = np.finfo(size.dtype).eps * len(unknown)
         dominance, noisiest = largest_share(noise, mean)
-        of_source = of_source[..., index, :][..., index]
-        added.append(jnp.einsum("i,rsij,j->rs", noisiest, of_source, noisiest))
+        signal, of_source = "", of_source[..., index, :][..., index]
+        if corrected:
+            added = np.einsum("i,rsij,j->rs", noisiest, of_source, noisiest)
+            record, source = np.unravel_index(int(np.argmax(added)), added.shape)
+            signal = sources[record][source]
         noisiest = noisiest * size
-        length = jnp.sqrt(jnp.sum(noisiest**2))
-        inverse = jnp.sum(directions**2 / jnp.maximum(squares, floor)[None, :], axis=1)
+        length = np.sqrt(np.sum(noisiest**2))
+        inverse = np.sum(directions**2 / np.maximum(squares, floor)[None, :], axis=1)
         found.append(
             Excitation(
                 size=size,
-                own_share=jnp.where(size > 0, 1 / jnp.sqrt(inverse), 0.0),
-                noise_share=jnp.where(size > 0, jnp.sqrt(jnp.diagonal(noise)) * scale, 0.0),
+                own_share=np.where(size > 0, 1 / np.sqrt(inverse), 0.0),
+                noise_share=np.where(size > 0, np.sqrt(np.diagonal(noise)) * scale, 0.0),
                 weakest_direction=directions[:, 0],
-                weakest_share=jnp.sqrt(squares[0]),
-                noisiest_direction=noisiest / jnp.where(length > 0, length, 1.0),
-                noisiest_share=dominance,
+                weakest_share=float(np.sqrt(squares[0])),
+                noisiest_direction=noisiest / np.where(length > 0, length, 1.0),
+                noisiest_share=float(dominance),
                 rows=tuple(table[name] for name in unknown),
                 stage_name=label,
+                corrected=corrected,
+                noisiest=signal,
             )
         )
-    return found, added
+    return found

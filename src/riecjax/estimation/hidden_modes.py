@@ -104,48 +104,41 @@ class ModeStage(NamedTuple):
 
     def projected(self, at: Float[Array, " shapes"]) -> "Projected":
         """The best fit with elements of these shapes."""
-        sign = jnp.concatenate([jnp.ones(1), -jnp.ones(len(self.linear))]).astype(at.dtype)
-        gram = jnp.zeros((sign.size,) * 2, at.dtype)
-        for rows, moments in zip(self.rows(at), self.moments):
-            mix = sign[:, None] * rows
+        count = len(self.linear)
+        places = jnp.concatenate([jnp.zeros((1, count)), jnp.eye(count)]).astype(at.dtype)
+        gram = jnp.zeros((1 + count,) * 2, at.dtype)
+        every = jax.vmap(lambda theta: self.residuals(at, theta))(places)
+        for table, moments in zip(every, self.moments):
+            # The residual is affine in theta: its value at zero is the target's, and a regressor is
+            # by how much a coefficient of one makes it less.
+            mix = jnp.concatenate([table[:1], table[:1] - table[1:]])
             gram = gram + mix @ moments @ mix.T
         return Projected.of(gram)
 
-    def rows(self, at: Float[Array, " shapes"]) -> list[Float[Array, "1+linear columns"]]:
-        """Of each equation the table R of which [1, theta] R is the residual: it is affine."""
-        count = len(self.linear)
-        places = jnp.concatenate([jnp.zeros((1, count)), jnp.eye(count)]).astype(at.dtype)
-        every = jax.vmap(lambda theta: self.residuals(at, theta))(places)
-        return [table.at[1:].add(-table[:1]) for table in every]
+    def shares(self, at: Float[Array, " shapes"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """What elements of these shapes leave of the target D y, infinite where no mode of positive
+        mass fits, and what is left without the last mode."""
+        fit = self.projected(at)
+        masses = fit.theta[len(self.unknown) :]
+        good = jnp.all(masses > 0) & (fit.target > 0)
+        target = jnp.where(fit.target > 0, fit.target, 1.0)
+        return jnp.where(good, fit.energy / target, jnp.inf), fit.without_last().energy / target
 
     def slope_and_bend(
         self, at: Float[Array, " shapes"]
     ) -> tuple[Float[Array, " shapes"], Float[Array, "shapes shapes"]]:
         """First and second derivatives of the least energy F by the shapes x.
 
-        With r = u R(x), u = [1, theta], F(x, theta) = r M r is least in theta, so that its slope is
-        F_x and its bend F_xx - F_xt F_tt^-1 F_tx. Only the small tables R are differentiated.
+        F(x, theta) is least in theta, so that its slope is F_x and its bend
+        F_xx - F_xt F_tt^-1 F_tx.
         """
-        u = jnp.concatenate([jnp.ones(1, at.dtype), self.projected(at).theta])
 
-        def tables(x: Array) -> list[Array]:
-            return self.rows(x.reshape(at.shape))
+        def energy(x: Array, theta: Array) -> Array:
+            return self.energy(self.moments, x, theta)
 
-        rows, first = tables(at.ravel()), jax.jacfwd(tables)(at.ravel())
-        second = jax.jacfwd(jax.jacfwd(tables))(at.ravel())
-        sizes = (at.size, at.size), (at.size, len(self.linear)), (len(self.linear),) * 2
-        slope = jnp.zeros(at.size, at.dtype)
-        own, mixed, inner = (jnp.zeros(size, at.dtype) for size in sizes)
-        for table, by_x, by_xx, moments in zip(rows, first, second, self.moments):
-            # Columns last: x moves a row of the table to d_x, a coefficient moves the residual.
-            pull = (u @ table) @ moments
-            moved = jnp.einsum("i,icx->xc", u, by_x)
-            slope = slope + moved @ pull
-            own = own + moved @ moments @ moved.T + jnp.einsum("i,icxy,c->xy", u, by_xx, pull)
-            mixed = mixed + moved @ moments @ table[1:].T
-            mixed = mixed + jnp.einsum("icx,c->xi", by_x[1:], pull)
-            inner = inner + table[1:] @ moments @ table[1:].T
-        return 2 * slope, 2 * (own - mixed @ solve_scaled(inner, mixed.T))
+        theta = self.projected(at).theta
+        (own, mixed), (_, inner) = jax.hessian(energy, argnums=(0, 1))(at, theta)
+        return jax.grad(energy)(at, theta), own - mixed @ solve_scaled(inner, mixed.T)
 
     def energy(
         self,
@@ -196,7 +189,7 @@ class Projected(NamedTuple):
 
     def without_last(self) -> "Projected":
         """The fit without the mass of the last mode, which is then zero."""
-        if self.gram.shape[0] == 2:
+        if self.gram.shape[0] <= 2:
             return self._replace(theta=jnp.zeros_like(self.theta), energy=self.target)
         fit = Projected.of(self.gram[:-1, :-1])
         return self._replace(theta=jnp.append(fit.theta, 0.0), energy=fit.energy)
@@ -215,27 +208,23 @@ class ModeMap(NamedTuple):
     damping: Float[Array, " frequencies"]
 
 
-def mode_map(
-    stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"], zooms: int = 0
-) -> ModeMap:
+def frequencies(band: tuple[Leaf, Leaf]) -> Float[Array, " frequencies"]:
+    """Logarithms of those of the grid, between two in hertz."""
+    low, high = (jnp.log(jnp.asarray(f)) for f in band)
+    return jnp.linspace(low, high, FREQUENCIES)
+
+
+def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]) -> ModeMap:
     """The map of one more mode, the last one sought, `others` being where they are.
 
     Both shares are of the target D y. Of dampings of the grid alone they would step wherever the
-    best of them changes; a search starts from there, a map to be looked at zooms in.
+    best of them changes: the map zooms in.
     """
-    low, high = (jnp.log(jnp.asarray(f)) for f in band)
-    logs = jnp.linspace(low, high, FREQUENCIES)
-
-    def share(log: Array, damping: Array) -> tuple[Array, Array]:
-        fit = stage.projected(jnp.concatenate([others, jnp.stack([log, damping])]))
-        masses = fit.theta[len(stage.unknown) :]
-        good = jnp.all(masses > 0) & (fit.target > 0)
-        target = jnp.where(fit.target > 0, fit.target, 1.0)
-        return jnp.where(good, fit.energy / target, jnp.inf), fit.without_last().energy / target
 
     def row(log: Array) -> tuple[Array, Array, Array]:
         def best(dampings: Array) -> tuple[Array, Array, Array]:
-            left, without = jax.vmap(lambda z: share(log, z))(dampings)
+            shapes = jax.vmap(lambda z: jnp.concatenate([others, jnp.stack([log, z])]))(dampings)
+            left, without = jax.vmap(stage.shares)(shapes)
             at = jnp.argmin(left)
             return left[at], without[at], dampings[at]
 
@@ -248,14 +237,14 @@ def mode_map(
             return best(around), width / 2
 
         widest = jnp.log(jnp.max(dampings[1:] / dampings[:-1])) / 2
-        return jax.lax.fori_loop(0, zooms, closer, (best(dampings), widest))[0]
+        return jax.lax.fori_loop(0, ZOOMS, closer, (best(dampings), widest))[0]
 
-    dampings = jnp.asarray(DAMPINGS)
+    dampings, logs = jnp.asarray(DAMPINGS), frequencies(band)
     return ModeMap(jnp.exp(logs), *jax.vmap(row)(logs))
 
 
 def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array, " shapes"]:
-    """Where elements fit best: one after the other by their maps, then all by Newton's steps.
+    """Where elements fit best: one after the other on a grid, then all by Newton's steps.
 
     Modes, which come first, change an equation by far more than what springs delay.
 
@@ -264,20 +253,11 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
     at = jnp.zeros(0)
     for number, (names, band) in enumerate(zip(stage.sought, bands), start=1):
         part = stage._replace(sought=stage.sought[:number])
-        if isinstance(names, ModeParameters):
-            found = mode_map(part, band, at)
-            place = jnp.argmin(found.unexplained)
-            best = jnp.stack([jnp.log(found.frequency[place]), found.damping[place]])
-        else:
-            low, high = (jnp.log(jnp.asarray(f)) for f in band)
-            rows = jnp.linspace(low, high, FREQUENCIES)[:, None]
-
-            def share(row: Array, part: ModeStage = part, at: Array = at) -> Array:
-                fit = part.projected(jnp.concatenate([at, row]))
-                return jnp.where(fit.target > 0, fit.energy, jnp.inf) / jnp.abs(fit.target)
-
-            best = rows[jnp.argmin(jax.vmap(share)(rows))]
-        at = polished(part, jnp.concatenate([at, best]))
+        axes = (frequencies(band), jnp.asarray(DAMPINGS))[: names.order]
+        grid = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, names.order)
+        shapes = jnp.concatenate([jnp.tile(at, (len(grid), 1)), grid], axis=1)
+        left, _ = jax.vmap(part.shares)(shapes)
+        at = polished(part, shapes[jnp.argmin(left)])
     return at
 
 
@@ -304,17 +284,17 @@ def polished(stage: ModeStage, start: Float[Array, " shapes"]) -> Float[Array, "
     """The least energy near a start, by Newton's steps, shortened where they lead up."""
 
     def step(_: int, at: Array) -> Array:
-        slope, bend = stage.slope_and_bend(at.reshape(start.shape))
+        slope, bend = stage.slope_and_bend(at)
         values, vectors = symmetric_eigen(bend)
         # With the bend's eigenvalues made positive every step leads down.
         size = jnp.maximum(jnp.abs(values), 1e-9 * jnp.max(jnp.abs(values)))
         downhill = -vectors @ ((vectors.T @ slope) / jnp.where(size > 0, size, 1.0))
         downhill = downhill * jnp.minimum(1.0, FARTHEST / jnp.max(jnp.abs(downhill)))
         tried = at[None, :] + jnp.asarray(SHORTENED)[:, None] * downhill[None, :]
-        energies = jax.vmap(lambda x: stage.projected(x.reshape(start.shape)).energy)(tried)
+        energies = jax.vmap(lambda x: stage.projected(x).energy)(tried)
         return tried[jnp.argmin(jnp.where(jnp.isfinite(energies), energies, jnp.inf))]
 
-    return jax.lax.fori_loop(0, STEPS, step, start.ravel()).reshape(start.shape)
+    return jax.lax.fori_loop(0, STEPS, step, start)
 
 
 # Hidden elements in the windows that tell most of them, and the sums linearised about them.
@@ -404,7 +384,8 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
         # What no later equation with an element asks for is left to the fit.
         later = [e for stage in model.expanded[i:] for e in stage if e.elements]
         asked = {name for e in later for name in e.all_parameters}
-        mixes = []
+        # An equation without elements, or whose values nothing asks for, stays as it is.
+        mixes = [np.eye(1 + len(e.parameters)) for e in expanded]
         if any(e.elements for e in expanded) or asked.intersection(stage.linear):
             used, mixes, values = _contracted(expanded, used, known, at, not looked_at)
             known |= values
@@ -469,8 +450,7 @@ def _contracted(
     moves: bool,
 ) -> tuple[list[NormalEquations], list[Array], dict[str, Array]]:
     """Normal equations of expanded columns, made those of the model's own parameters; the
-    combinations that these are, none of an equation without elements; and the parameters' values,
-    about which all are linearised.
+    combinations that these are; and the parameters' values, about which all are linearised.
 
     **Arguments:** `moves`, whether anything may be differentiated: else the derivative of `at` is
     not even compiled.
@@ -482,9 +462,11 @@ def _contracted(
         at = jax.lax.stop_gradient(at)
         slope, bend = stage.slope_and_bend(at)
         step = solve_scaled(jax.lax.stop_gradient(bend), slope[:, None])[:, 0]
-        at = at - (step - jax.lax.stop_gradient(step)).reshape(at.shape)
+        at = at - (step - jax.lax.stop_gradient(step))
     values = stage.values(at) if stage.linear else stage.given
-    mixes = [e.linearised(values) if e.elements else jnp.zeros((0, 0)) for e in expanded]
+    mixes = [
+        e.linearised(values) if e.elements else jnp.eye(1 + len(e.parameters)) for e in expanded
+    ]
     return [_mixed(*each) for each in zip(expanded, mixes, sums)], mixes, values
 
 
@@ -533,17 +515,14 @@ def linearised(model: Model, summary: Summary, known: Values) -> Summary:
     **Returns:** a Summary of all windows together, each stage's of those it is solved from; without
     the constant, which tells of no combination of columns.
     """
-    if not model.has_hidden or summary.outline.is_of(_outline(model)):
+    stages = tuple(
+        tuple((e.equation.name, e.all_parameters) for e in stage) for stage in model.expanded
+    )
+    outline = Outline(stages, model.parameter_names, tuple(model.units.items()), "")
+    if not model.has_hidden or summary.outline.is_of(outline):
         return summary
     found = find_modes(model, summary, known)
-    # An equation without elements, or whose values nothing asks for, stays as it is.
-    mixes = [
-        [
-            mix if e.elements else np.eye(1 + len(e.parameters))
-            for e, mix in itertools.zip_longest(stage, own)
-        ]
-        for stage, own in zip(model.expanded, on_host(found.mixes))
-    ]
+    mixes = on_host(found.mixes)
     recordings = [
         dataclasses.replace(
             one,
@@ -559,18 +538,11 @@ def linearised(model: Model, summary: Summary, known: Values) -> Summary:
     return dataclasses.replace(
         summary,
         recordings=tuple(recordings),
-        outline=_outline(model),
+        outline=outline,
         edges=None,
         in_law=(0, 1),
         band=(0, 1),
     )
-
-
-def _outline(model: Model) -> Outline:
-    stages = tuple(
-        tuple((e.equation.name, e.all_parameters) for e in stage) for stage in model.expanded
-    )
-    return Outline(stages, model.parameter_names, tuple(model.units.items()), "")
 
 
 def _mixed_sums(

@@ -12,13 +12,15 @@ from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
+from riecjax.estimation.constant_target import target_findings
 from riecjax.estimation.constraints import NONE, Bounds, Constraints, constrained_uncertainty
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.excitation import (
-    raise_if_constant,
     raise_if_nothing_to_fit,
+    raise_if_refused,
     raise_if_unidentifiable,
 )
+from riecjax.estimation.hidden_modes import find_modes
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.estimation.stages import (
@@ -164,8 +166,6 @@ def estimated(
     elif table.per_record:
         raise ModelError("per_record has no meaning yet for a model with hidden elements.")
     else:
-        from riecjax.estimation.hidden_modes import find_modes
-
         modes, other = (find_modes(model, summary, table.known, rank) for rank in (0, 1))
         each = (data._replace(equations=found.equations) for found in (modes, other))
         (fit, totals), (beside, _) = (_solve(of_shapes, *given) for of_shapes in each)
@@ -183,8 +183,9 @@ def estimated(
         fit = dataclasses.replace(fit, uncertainty=uncertainty)
     if is_concrete(fit.stages):
         raise_if_nothing_to_fit(table, totals)
-        if modes is None:
-            raise_if_constant(model, fit, summary)
+        # Sums that were made under jit have no constant to tell means from motion by.
+        if modes is None and all(s.stages[0][0].constant is not None for s in summary.recordings):
+            raise_if_refused(target_findings(model, fit.told_by_data, summary))
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
         poor = modes is None and float(fit.condition_number) > gram_condition_limit(window.dtype)
         if poor and (rows := _rows(summary, equations, table)):

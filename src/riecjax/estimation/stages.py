@@ -348,7 +348,7 @@ def over_records(equations: NormalEquations, table: ParameterTable) -> NormalEqu
         record = jax.tree.map(operator.itemgetter(i), equations)
         record = record.in_columns(lambda matrix: matrix, table.of_record(names, i))
         every.append(record.embed(table.everywhere(names)))
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
+    return jax.tree.map(lambda *leaves: namespace(leaves).stack(leaves), *every)
 
 
 # How far an equation's sums bear out the noise that is taken off them, and what is unsure of it.
@@ -370,10 +370,10 @@ def largest_share(
 ) -> tuple[Float[Array, ""], Float[Array, " q"]]:
     """The largest eigenvalue of one matrix against another, and its vector over the columns."""
     scaled, scale = unit_diagonal(moments)
-    ridge = 100 * float(jnp.finfo(scaled.dtype).eps)
+    xp, ridge = namespace(scaled), 100 * float(jnp.finfo(scaled.dtype).eps)
     values, vectors = symmetric_eigen(scaled)
     # Square roots of the eigenvalues bring the moments to the unit matrix.
-    root = vectors / jnp.sqrt(jnp.maximum(values, 0.0) + ridge)[None, :]
+    root = vectors / xp.sqrt(xp.maximum(values, 0.0) + ridge)[None, :]
     shares, mixed = symmetric_eigen(root.T @ (noise * scale[:, None] * scale[None, :]) @ root)
     return shares[-1], scale * (root @ mixed[:, -1])
 

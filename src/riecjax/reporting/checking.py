@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 
-from riecjax.assessment.assess import Answering
 from riecjax.estimation.check import Check
 from riecjax.leaves import finite, told
 from riecjax.records.recording import Recording, common_steps
@@ -24,10 +23,10 @@ from riecjax.reporting.tables import Table, View, in_rich, print_table, say
 from riecjax.shows import view_of
 
 
-def check_document(answering: Answering, model: str, recordings: Sequence[Recording]) -> Document:
+def check_document(checked: Check, model: str, recordings: Sequence[Recording]) -> Document:
     """What was checked of these recordings for a model: the document that `riecjax check --json`
     prints, with an `error` if that exits with 1."""
-    checked, refusal = answering.checked, answering.refusal
+    refusal = checked.refusal
     records = [
         {
             **recording_entry(recording),
@@ -41,9 +40,9 @@ def check_document(answering: Answering, model: str, recordings: Sequence[Record
             "schema": SCHEMA,
             **({} if refusal is None else {"error": told(refusal, "code", "message")}),
             "model": model,
-            "criterion": answering.criterion.describe(),
+            "criterion": checked.criterion.describe(),
             "answerable": refusal is None,
-            "by_refinement": answering.by_refinement,
+            "by_refinement": checked.by_refinement,
             "records": records,
             "signals": checked.signals,
             "excitation": excitation_entries(checked),
@@ -51,15 +50,11 @@ def check_document(answering: Answering, model: str, recordings: Sequence[Record
             "warnings": [finding._asdict() for finding in checked.findings],
             "provenance": {
                 "start_times": start_times(recordings),
-                "preparation": _prepared(answering, recordings),
+                "preparation": common_steps([r.concerning(checked.signals) for r in recordings]),
                 "versions": versions(),
             },
         },
     )
-
-
-def _prepared(answering: Answering, recordings: Sequence[Recording]) -> list[str]:
-    return common_steps([r.concerning(answering.checked.signals) for r in recordings])
 
 
 def excitation_table(excitation: Mapping[str, Excitation], caption: str = "") -> Table:
@@ -72,36 +67,34 @@ def excitation_table(excitation: Mapping[str, Excitation], caption: str = "") ->
     return Table.of("parameter", excitation.items(), cells, caption)
 
 
-def print_check(answering: Answering, recordings: Sequence[Recording], console: Console) -> None:
+def print_check(document: Document, console: Console) -> None:
     """The answer, and tables for a reader."""
-    checked = answering.checked
     # Whether the recordings can answer, in a sentence.
-    doubts = len(checked.findings)
+    doubts = len(document["warnings"])
     warned = f", with {doubts} warning{'s' * (doubts > 1)}" if doubts else ""
     sentence = f"These recordings can answer what the model asks{warned}."
-    if answering.refusal is not None:
+    if not document["answerable"]:
         sentence = "These recordings cannot answer what the model asks; see the warnings."
-    elif (errors := answering.by_refinement) is not None:
-        shares = (f"{name} to about {share_in_words(finite(e), 2)}" for name, e in errors.items())
+    elif (errors := document["by_refinement"]) is not None:
+        shares = (f"{name} to about {share_in_words(e, 2)}" for name, e in errors.items())
         sentence = (
             f"Windows cannot tell these parameters from noise, and identify refines them by "
             f"itself: {', '.join(shares)}."
         )
     say(console, sentence, style="bold")
     say(console, "")
-    for recording in recordings:
-        record = read(RecordPart, recording_entry(recording))
-        stretches = len(recording.record.segments(checked.signals))
+    for entry in document["records"]:
+        record, stretches = read(RecordPart, entry), entry["stretches"]
         parted = "" if stretches == 1 else f", in {stretches} unbroken stretches"
         say(
             console,
             f"{record.name}: {record.samples} samples at {1 / record.time_step:.6g} Hz, "
-            f"{float(recording.record.duration):.4g} s{parted}",
+            f"{entry['duration']:.4g} s{parted}",
         )
-    say(console, *(f"prepared: {step}" for step in _prepared(answering, recordings)))
-    noise = read(dict[str, NoisePart], noise_entries(recordings, checked.signals))
-    say(console, *noise_in_words(noise), "")
-    print_table(in_rich(_excited(checked)), console)
+    say(console, *(f"prepared: {step}" for step in document["provenance"]["preparation"]))
+    say(console, *noise_in_words(read(dict[str, NoisePart], document["noise"])), "")
+    excitation = read(dict[str, Excitation], document["excitation"])
+    print_table(in_rich(excitation_table(excitation)), console)
     say(
         console,
         "own share: what no combination of the others could do as well (100 % is best)",
@@ -110,14 +103,10 @@ def print_check(answering: Answering, recordings: Sequence[Recording], console: 
     )
 
 
-def _excited(checked: Check) -> Table:
-    return excitation_table(read(dict[str, Excitation], excitation_entries(checked)))
-
-
 @view_of.register
 def _(thing: Check) -> View:
     return View(
         f"These recordings {'can' if thing.answerable else 'cannot'} answer what the model asks.",
-        [_excited(thing)],
+        [excitation_table(read(dict[str, Excitation], excitation_entries(thing)))],
         thing.findings,
     )

@@ -220,24 +220,6 @@ def rejected_table(found: Discovery) -> Table:
     return Table.of("candidate", rejected, cells, "Not taken")
 
 
-def choice_in_words(found: Discovery) -> str:
-    """What intervals say of the choice of terms."""
-    if found.held_out:
-        return (
-            f"Terms were chosen without the last {100 * found.held_out:.0f} % of each "
-            f"recording, from which alone values and intervals are."
-        )
-    again = ", ".join(
-        f"{chosen.candidate.name} {100 * chosen.share:.0f} %"
-        for chosen in found.chosen
-        if np.isfinite(chosen.share)
-    )
-    if again and found.mode is None:
-        return f"Standard errors include the choice; in data drawn again it fell on {again}."
-    chose = found.chosen or found.mode is not None
-    return "Intervals take the choice of terms for given." if chose else ""
-
-
 def choice_lines(found: Discovery) -> list[str]:
     """Widths of laws that have one, and what intervals say of the choice."""
     widths = []
@@ -246,7 +228,22 @@ def choice_lines(found: Discovery) -> list[str]:
             error = f" +- {number(term.width_error, 2)}" if term.width_error > 0 else ""
             width = f"{number(term.width, 4)}{error} {term.width_unit}"
             widths.append(f"{term.candidate.name} has the width {width}".rstrip())
-    return [*filter(None, (f"{'; '.join(widths)}." if widths else "", choice_in_words(found)))]
+    again = ", ".join(
+        f"{chosen.candidate.name} {100 * chosen.share:.0f} %"
+        for chosen in found.chosen
+        if np.isfinite(chosen.share)
+    )
+    choice = ""
+    if found.held_out:
+        choice = (
+            f"Terms were chosen without the last {100 * found.held_out:.0f} % of each "
+            f"recording, from which alone values and intervals are."
+        )
+    elif again and found.mode is None:
+        choice = f"Standard errors include the choice; in data drawn again it fell on {again}."
+    elif found.chosen or found.mode is not None:
+        choice = "Intervals take the choice of terms for given."
+    return [*filter(None, (f"{'; '.join(widths)}." if widths else "", choice))]
 
 
 def print_discovery(found: Discovery, model_file: str | None, console: Console) -> None:

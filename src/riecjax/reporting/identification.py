@@ -138,13 +138,6 @@ def modes_in_words(modes: Sequence[parts.ModePart]) -> Iterator[str]:
             )
 
 
-def refinement_in_words(refinement: parts.RefinementPart) -> Iterator[str]:
-    """Which values are the answer, and what became of the search where its values are."""
-    yield choice_in_words(refinement)
-    if refinement.chosen:
-        yield from search_in_words(refinement)
-
-
 def choice_in_words(refinement: parts.RefinementPart) -> str:
     """Which values are the answer, and what the others are for."""
     whiteness, declined = refinement.whiteness, refinement.declined
@@ -231,11 +224,6 @@ def intervals_in_words(intervals: parts.IntervalsPart) -> str:
     )
 
 
-def _provenance_in_words(provenance: parts.Provenance) -> Iterator[str]:
-    if provenance.intervals is not None:
-        yield intervals_in_words(provenance.intervals)
-
-
 def _window_choice_in_words(choice: parts.WindowChoicePart) -> Iterator[str]:
     """What windows see, and which would serve best."""
     low, high = choice.seen_best_hz
@@ -256,15 +244,6 @@ def noise_in_words(noise: Mapping[str, parts.NoisePart]) -> Iterator[str]:
         yield f"noise: below {100 * LEAST_SHOWN:g} % of each signal's standard deviation"
 
 
-def _validation_in_words(runs: Sequence[parts.HeldOutPart]) -> Iterator[str]:
-    return (f"validated on {run.on}: {run.verdict}" for run in runs)
-
-
-def tests_in_words(tests: Mapping[str, Any]) -> Iterator[str]:
-    """What further tests tell of themselves."""
-    return (f"{name.replace('_', ' ')}: {plain_in_words(entry)}" for name, entry in tests.items())
-
-
 def plain_in_words(entry: Any) -> str:
     """Plain data in words."""
     if isinstance(entry, dict):
@@ -276,11 +255,17 @@ def plain_in_words(entry: Any) -> str:
 
 WORDS: dict[str, Callable[[Any], Iterable[str]]] = {
     "modes": modes_in_words,
-    "refinement": refinement_in_words,
-    "provenance": _provenance_in_words,
+    # What became of a search is told where its values are the answer.
+    "refinement": lambda part: [
+        choice_in_words(part),
+        *(search_in_words(part) if part.chosen else ()),
+    ],
+    "provenance": lambda part: [intervals_in_words(part.intervals)] if part.intervals else [],
     "window_choice": _window_choice_in_words,
     "noise": noise_in_words,
-    "validation": _validation_in_words,
-    "tests": tests_in_words,
+    "validation": lambda runs: [f"validated on {run.on}: {run.verdict}" for run in runs],
+    "tests": lambda tests: [
+        f"{name.replace('_', ' ')}: {plain_in_words(entry)}" for name, entry in tests.items()
+    ],
 }
 """What is said of each part of an answer that has more to say than a number, in this order."""

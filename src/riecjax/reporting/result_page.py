@@ -156,11 +156,6 @@ def _fit(residual: parts.ResidualPart) -> list[Section]:
     return [Section("Fit", tables=[table], charts=("fit",)), Section("Curves", charts=("curves",))]
 
 
-def _modes(modes: Sequence[parts.ModePart]) -> list[Section]:
-    text = [*map(_sentence, modes_in_words(modes))]
-    return [Section("Hidden modes", text, charts=("mode_map",) if modes else ())]
-
-
 def held_out_table(run: parts.HeldOutPart) -> Table:
     """How well each signal is predicted."""
     cells = {
@@ -241,7 +236,9 @@ def _choice(choice: parts.WindowChoicePart) -> list[Section]:
 SECTIONS: dict[str, Callable[[Any], list[Section]]] = {
     "refinement": _refinement,
     "residual": _fit,
-    "modes": _modes,
+    "modes": lambda modes: [
+        Section("Hidden modes", [*map(_sentence, modes_in_words(modes))], charts=("mode_map",))
+    ],
     "validation": _validation,
     "residual_tests": _residuals,
     "window_sweep": lambda _: [Section("Estimates by window length", charts=("window_sweep",))],

@@ -19,6 +19,7 @@ from riecjax.settings.kinds import (
 from riecjax.settings.option import Settings, flag, many, setting
 
 if TYPE_CHECKING:
+    from riecjax.estimation.estimate import Estimate
     from riecjax.records.noise_judgement import GivenNoise
     from riecjax.records.record import Records
     from riecjax.refinement.objective import AbstractObjective
@@ -91,11 +92,13 @@ class Assess(Validate, Uncertainty, Sharing, Known, Constrained, Refine, Sums):
     """Keywords of [`assess`][riecjax.assess].
 
     **Fields:** also `tests` of a user's own, each a function that makes one of the model, the
-    records and the answer; `progress`, called with the sum of squares after each step of a
-    refinement that was asked for.
+    records and the answer; `on_estimate`, called with the estimate before all that is slow, unless
+    refinement answers; `progress`, called with the sum of squares after each step of a refinement
+    that was asked for.
     """
 
     tests: "Sequence[MakeTest]" = ()
+    on_estimate: "Callable[[Estimate], None] | None" = None
     progress: Callable[[float], None] | None = None
 
     def contradictions(self) -> Iterator[str]:
