@@ -72,9 +72,9 @@ def test_a_test_of_your_own_takes_part_by_what_its_finding_means(registered):
     assert verdict.sentence.endswith("take c to 31 % with caution: v rattles.")
     # Its class may rule the parameter out instead, or blame the model.
     registered(kind="undetermined", rules_out=True)
-    assert found.verdict.parameters["c"].level == "do not use"
+    assert assessed(rattle_of("v", doubt=0.3)).verdict.parameters["c"].level == "do not use"
     registered(kind="model")
-    assert found.verdict.parameters["c"].reason == "v rattles"
+    assert assessed(rattle_of("v", doubt=0.3)).verdict.parameters["c"].reason == "v rattles"
 
 
 def test_a_code_that_is_not_registered_is_said_in_its_words_and_counts_by_its_doubt():
@@ -92,6 +92,10 @@ class Unsaid(Rattle):
         return {"share": float("nan")}
 
 
+class Drawn(Rattle):
+    chart = failing
+
+
 @pytest.mark.raises_finding("test_failed")
 @pytest.mark.parametrize(
     ("make", "words"),
@@ -100,11 +104,46 @@ class Unsaid(Rattle):
         (lambda *_: 1.0, "has no name, findings() and entry()"),
         (lambda *_: Unsaid("v", 0.0), "(ValueError): Out of range float values"),
         (lambda *_: Rattle("v", 0.0)._replace(share=np.zeros(2)), "(TypeError): "),
+        (
+            lambda *_: Rattle("v", 0.0)._replace(share={1: 2.0, None: 3.0}),
+            "has the key 1, which is no text",
+        ),
+        (lambda *_: Rattle("v", 0.0)._replace(doubt="big"), "Expected `float`, got `str`"),
+        (lambda *_: Rattle("v", 0.0, doubt=-0.1), "is no share of zero or more"),
+        (lambda *_: Rattle("v", 0.0, code="rattle_of_wheel"), "'wheel' is no kind of cause"),
+        (lambda *_: Rattle("v", 0.0, code="rattle_of_door"), "{signals} and {parameters}"),
+        (lambda *_: Drawn("v", 0.0), "(ZeroDivisionError): no motion at all"),
     ],
 )
-def test_what_a_test_of_your_own_raises_is_a_finding(make, words):
+def test_what_a_test_of_your_own_raises_is_a_finding(make, words, monkeypatch):
+    wheel: Any = "wheel"
+    wrong = {"wheel": rx.FindingClass(wheel, ""), "door": rx.FindingClass("model", "{door}")}
+    for name, said in wrong.items():
+        monkeypatch.setitem(rx.CODES, f"rattle_of_{name}", said)
     found = assessed(make, rattle_of("v"), rattle_of("F"))
     failed, twice = (f.message for f in found.findings() if f.code == "test_failed")
     assert words in failed
     assert "its name, rattle, is another test's" in twice
     assert {one.level for one in found.verdict.parameters.values()} == {"good"}
+
+
+@pytest.mark.parametrize("tests", [failing, "rattle", 5])
+def test_what_is_no_list_of_tests_is_refused_before_the_fit(tests):
+    with pytest.raises(rx.ModelError, match=r"^tests is .* Write tests=\[make\]"):
+        rx.assess(
+            BODY,
+            rx.Record(motion(False), STANDARD.step),
+            tests=tests,
+            on_estimate=lambda _: pytest.fail("fitted"),
+            **QUICK,
+        )
+
+
+def test_a_test_that_tells_nothing_has_an_empty_part(tmp_path):
+    class Silent(Rattle):
+        def entry(self) -> Any:
+            return {}
+
+    found = assessed(lambda *_: Silent("v", 0.0))
+    rx.reporting.write_report(found, tmp_path / "out")
+    assert rx.load(tmp_path / "out").tests == {"rattle": {}}

@@ -19,7 +19,7 @@ from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
 from riecjax.equations.model import Model, as_model, with_rests
-from riecjax.errors import DataError, IdentifiabilityError
+from riecjax.errors import DataError, IdentifiabilityError, require
 from riecjax.estimation.check import (
     Check,
     check_recordings,
@@ -138,6 +138,8 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         parts = [each.split(settings.hold_out) for each in fitted]
         fitted, held = [part[0] for part in parts], [part[1] for part in parts]
     validate_on: Any = settings.validate_on
+    makers = settings.tests or ()
+    require("tests", makers, (tuple, list), "tests=[make], a list of functions that make one each")
     further = concerning(ready(model, validate_on)) if validate_on else []
     records = [each.record for each in fitted]
     # What is refused without arithmetic is refused before a sample is read.
@@ -202,7 +204,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
                     summary = summarise(model, records, summary.criterion.every, bins=edges)
                 sweep = on_host(sweep_of_sums(summary, table_of_data))
     validation = validation if validation.runs else None
-    own = own_tests(settings.tests, model, records, estimate if refined is None else refined)
+    own = own_tests(makers, model, records, estimate if refined is None else refined)
     tests = (modes, sweep, *residuals.tests, refinement, validation, *own.tests)
     return Assessment(
         model=model,

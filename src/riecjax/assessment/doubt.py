@@ -194,15 +194,15 @@ class Doubt(NamedTuple):
 def doubts(evidence: Evidence) -> dict[str, Doubt]:
     """Of each estimated parameter.
 
-    Refined values that are an answer by themselves left white noise: the model is as good as the
-    record can tell, and neither drift nor residuals of the linear estimate concern them.
+    Where output error left white noise the model is as good as the record can tell, and neither
+    drift nor residuals of the linear estimate concern refined values.
     """
     answer, refinement = evidence.answer, evidence.test("refinement")
     residuals, sweep = evidence.test("residual_tests"), evidence.test("window_sweep")
     below, above = answer.uncertainty.reach(LEVEL)
     errors = np.asarray(answer.standard_errors)
-    left_white = refinement is None or refinement.whiteness is None or refinement.whiteness.white
-    exact = refinement is not None and refinement.chosen and left_white
+    left = None if refinement is None else refinement.whiteness
+    exact = left is not None and left.white and refinement.chosen
     # A fault that explains what is left moves these by a known amount.
     faults = () if residuals is None else residuals.faults
     known = {name for fault in faults for name in fault.doubts}
@@ -211,7 +211,7 @@ def doubts(evidence: Evidence) -> dict[str, Doubt]:
     if sweep is not None and not exact:
         names = {*sweep.parameters} & {*answer.parameters}
         drift = {name: sweep.away(name, float(answer[name])) for name in names}
-    left = {} if exact else left_out(evidence)
+    moves = {} if exact else left_out(evidence)
     # Of each kind of fault all that findings state, of kinds the worst.
     amiss: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for finding in evidence.findings():
@@ -227,7 +227,7 @@ def doubts(evidence: Evidence) -> dict[str, Doubt]:
 
     by_name = {}
     for name, low, high in zip(answer.parameters, below * errors, above * errors):
-        drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, left))
+        drifted, moved = (0.0 if name in known else by.get(name, 0.0) for by in (drift, moves))
         if sweep is not None:
             moved = min(moved, STEADIER * (drifted + max(float(low), float(high))))
         by_name[name] = Doubt(

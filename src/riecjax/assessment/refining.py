@@ -484,7 +484,7 @@ def _through(system: AbstractSystem, states: np.ndarray, levels: np.ndarray) -> 
 
 STRANGE = 3.0
 """Standard deviations past which a prior contradicts the data: one time in 370 by chance."""
-TELLING = 1e-9
+TELLING = 1e-11
 """Share that is rounding: of what is known of a parameter, or of a target."""
 
 

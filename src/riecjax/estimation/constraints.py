@@ -53,7 +53,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from riecjax.errors import ModelError
+from riecjax.errors import ModelError, require
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number, namespace
 from riecjax.linear_algebra import eliminate, solve_scaled, unit_diagonal, unit_scale
@@ -62,6 +62,9 @@ from riecjax.uncertainty.covariances import BlockStatistics, block_statistics, s
 from riecjax.uncertainty.intervals import Uncertainty
 
 Bounds = tuple[float | None, float | None]
+TIGHT = 1e8
+"""Curvature of a prior, as a multiple of that of its parameter's column, past which it is as good
+as a known value: it leaves data a share of 1e-8, and more would drown them in rounding."""
 
 
 class Prior(NamedTuple):
@@ -100,6 +103,10 @@ class Constraints(eqx.Module):
         without a finite mean and a positive standard deviation.
         """
         names = table.free
+        one_by_one = ((bounds, "bounds", "(0, None)"), (priors, "priors", "(30.0, 0.5)"))
+        for given, what, value in one_by_one:
+            write = f"{what}={{'{names[0] if names else 'k'}': {value}}}, by name"
+            require(what, given, (Mapping, type(None)), write)
 
         def of_free(what: str, given: Mapping[str, Any]) -> dict[str, Any]:
             if unknown := [name for name in given if not {*names} & {*table.everywhere([name])}]:
@@ -146,14 +153,18 @@ class Constraints(eqx.Module):
         return cls(limits, known)
 
     def limits(self, names: Sequence[str]) -> tuple[Float[Leaf, " p"], Float[Leaf, " p"]]:
-        """Lower and upper bounds of some parameters, infinite where there is none."""
-        return _columns([self.bounds.get(name, (-np.inf, np.inf)) for name in names])
+        """Lower and upper bounds of some parameters, infinite where there is none, and NaN where
+        they are in the wrong order, which is refused where values can be looked at."""
+        low, high = _columns([self.bounds.get(name, (-np.inf, np.inf)) for name in names])
+        xp = namespace(low, high)
+        return xp.where(low < high, low, xp.nan), xp.where(low < high, high, xp.nan)
 
     def prior(self, names: Sequence[str]) -> tuple[Float[Leaf, " p"], Float[Leaf, " p"]]:
         """Means of the priors of some parameters, and one over their standard deviations: 0 where
-        there is no prior."""
+        there is no prior, and NaN where the deviation is none."""
         mean, std = _columns([self.priors.get(name, (0.0, np.inf)) for name in names])
-        return mean, 1 / std
+        xp = namespace(std)
+        return mean, xp.where(std > 0, 1 / xp.where(std > 0, std, 1.0), xp.nan)
 
 
 NONE = Constraints()
@@ -213,6 +224,7 @@ def constrained_uncertainty(
     **Arguments:** `statistics` of blocks with priors; `curvature` of these.
     """
     if constraints.priors:
+        curvature = jnp.where(held, 0.0, curvature)
         whole = slope([stage.total() for stage in statistics.blocks], statistics.unknowns)
         _, weight = constraints.prior([n for _, names in statistics.unknowns for n in names])
         uncertainty = uncertainty.with_priors(*scatter_of_priors(whole, curvature, weight))
@@ -270,9 +282,9 @@ def prior_curvature(
     energies = totals[-1].residual_energy(at), totals[-1].energy * jnp.finfo(whole.dtype).eps
     of_rows, rounding = (energy / jnp.maximum(totals[-1].count, 1) for energy in energies)
     of_row = jnp.where(unit > 0, variance[place] / jnp.where(unit > 0, unit, 1.0), of_rows)
-    least = ridge**2 / unit_scale(jnp.diagonal(gram)) ** 2
-    curvature = of_row * weight[place] ** 2
-    least = jnp.where((of_row <= rounding) & (weight[place] > 0), least, 0.0)
+    column = 1 / unit_scale(jnp.diagonal(gram)) ** 2
+    curvature = jnp.where(of_row > 0, jnp.minimum(of_row * weight[place] ** 2, TIGHT * column), 0.0)
+    least = jnp.where((of_row <= rounding) & (weight[place] > 0), ridge**2 * column, 0.0)
     return jnp.maximum(curvature, least)
 
 

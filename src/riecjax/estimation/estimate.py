@@ -656,7 +656,7 @@ class Estimate(Tabled, eqx.Module):
         if replicates is None:
             return []
         lost = np.mean(~np.isfinite(np.asarray(replicates)), axis=0)
-        lost = np.where(self.uncertainty.few_blocks, 0.0, lost)
+        lost = np.where(self.uncertainty.few_blocks | np.asarray(self.at_bound), 0.0, lost)
         return finding(
             "rarely_excited",
             self.parameters,

@@ -27,7 +27,9 @@ def print_identification(answer: Answer, console: Console) -> None:
         how += f" in windows of {criterion['alpha']:.3g} to {criterion['beta']:.3g} s"
     if refinement is not None and refinement.chosen:
         white = refinement.whiteness is not None and refinement.whiteness.white
-        how = f"refined by simulation{', which leaves white noise' if white else ''}"
+        by_simulation = refinement.by is None or refinement.by["refine"] == "output-error"
+        how = "refined by " + ("simulation" if by_simulation else "impulses of the equation error")
+        how += ", which leaves white noise" if white else ""
     said = len(answer.warnings)
     more = f" {said} finding{'s' if said != 1 else ''} and" if said else ""
     print_verdict(answer, console)

@@ -44,14 +44,17 @@ def identification_page(answer: Answer, tests: Sequence[Test] = ()) -> Page:
     further = [
         Section(
             _sentence(name.replace("_", " "))[:-1],
-            [*(f.message for f in findings.get(name, ())), _sentence(plain_in_words(entry))],
+            [
+                *(f.message for f in findings.get(name, ())),
+                _sentence(plain_in_words(entry) or "no numbers"),
+            ],
             charts=(name,),
         )
         for name, entry in (answer.tests or {}).items()
     ]
     # What lies behind some warnings, and what it concerns.
     causes = [
-        (_sentence(cause.phrase)[:-1], ", ".join(cause.parameters), cause.codes)
+        (_heading(cause), ", ".join(cause.parameters), cause.codes)
         for cause in answer.verdict.causes
     ]
     groups = [
@@ -259,6 +262,12 @@ def _recordings(provenance: parts.Provenance) -> Section:
     }
     text = [f"Prepared: {step}" for step in provenance.preparation]
     return Section("Recordings", text, [Table.of("file", records, cells)])
+
+
+def _heading(cause: parts.CausePart) -> str:
+    """Its phrase, capitalised unless it begins with a parameter's name."""
+    begins_with_name = cause.phrase.split(maxsplit=1)[0] in cause.parameters
+    return cause.phrase if begins_with_name else _sentence(cause.phrase)[:-1]
 
 
 def _sentence(line: str) -> str:

@@ -1,13 +1,17 @@
 """Tests of an answer: what one is, those of what equations leave, and a user's own."""
 
 import json
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import msgspec
 
 from riecjax.equations.model import Model
 from riecjax.errors import RiecjaxError
 from riecjax.estimation.estimate import Estimate
-from riecjax.findings import Finding
+from riecjax.findings import KINDS, Finding
+from riecjax.leaves import finite
 from riecjax.records.record import Record
 
 
@@ -93,10 +97,10 @@ def own_tests(
             if test.name in taken:
                 raise ValueError(f"its name, {test.name}, is another test's")
             for finding in test.findings():
-                if not isinstance(finding, Finding):
-                    raise TypeError(f"{finding!r} is among its findings and no rx.Finding")
-                finding.about.said(finding.signals, finding.parameters)
-            json.dumps(test.entry(), allow_nan=False)
+                _require_finding(finding)
+            _require_plain(test.entry())
+            for shown in ("view", "chart"):
+                getattr(test, shown, lambda: None)()
         except Exception as error:
             name = getattr(make, "__name__", type(make).__name__)
             said = " ".join(str(error).split()) or "no message"
@@ -106,3 +110,33 @@ def own_tests(
         taken.add(test.name)
         tested.tests.append(test)
     return tested
+
+
+def _require_finding(given: object) -> None:
+    """Raise `TypeError` or `ValueError` for what no verdict could take for a finding."""
+    if not isinstance(given, Finding):
+        raise TypeError(f"{given!r} is among its findings and no rx.Finding")
+    try:
+        msgspec.convert(msgspec.to_builtins(given, enc_hook=finite), Finding)
+    except (msgspec.ValidationError, TypeError) as error:
+        raise TypeError(f"its finding '{given.code}' is not as rx.Finding says: {error}") from None
+    if not all(0 <= share < math.inf for share in (given.doubt, *given.doubts.values())):
+        raise ValueError(f"a doubt of its finding '{given.code}' is no share of zero or more")
+    if given.about.kind not in KINDS:
+        raise ValueError(f"'{given.about.kind}' is no kind of cause; there are {', '.join(KINDS)}")
+    try:
+        given.about.said(given.signals, given.parameters)
+    except (LookupError, ValueError):
+        places = "{signals} and {parameters}"
+        raise ValueError(f"the phrase of '{given.code}' may have the places {places}") from None
+
+
+def _require_plain(entry: Any) -> None:
+    """Raise `TypeError` or `ValueError` for what JSON has no words for, or would say otherwise."""
+    json.dumps(entry, allow_nan=False)
+    keys = entry if isinstance(entry, dict) else ()
+    if other := [key for key in keys if not isinstance(key, str)]:
+        raise TypeError(f"its entry has the key {other[0]!r}, which is no text")
+    parts = entry.values() if isinstance(entry, dict) else entry
+    for each in parts if isinstance(entry, dict | list | tuple) else ():
+        _require_plain(each)
