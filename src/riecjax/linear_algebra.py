@@ -159,6 +159,19 @@ def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:
     return np.pad(signed, [(0, size - len(factor)), (0, 0)])
 
 
+def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*batch n n"]:
+    """Upper triangle R with R^T R = moments, to rounding; zero for a column that is."""
+    n, diagonal = moments.shape[-1], jnp.diagonal(moments, axis1=-2, axis2=-1)
+    size = jnp.maximum(diagonal, 0.0)
+    scale = unit_scale(size)
+    # Columns that explain one another would leave a pivot of rounding, of either sign.
+    rounding = 8 * n * jnp.finfo(moments.dtype).eps
+    identity = jnp.eye(n, dtype=moments.dtype).reshape((1,) * (moments.ndim - 2) + (n, n))
+    scaled = moments * scale[..., :, None] * scale[..., None, :] + rounding * identity
+    factor = jnp.swapaxes(jnp.linalg.cholesky(scaled), -1, -2)
+    return jnp.sqrt(size)[..., None, :] * factor
+
+
 def gram_condition_limit(dtype: jnp.dtype) -> float:
     """Condition number of rows past which their Gram matrix no longer serves.
 

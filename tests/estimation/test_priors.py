@@ -1,6 +1,7 @@
 """Priors and bounds of linear estimates: against Bayes, brute force, differences and coverage."""
 
 import itertools
+import re
 from typing import Any
 
 import jax
@@ -138,6 +139,24 @@ def test_a_prior_that_says_nothing_is_none_and_one_that_says_all_a_known_value()
     np.testing.assert_allclose(wide.covariance, alone.covariance, rtol=1e-9)
     np.testing.assert_allclose(narrow.theta[:3], known.theta, rtol=1e-5)
     np.testing.assert_allclose(narrow.covariance[:3, :3], known.covariance, rtol=1e-5)
+    # What is far below the rounding of sums does not spoil them.
+    surest = rx.identify(BODY, record(), RIEC, priors={"k": (29.5, 1e-18)}, **PLAIN)
+    np.testing.assert_allclose(surest.theta[:3], known.theta, rtol=1e-6)
+    np.testing.assert_allclose(surest.standard_errors[:3], known.standard_errors, rtol=1e-5)
+
+
+@pytest.mark.raises_finding("prior_disagrees")
+@pytest.mark.parametrize("share", [1.0, 1e-9])
+def test_a_prior_that_data_contradict_is_named_however_narrow_it_is(share):
+    alone = rx.identify(BODY, record(), RIEC, **PLAIN)
+    value, error = float(alone["k"]), float(alone.standard_error("k"))
+    prior = (value - 6 * error, share * error)
+    settings: Any = {"refine": None, "sweep": False, **PLAIN}
+    found = rx.assess(BODY, record(), RIEC, priors={"k": prior}, **settings)
+    (finding,) = (f for f in found.findings() if f.code == "prior_disagrees")
+    without = float(re.findall(r"without it, ([-.e\d]+)", finding.message)[0])
+    assert without == pytest.approx(value, abs=0.5 * error)
+    assert found.verdict.parameters["k"].level == "do not use"
 
 
 def test_a_prior_of_a_later_stage_of_random_windows_and_of_single_precision():
@@ -234,9 +253,25 @@ def test_an_estimate_follows_priors_and_bounds_as_differences_do():
         np.testing.assert_allclose(slope, (above - below) / (2 * step), rtol=1e-5, atol=1e-7)
     batch = jax.vmap(lambda mean: theta(mean, *at[1:]))(jnp.array([0.5, 1.0]))
     np.testing.assert_allclose(batch[1], theta(*at), rtol=1e-9)
+    # What is refused where values can be looked at has no answer where they cannot.
+    assert not np.isfinite(compiled(1.0, -0.2, 29.5)).any()
+
+
+def test_bounds_that_are_traced_in_the_wrong_order_have_no_answer():
+    def found(lower):
+        return rx.identify(BODY, record(), RIEC, bounds={"k": (lower, 29.5)}, **PLAIN)
+
+    batch = jax.vmap(found)(jnp.array([0.0, 30.0, 29.5]))
+    assert batch.determined.tolist() == [True, False, False]
 
 
 def test_what_a_linear_estimate_cannot_take_is_refused():
+    summary = rx.summarise(BODY, record(), RIEC, noise="none")
+    for wrong in ("k", 5, [("k", 1.0)]):
+        for what in ("priors", "bounds"):
+            given: Any = {what: wrong}
+            with pytest.raises(rx.ModelError, match=rf"{what} is .* Write {what}=.*by name"):
+                rx.estimate(BODY, summary, **given)
     with pytest.raises(rx.ModelError, match="a prior is given for 'k'; free are: m, c, d"):
         rx.identify(BODY, record(), RIEC, known={"k": 30.0}, priors={"k": (30.0, 1.0)})
     body = rx.Equation(rx.Term("m", "v", derivative=1), -rx.Term(1.0, "F"))

@@ -201,8 +201,8 @@ def doubts(evidence: Evidence) -> dict[str, Doubt]:
     residuals, sweep = evidence.test("residual_tests"), evidence.test("window_sweep")
     below, above = answer.uncertainty.reach(LEVEL)
     errors = np.asarray(answer.standard_errors)
-    left = None if refinement is None else refinement.whiteness
-    exact = left is not None and left.white and refinement.chosen
+    left = refinement.whiteness if refinement is not None and refinement.chosen else None
+    exact = left is not None and left.white
     # A fault that explains what is left moves these by a known amount.
     faults = () if residuals is None else residuals.faults
     known = {name for fault in faults for name in fault.doubts}

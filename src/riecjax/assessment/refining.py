@@ -343,7 +343,7 @@ def _search(
         )
     given = residuals, settings.bounds, settings.priors, intervals_of(settings.intervals)
     limits = (MOST_STEPS, settings.progress) if asked else (STEPS_BY_ITSELF, None)
-    found = on_host(refined(by, *given, *limits))
+    found = on_host(refined(by, *given, None, *limits))
     return Refinement(estimate, found, whiteness=whiteness(found, records))
 
 

@@ -71,6 +71,12 @@ initial states explain of the parameters' columns: where they explain all but a 
 log10(1/t) digits of it are lost, where QR of the rows would lose half as many. Steps are corrected
 by the next ones; what rounding leaves is an error of the gradient, well below a cosine of 1e-6.
 
+Other solvers of optimistix want a residual and its Jacobian. The Cholesky factor R of a window's
+moments is one with as few rows as columns: R = U' [r J S], U having orthonormal columns, which
+changes neither a sum of squares nor a step. So nothing carried from step to step grows with the
+record. Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20
+windows two to three times as fast: benchmarks/NOTES.md.
+
 **Bounds.** A trial that would go beyond a bound is set on it, and what the slope pushes against its
 bound is held there: its columns are zero, for this step and for all else that is said of the
 optimum. So bounds that hold nothing change nothing.
@@ -97,6 +103,7 @@ whose standard errors are themselves made of such changes, beside the parameter.
 """
 
 import dataclasses
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -104,6 +111,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
@@ -115,7 +123,7 @@ from riecjax.estimation.constraints import (
 )
 from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
 from riecjax.leaves import held_still
-from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
 from riecjax.refinement.objective import RIDGE, AbstractResiduals, Energies, Initial, Theta
 from riecjax.uncertainty.intervals import AbstractIntervals, estimate_uncertainty
 
@@ -135,8 +143,8 @@ NO_STEP = 1e-13
 
 
 class Point(eqx.Module):
-    """Where a refinement stands: `parameters`, and `initial` states that are estimated, one row for
-    each window."""
+    """Where a refinement stands: `parameters` in units of their scale, and `initial` states that
+    are estimated, one row for each window."""
 
     parameters: Float[Array, " p"]
     initial: Initial
@@ -206,25 +214,114 @@ class Linearised(eqx.Module):
         size = sizes @ parameters**2 + jnp.sum(initial_sizes * initial**2)
         return Point(parameters, initial), work, damping * size
 
+    def factors(self) -> Float[Array, "windows columns columns"]:
+        """Residual (first column) and Jacobian of each window, in as many rows as columns."""
+        return triangular_factor(self.moments)
 
-class Iteration(NamedTuple):
-    """Where Levenberg and Marquardt stand.
 
-    **Fields:** the `point` that was accepted, and the problem `there`; the `trial` after it, by a
-    step of this `damping`, with the two parts of the decrease that it predicts, `work` and
-    `damped`; `steps` so far; whether the slope is `flat`, and whether no step is left that is more
-    than rounding (`stuck`).
-    """
+Residual = tuple[Float[Array, "windows columns"], Float[Array, " p"]]
+"""First columns of `factors`, one row for each window; and the residuals of the priors."""
 
-    point: Point
-    there: Linearised
+
+class _State(eqx.Module):
+    """Accepted problem, trial point, damping, and the two parts of the predicted decrease."""
+
+    accepted: Linearised
     trial: Point
     damping: Float[Array, ""]
     work: Float[Array, ""]
     damped: Float[Array, ""]
-    steps: Int[Array, ""]
-    flat: Bool[Array, ""]
-    stuck: Bool[Array, ""]
+    first: Bool[Array, ""]
+    ended: Bool[Array, ""]
+    result: optx.RESULTS
+
+
+class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+    """Levenberg-Marquardt on moments, with initial states eliminated window by window.
+
+    Its function must return, aside, the [`Linearised`][] of the [`Problem`][] that it is given.
+
+    **Arguments:** `rtol`, the cosine between residual and tangent space at which it stops, which
+    unlike the size of a step depends on neither units nor damping; `report`, called with the sum of
+    squares after each step.
+    """
+
+    rtol: float
+    atol: float = 0.0
+    norm: Any = optx.max_norm
+    report: Any = None
+
+    def init(
+        self, fn: Any, y: Point, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
+    ) -> _State:
+        """Before the first step."""
+        dtype = y.parameters.dtype
+        accepted = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
+        return _State(
+            accepted,
+            y,
+            jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype),
+            jnp.ones((), dtype),
+            jnp.zeros((), dtype),
+            jnp.asarray(True),
+            jnp.asarray(False),
+            optx.RESULTS.successful,
+        )
+
+    def step(
+        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
+    ) -> tuple[Point, _State, Linearised]:
+        """Accept or reject the trial point, and make the next one."""
+        _, tried = fn(state.trial, args)
+        decrease = state.accepted.energy - tried.energy
+        ratio = decrease / (state.work + state.damped)
+        good = state.first | ((decrease > 0) & (ratio > ACCEPTED))
+        lower = state.first | (ratio > GOOD)
+        factor = jnp.where(good, jnp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
+        damping = jnp.maximum(state.damping * factor, jnp.finfo(factor.dtype).eps)
+        point = jax.tree.map(lambda new, old: jnp.where(good, new, old), state.trial, y)
+        accepted = jax.tree.map(lambda new, old: jnp.where(good, new, old), tried, state.accepted)
+        step, work, damped = accepted.step(damping)
+        step = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), step)
+        flat = (work <= self.rtol**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
+        # Of parameters, and of initial states.
+        pairs = (step.parameters, point.parameters), (step.initial, point.initial)
+        sizes = ([jnp.max(jnp.abs(v), initial=0.0) for v in pair] for pair in pairs)
+        stuck = jnp.all(jnp.stack([moved <= NO_STEP * size for moved, size in sizes]))
+        if self.report is not None:
+            jax.debug.callback(self.report, accepted.energy)
+        low, high = (end / args.scale for end in args.limits())
+        parameters = jnp.clip(point.parameters + step.parameters, low, high)
+        trial = Point(parameters, point.initial + step.initial)
+        result = optx.RESULTS.where(
+            stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy),
+            optx.RESULTS.nonlinear_divergence,
+            optx.RESULTS.successful,
+        )
+        state = _State(
+            accepted, trial, damping, work, damped, jnp.asarray(False), flat | stuck, result
+        )
+        return point, state, accepted
+
+    def terminate(
+        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Whether the search is over."""
+        return state.ended, state.result
+
+    def postprocess(
+        self,
+        fn: Any,
+        y: Point,
+        aux: Linearised,
+        args: Any,
+        options: Any,
+        state: _State,
+        tags: Any,
+        result: optx.RESULTS,
+    ) -> tuple[Point, Linearised, dict[str, Any]]:
+        """Nothing to add."""
+        return y, aux, {}
 
 
 SILENT = 1e-20
@@ -233,6 +330,7 @@ COLLINEAR = 1e-12
 """Curvature along a direction, relative to the parameters' own, that is no more than rounding."""
 TAKES_PART = 0.1
 """Share of such a direction from which a parameter is called undetermined."""
+Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 PROFILED = 1e-6
 """Share of the sum of squares that better initial states would still take off: as good as none."""
 MOST_TRIALS = 8
@@ -303,100 +401,70 @@ def _profiled(residuals: AbstractResiduals, initial: Initial) -> Energies:
 
 
 class Problem(eqx.Module):
-    """Residuals with priors and bounds; `variance` of a residual."""
+    """Residuals with priors and bounds, of parameters in units of their `scale`; `variance` of a
+    residual."""
 
     residuals: AbstractResiduals
     constraints: Constraints
+    scale: Theta
     variance: Float[Array, ""]
 
     def limits(self) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
         """Bounds of the parameters."""
         lower, upper = self.constraints.limits(self.residuals.table.free)
-        dtype = self.residuals.start.dtype
-        return jnp.asarray(lower, dtype), jnp.asarray(upper, dtype)
+        return jnp.asarray(lower, self.scale.dtype), jnp.asarray(upper, self.scale.dtype)
 
-    def sides(self, theta: Theta) -> Float[Array, " p"]:
+    def sides(self, point: Point) -> Float[Array, " p"]:
         """Which parameters are at their lower (-1) or upper (1) bound."""
-        lower, upper = self.limits()
-        return jnp.where(theta >= upper, 1.0, jnp.where(theta <= lower, -1.0, 0.0))
+        low, high = (end / self.scale for end in self.limits())
+        at = point.parameters
+        return jnp.where(at >= high, 1.0, jnp.where(at <= low, -1.0, 0.0))
 
     def theta(self, point: Point) -> Theta:
-        """The parameters, of which those at a bound move with it."""
-        (lower, upper), side = self.limits(), self.sides(point.parameters)
-        return jnp.where(side < 0, lower, jnp.where(side > 0, upper, point.parameters))
+        """The parameters in their units, of which those at a bound move with it."""
+        (lower, upper), side = self.limits(), self.sides(point)
+        inside = point.parameters * self.scale
+        return jnp.where(side < 0, lower, jnp.where(side > 0, upper, inside))
 
     def linearised(self, point: Point) -> Linearised:
-        """The residuals to first order."""
+        """The residuals to first order, by the parameters in units of their scale."""
         theta = self.theta(point)
         expansion = self.residuals.expansion(theta, point.initial)
-        moments = expansion.moments()
+        states = jnp.ones(point.initial.shape[1], theta.dtype)
+        scale = jnp.concatenate([jnp.ones(1, theta.dtype), self.scale, states])
+        moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
         # A trial point that the model cannot stand is a poor one, and nothing else.
         finite = jnp.all(jnp.isfinite(moments), axis=(1, 2), keepdims=True)
         poor = jnp.zeros(moments.shape[1:], moments.dtype)
         poor = poor.at[0, 0].set(jnp.sqrt(jnp.finfo(moments.dtype).max))
         moments = jnp.where(finite, moments, poor[None])
         mean, weight = map(jnp.asarray, self.constraints.prior(self.residuals.table.free))
-        slope = weight * jnp.sqrt(self.variance)
-        prior = slope * (theta - mean)
+        weight = weight * jnp.sqrt(self.variance)
+        prior, slope = weight * (theta - mean), weight * self.scale
         # A parameter that is pushed against its bound is held there.
         p = theta.shape[0]
         push = -jnp.sum(moments[:, 1 : 1 + p, 0], axis=0) - slope * prior
-        free = (self.sides(theta) * push <= 0).astype(moments.dtype)
+        free = (self.sides(point) * push <= 0).astype(moments.dtype)
         moving = jnp.concatenate([jnp.ones(1), free, jnp.ones(moments.shape[-1] - 1 - p)])
         moments = moments * (moving[:, None] * moving[None, :])[None]
         return Linearised(moments, prior, slope * free, expansion)
 
 
-def levenberg_marquardt(
-    problem: Problem, first: Point, max_steps: int, report: Callable[[float], None] | None
-) -> Iteration:
-    """The steps from a point, initial states eliminated window by window; see the module.
+def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
+    """Residuals of each window, reduced to as many as there are columns; see the module.
 
-    They end at a cosine between residual and tangent space that the precision allows, which unlike
-    the size of a step depends on neither units nor damping. `report` is called with the sum of
-    squares after each of them.
+    **Returns:** these, and the linearised problem that they come from, which is looked at and never
+    differentiated.
     """
-    dtype = first.parameters.dtype
-    least = 1e-6 if dtype == jnp.float64 else 1e-4
-    lowest, highest = problem.limits()
-    start = problem.residuals.start
-    unit = jnp.where(start != 0, jnp.abs(start), 1.0)
-
-    def step(at: Iteration) -> Iteration:
-        # Accept or reject the trial, and make the next one.
-        tried, begins = problem.linearised(at.trial), at.steps == 0
-        decrease = at.there.energy - tried.energy
-        ratio = decrease / (at.work + at.damped)
-        good = begins | ((decrease > 0) & (ratio > ACCEPTED))
-        lower = begins | (ratio > GOOD)
-        factor = jnp.where(good, jnp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
-        damping = jnp.maximum(at.damping * factor, jnp.finfo(dtype).eps)
-        point, there = jax.tree.map(
-            lambda new, old: jnp.where(good, new, old), (at.trial, tried), (at.point, at.there)
-        )
-        move, work, damped = there.step(damping)
-        move = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), move)
-        if report is not None:
-            jax.debug.callback(report, there.energy)
-        parameters = point.parameters + move.parameters
-        trial = Point(jnp.clip(parameters, lowest, highest), point.initial + move.initial)
-        flat = (work <= least**2 * there.energy) & (damped <= LITTLE_DAMPING * work)
-        # Of all parameters in units of their start, and of initial states.
-        pairs = (move.parameters / unit, point.parameters / unit), (move.initial, point.initial)
-        sizes = ([jnp.max(jnp.abs(v), initial=0.0) for v in pair] for pair in pairs)
-        stuck = jnp.all(jnp.stack([step <= NO_STEP * size for step, size in sizes]))
-        return Iteration(point, there, trial, damping, work, damped, at.steps + 1, flat, stuck)
-
-    nothing = jax.tree.map(
-        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(problem.linearised, first)
-    )
-    damping, one, no = FIRST_DAMPING / DAMPING_DECREASE, jnp.ones((), dtype), jnp.asarray(False)
-    begin = Iteration(
-        first, nothing, first, damping * one, one, 0 * one, jnp.zeros((), int), no, no
-    )
-    return jax.lax.while_loop(
-        lambda at: ~(at.flat | at.stuck) & (at.steps < max_steps), step, begin
-    )
+    here = held_still(point)
+    at = held_still(problem.linearised(here))
+    factors, p = at.factors(), here.parameters.shape[0]
+    # Zero, whose derivative is one: the Jacobian is that of the moments.
+    change = jax.tree.map(operator.sub, point, here)
+    moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], change.parameters)
+    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], change.initial)
+    prior = at.prior + at.prior_slope * change.parameters
+    return (factors[:, :, 0] + moved, prior), at
 
 
 @eqx.filter_custom_jvp
@@ -434,6 +502,7 @@ def search(
     start: Place,
     before: Place,
     intervals: AbstractIntervals,
+    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
 ) -> tuple[Estimate, Float[Array, " p"]]:
@@ -442,22 +511,34 @@ def search(
     **Returns:** the estimate; and of each parameter, the change by halving the steps of the
     simulation that does not matter.
     """
-    problem = Problem(residuals, constraints, residual_variance(residuals, before.cost))
-    still, first = held_still((problem, Point(before.theta, before.initial)))
-    end = levenberg_marquardt(still, first, max_steps, progress)
+    scale = jnp.where(residuals.start != 0, jnp.abs(residuals.start), 1.0)
+    problem = Problem(residuals, constraints, scale, residual_variance(residuals, before.cost))
+    still, first = held_still((problem, Point(before.theta / scale, before.initial)))
+    if solver is None:  # at the tolerance that the precision allows
+        rtol = 1e-6 if first.parameters.dtype == jnp.float64 else 1e-4
+        solver = LevenbergMarquardt(rtol, report=progress)
+    solution = optx.least_squares(
+        reduced_residual,
+        solver,
+        first,
+        args=still,
+        has_aux=True,
+        max_steps=max_steps,
+        throw=False,
+    )
     # The point differentiates by anything in `problem`, forward and in reverse.
-    point = _implicit(jax.lax.stop_gradient(end.point), problem)
+    point = _implicit(jax.lax.stop_gradient(solution.value), problem)
     theta, initial = problem.theta(point), point.initial
-    near, lost = end.work <= NEARLY_FLAT**2 * end.there.energy, RefinementStatus.not_finite
-    status = RefinementStatus.failed
+    status, lost = RefinementStatus.failed, RefinementStatus.not_finite
+    spent = solution.result == optx.RESULTS.nonlinear_max_steps_reached
     for ended, reason in (
-        (~(end.flat | end.stuck), RefinementStatus.out_of_steps),
-        (end.flat | (end.stuck & near), RefinementStatus.converged),
+        (spent, RefinementStatus.out_of_steps),
+        (solution.result == optx.RESULTS.successful, RefinementStatus.converged),
         (before.status == lost, lost),
     ):
         status = RefinementStatus.where(ended, reason, status)
-    expansion = end.there.expansion
-    at_bound = problem.sides(theta) != 0
+    expansion = solution.aux.expansion
+    at_bound = problem.sides(point) != 0
     blocks, short = residuals.blocks(residuals.curved(theta, initial, expansion))
     cost = jnp.sum(expansion.energy)
     variance = residual_variance(residuals, cost)
@@ -499,7 +580,7 @@ def search(
     used = jnp.sum(statistics.used)
     found = Search(
         status=status,
-        steps=before.steps + end.steps,
+        steps=before.steps + solution.stats["num_steps"],
         rms_before=start.rms,
         rms=residuals.rms(expansion.energy),
         cost_before=start.cost,

@@ -14,7 +14,7 @@ from riecjax.estimation.parameters import require_settings
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Records, as_records
 from riecjax.refinement.objective import AbstractObjective, AbstractResiduals
-from riecjax.refinement.optimum import Place, begun, search
+from riecjax.refinement.optimum import Place, Solver, begun, search
 from riecjax.refinement.output_error import OutputError
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich
 
@@ -73,6 +73,7 @@ def refine(
     per_record: Sequence[str] = (),
     key: Key[Array, ""] | None = None,
     intervals: AbstractIntervals | None = None,
+    solver: Solver | None = None,
     max_steps: int = 100,
     progress: Callable[[float], None] | None = None,
 ) -> Estimate:
@@ -102,6 +103,8 @@ def refine(
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
+    - `solver`: an optimistix solver; Levenberg-Marquardt by default. With bounds, one that damps
+      its steps: what is held has no slope.
     - `max_steps`: steps that the search may take; fewer than it needs is a status of the result.
     - `progress`: called with the sum of squares after each step.
 
@@ -115,12 +118,15 @@ def refine(
     require("start", start, (Estimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
     require("by", by, AbstractObjective, "by=rx.OutputError(), an object")
     require("intervals", intervals, AbstractIntervals, "intervals=rx.Sandwich()")
+    if solver is not None:
+        write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
+        require("the solver", solver, Solver, write)
     if isinstance(model, type):
         write = f"{model.__name__}(...), with a value for each of its fields"
         require("the model", model, (), write)
     by = by.suited(model)
     residuals = by.residuals(model, recordings, start, known or {}, per_record, key)
-    return refined(by, residuals, bounds, priors, intervals, max_steps, progress)
+    return refined(by, residuals, bounds, priors, intervals, solver, max_steps, progress)
 
 
 def refined(
@@ -129,6 +135,7 @@ def refined(
     bounds: Mapping[str, Bounds] | None,
     priors: Mapping[str, tuple[float, float]] | None,
     intervals: AbstractIntervals,
+    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
 ) -> Estimate:
@@ -136,7 +143,7 @@ def refined(
     table = residuals.table
     start = dict(zip(table.free, residuals.start))
     constraints = Constraints.of(table, bounds, priors, start)
-    settings = intervals, max_steps, progress
+    settings = intervals, solver, max_steps, progress
     # Searches, in ever shorter steps for as long as these change the answer. With priors each
     # search is followed by others: the variance that priors are weighed against is that of the
     # residuals at the optimum, which the first search knows only from its start; the next ones take
