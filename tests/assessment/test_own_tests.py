@@ -144,6 +144,12 @@ def test_a_test_that_tells_nothing_has_an_empty_part(tmp_path):
         def entry(self) -> Any:
             return {}
 
-    found = assessed(lambda *_: Silent("v", 0.0))
+    class Named(Silent):
+        name = "fit"
+
+    found = assessed(lambda *_: Silent("v", 0.0), lambda *_: Named("v", 0.0))
+    assert "its name, fit, is another test's or a figure's" in found.findings()[0].message
     rx.reporting.write_report(found, tmp_path / "out")
-    assert rx.load(tmp_path / "out").tests == {"rattle": {}}
+    again = rx.load(tmp_path / "out")
+    assert again.tests == {"rattle": {}}
+    assert again.plot() is not None

@@ -465,10 +465,12 @@ class Estimate(Tabled, eqx.Module):
         rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
         told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
         few = np.asarray(self.effective_windows) < FEWEST_WINDOWS
+        of_data = self.told_by_data.free
+        by_data = np.array([name in of_data for name in self.parameters])
         yield from finding(
             "few_effective_windows",
             self.parameters,
-            few & told,
+            few & told & by_data,
             self.effective_windows,
             f"errors of overlapping windows are correlated: all of them tell as much as so many "
             f"independent ones of {{}}. With fewer than {FEWEST_WINDOWS} an interval is rough. "

@@ -73,6 +73,9 @@ def _(thing: Estimate) -> Chart:
     return relative_figure({"": part_of(on_host(thing))})
 
 
+chart_of.register(Answer, lambda answer: relative_figure({"": answer}))
+
+
 @chart_of.register
 def _(thing: Assessment) -> Chart:
     figures = identification_figures(thing)

@@ -41,6 +41,8 @@ class Test(Protocol):
 
 BUILT_IN = ["modes", "window_sweep", "residual_tests", "window_choice", "refinement", "validation"]
 """Names of the tests that come with an assessment."""
+FIGURES = ["fit", "curves", "correlation", "mode_map"]
+"""Names of figures beside those of tests."""
 MakeTest = Callable[[Model, Sequence[Record], Estimate], Test]
 """What makes a test of a model's answer on records."""
 
@@ -87,7 +89,7 @@ def own_tests(
     makers: Iterable[MakeTest], model: Model, records: Sequence[Record], answer: Estimate
 ) -> Tested:
     """Tests of a user's own of an answer; of what raises or is no test, a finding says so."""
-    tested, taken = Tested([], []), {*BUILT_IN}
+    tested, taken = Tested([], []), {*BUILT_IN, *FIGURES}
     for make in makers:
         # An answer is not lost whatever it raises; asked later, it says the same.
         try:
@@ -95,7 +97,7 @@ def own_tests(
             if not isinstance(test, Test) or not isinstance(test.name, str):
                 raise TypeError("it has no name, findings() and entry(), see rx.validation.Test")
             if test.name in taken:
-                raise ValueError(f"its name, {test.name}, is another test's")
+                raise ValueError(f"its name, {test.name}, is another test's or a figure's")
             for finding in test.findings():
                 _require_finding(finding)
             _require_plain(test.entry())
