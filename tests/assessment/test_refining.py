@@ -5,9 +5,12 @@ import numpy as np
 import pytest
 from scipy import signal
 from tests.machines import (
+    BODY,
     DRAG_BOUND,
     DRAG_TRUTH,
+    STANDARD,
     UPRIGHT,
+    body_with_mode,
     drag_record,
     drag_signals,
     noisy,
@@ -196,3 +199,12 @@ def test_a_position_that_is_read_as_an_input_is_no_straight_line():
         assert float(refinement.refined[name]) == pytest.approx(true, rel=1e-5)
         lower, upper = found.verdict.parameters[name].doubt
         assert lower <= true <= upper
+
+
+def test_impulses_that_were_made_small_say_nothing_for_the_model():
+    """They leave no noise to be told from its errors."""
+    record = rx.Record(body_with_mode(), STANDARD.step)
+    found, refinement = refinement_of(BODY, record, refine="integral")
+    assert refinement.chosen
+    assert "good" not in {one.level for one in found.verdict.parameters.values()}
+    assert "the model leaves out a mode" in found.verdict.sentence
