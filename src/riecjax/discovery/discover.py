@@ -12,12 +12,7 @@ from riecjax.criteria.suited import criterion_for, with_velocities
 from riecjax.discovery.candidate import Candidate, as_candidates, default_candidates, members
 from riecjax.discovery.search import Question, Rejected, Step, Sums, again, extended, without_twins
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_elements import (
-    HiddenMode,
-    ModeParameters,
-    accelerated,
-    mode_frequency,
-)
+from riecjax.equations.hidden_elements import HiddenMode, accelerated, mode_frequency
 from riecjax.equations.model import Model, as_model, with_rests
 from riecjax.equations.motions import reading_velocities
 from riecjax.equations.term import written
@@ -325,7 +320,7 @@ def _with_mode(asked: Question, found: Discovery, recordings: list[Recording]) -
             if found.chosen:
                 start = _identified(asked, model, recordings, criterion)
             candidates = [one.candidate for one in chosen]
-            frequency, _ = mode_frequency(estimate.values, ModeParameters.of(len(model.modes)))
+            frequency, _ = mode_frequency(estimate.values, HiddenMode(on))
             terms = " + ".join(candidate.name for candidate in candidates)
             path = [_step("", start.equations[name])]
             path += [_step(terms, fits[name])] if chosen else []
@@ -396,8 +391,9 @@ def model_source(found: Discovery, model: str, folder: Path, candidates: str | N
     names = ", ".join(found.names)
     head = f'"""{found.start.name}{f" with {names}" if names else ""}."""\n\n'
     values = {name: float(found.estimate[name]) for name in found.estimate.parameters}
-    table, terms = found.estimate.table, [chosen.candidate for chosen in found.chosen]
-    of_mode = {n: v for n, v in values.items() if isinstance(table[n].element, ModeParameters)}
+    terms = [chosen.candidate for chosen in found.chosen]
+    hidden = () if found.mode is None else found.mode.parameters
+    of_mode = {name: value for name, value in values.items() if name in hidden}
     added: dict[str, list[str]] = {}
     for candidate in terms:
         lines = [term.source for term in candidate.terms]

@@ -71,43 +71,6 @@ def _ending(number: int) -> str:
     return "" if number == 0 else f"_{number + 1}"
 
 
-class SeriesSpring(eqx.Module):
-    """A spring in series with a force element, a Maxwell element.
-
-    Its stiffness `K_series`, of a further one `K_series_2`, is a parameter of every equation that
-    holds the element. In series with a `Term` it is found by [`identify`][riecjax.identify]; with a
-    map, as of a damper, the equation is not linear in its parameters, and they are found by
-    [`refine`][riecjax.refine], started from what `identify` finds without the spring.
-
-    **Arguments:** `of`, the element, a damper: the name of its coefficient, or of one of its basis,
-    as `F_1` of a damper's map.
-
-    **Raises:** `ModelError` for what is no name.
-    """
-
-    of: str = eqx.field(static=True)
-    hz: ClassVar[None] = None
-    """No frequency is near which to look for a lag."""
-
-    def __check_init__(self):
-        require("what a spring is in series with", self.of, str, "rx.SeriesSpring(of='c')")
-
-    @property
-    def on(self) -> str:
-        """What it acts on, the element."""
-        return self.of
-
-    def term_in(self, equation: Equation) -> AbstractTerm | None:
-        """The element's term in an equation, if it has one."""
-        return next((term for term in equation.terms if self.of in term.parameters), None)
-
-    def quantities(self, number: int, equations: Sequence[Equation]) -> list[Quantity]:
-        """The stiffness of the spring with this number, in a unit by the element's coefficient."""
-        named = [e.units[self.of] for e in equations if self.of in e.units]
-        unit = KNOWN_UNITS.get(named[0], "") if named else ""
-        return [Quantity(SpringParameters.of(number, self).stiffness, unit, "spring in series")]
-
-
 class Shape(NamedTuple):
     """Polynomials N and D in s, their coefficients lowest first, by which an element follows.
 
@@ -136,25 +99,44 @@ class Shape(NamedTuple):
         return jnp.where(q > 0, 2 * p[0] / jnp.where(q > 0, q, 1.0), jnp.inf) if p else q
 
 
-class SpringParameters(NamedTuple):
-    """Names of a linear element's coefficient and of the stiffness in series with it."""
+class SeriesSpring(eqx.Module):
+    """A spring in series with a force element, a Maxwell element.
 
-    coefficient: str
-    stiffness: str
+    Its stiffness `K_series`, of a further one `K_series_2`, is a parameter of every equation that
+    holds the element. In series with a `Term` it is found by [`identify`][riecjax.identify]; with a
+    map, as of a damper, the equation is not linear in its parameters, and they are found by
+    [`refine`][riecjax.refine], started from what `identify` finds without the spring.
 
-    @classmethod
-    def of(cls, number: int, spring: SeriesSpring) -> "SpringParameters":
-        """Of the spring with this number, from 0."""
-        return cls(spring.of, f"K_series{_ending(number)}")
+    **Arguments:** `of`, the element, a damper: the name of its coefficient, or of one of its basis,
+    as `F_1` of a damper's map; `number` among a model's springs, from 0, which the model gives it.
+
+    **Raises:** `ModelError` for what is no name.
+    """
+
+    of: str = eqx.field(static=True)
+    number: int = eqx.field(static=True, default=0)
+    order: ClassVar = 1
+    """Of the polynomial D, which has as many coordinates in a search."""
+    words: ClassVar = "the spring in series"
+    option: ClassVar = "--add-spring"
+
+    def __check_init__(self):
+        require("what a spring is in series with", self.of, str, "rx.SeriesSpring(of='c')")
 
     @property
     def linear(self) -> str:
-        """The parameter that the force is proportional to, for a given lag."""
-        return self.coefficient
+        """The parameter that the force is proportional to, for a given lag: the coefficient."""
+        return self.of
 
-    order = 1
-    """Of the polynomial D, which has as many coordinates in a search."""
-    words, option = "the spring in series", "--add-spring"
+    @property
+    def stiffness(self) -> str:
+        """The name of the stiffness in series with it."""
+        return f"K_series{_ending(self.number)}"
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the element's coefficient and of the stiffness."""
+        return self.of, self.stiffness
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -164,17 +146,17 @@ class SpringParameters(NamedTuple):
     judged = hidden
     """Parameters that are positive, and sure, where such an element is found."""
 
-    def doubted(self, values: Mapping[str, Array], band: tuple[Leaf, Leaf]) -> Float[Array, "1"]:
+    def doubted(self, values: Values, band: tuple[Leaf, Leaf]) -> Float[Array, "1"]:
         """The error of the stiffness that counts as one: that of a lag by 1 / band[1] seconds.
 
         From tau = c / K follows d tau = -tau dK / K.
         """
-        lag = jnp.abs(values[self.coefficient] / values[self.stiffness])
+        lag = jnp.abs(values[self.of] / values[self.stiffness])
         return jnp.stack([values[self.stiffness] / (lag * jnp.asarray(band[1]))])
 
-    def shape(self, values: Mapping[str, Array]) -> Shape:
+    def shape(self, values: Values) -> Shape:
         """The lag with these values."""
-        return Shape.of_lag(values[self.coefficient] / values[self.stiffness])
+        return Shape.of_lag(values[self.of] / values[self.stiffness])
 
     @staticmethod
     def shape_at(at: Float[Array, "1"] | None) -> Shape:
@@ -182,9 +164,19 @@ class SpringParameters(NamedTuple):
         tau = jnp.zeros(()) if at is None else jnp.exp(-at[0]) / (2 * jnp.pi)
         return Shape.of_lag(tau)
 
-    def values_at(self, at: Float[Array, "1"], values: Mapping[str, Array]) -> dict[str, Array]:
+    def values_at(self, at: Float[Array, "1"], values: Values) -> dict[str, Array]:
         """The stiffness of the lag there, the coefficient being among the values."""
-        return {self.stiffness: values[self.coefficient] / self.shape_at(at).denominator[1]}
+        return {self.stiffness: values[self.of] / self.shape_at(at).denominator[1]}
+
+    def term_in(self, equation: Equation) -> AbstractTerm | None:
+        """The element's term in an equation, if it has one."""
+        return next((term for term in equation.terms if self.of in term.parameters), None)
+
+    def quantities(self, equations: Sequence[Equation]) -> list[Quantity]:
+        """The stiffness, in a unit by the element's coefficient."""
+        named = [e.units[self.of] for e in equations if self.of in e.units]
+        unit = KNOWN_UNITS.get(named[0], "") if named else ""
+        return [Quantity(self.stiffness, unit, "spring in series")]
 
 
 def why_no_element(term: AbstractTerm, equations: Iterable[Equation]) -> str:
@@ -254,10 +246,8 @@ class SpringElement(eqx.Module):
     stiffness: str = eqx.field(static=True)
 
     @classmethod
-    def of(
-        cls, number: int, spring: SeriesSpring, equations: Sequence[Equation]
-    ) -> "SpringElement":
-        """Of the spring with this number, from 0, that some of the equations have.
+    def of(cls, spring: SeriesSpring, equations: Sequence[Equation]) -> "SpringElement":
+        """Of a spring that some of the equations have.
 
         **Raises:** `ModelError` for an element whose law has no inverse that is known.
         """
@@ -267,8 +257,8 @@ class SpringElement(eqx.Module):
                 f"a spring in series with {first.name} needs the inverse of its law, which is "
                 f"known of one coefficient and of roof functions (rx.roof) only."
             )
-        stiffness = SpringParameters.of(number, spring).stiffness
-        return cls(first, HiddenState(f"series{_ending(number)}_force", force), stiffness)
+        state = HiddenState(f"series{_ending(spring.number)}_force", force)
+        return cls(first, state, spring.stiffness)
 
     def written_out(self, equation: Equation) -> Equation:
         """The equation with the force in the element's place."""
@@ -326,13 +316,18 @@ class HiddenMode(eqx.Module):
 
     **Arguments:** `on`, the signal: a velocity of which a term holds the first derivative, or a
     position of which one holds the second; `hz`, near which frequency in hertz to look, everywhere
-    if it is not given.
+    if it is not given; `number` among a model's modes, from 0, which the model gives it.
 
     **Raises:** `ModelError` for a frequency that is not positive.
     """
 
     on: str = eqx.field(static=True)
     hz: float | None = eqx.field(static=True, default=None)
+    number: int = eqx.field(static=True, default=0)
+    order: ClassVar = 2
+    """Of the polynomial D, which has as many coordinates in a search."""
+    words: ClassVar = "the hidden mode"
+    option: ClassVar = "--add-mode"
 
     def __check_init__(self):
         require("what a hidden mode is on", self.on, str, "rx.HiddenMode(on='x4'), a signal")
@@ -352,20 +347,69 @@ class HiddenMode(eqx.Module):
                 return term
         return None
 
-    def quantities(self, number: int, equations: Sequence[Equation]) -> list[Quantity]:
-        """The parameters of the mode with this number, in units by the body's own."""
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of mass, stiffness and damping."""
+        return tuple(f"{part}_mode{_ending(self.number)}" for part in "MKB")
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Those that are no coefficient of the equations."""
+        return self.parameters
+
+    @property
+    def linear(self) -> str:
+        """The parameter that the force is proportional to, for a given shape: the mass."""
+        return self.parameters[0]
+
+    @property
+    def stiffness(self) -> str:
+        """The name of the stiffness."""
+        return self.parameters[1]
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """Parameters that are positive, and sure, where such an element is found."""
+        return self.parameters[:2]
+
+    def doubted(self, values: Values, band: tuple[Leaf, Leaf]) -> Float[Array, "2"]:
+        """Errors of what is judged that count as one: its values."""
+        return jnp.stack([values[name] for name in self.judged])
+
+    def shape(self, values: Values) -> Shape:
+        """Of p and q with these values."""
+        mass, stiffness, damping = (values[name] for name in self.parameters)
+        return Shape.of_mode(mass / stiffness, damping / stiffness)
+
+    @staticmethod
+    def shape_at(at: Float[Array, "2"] | None) -> Shape:
+        """Of the logarithm of the frequency in hertz and the damping ratio; `None`: rigid."""
+        if at is None:
+            return Shape.of_mode(jnp.zeros(()), jnp.zeros(()))
+        rate = 2 * jnp.pi * jnp.exp(at[0])
+        return Shape.of_mode(1 / rate**2, 2 * at[1] / rate)
+
+    def values_at(self, at: Float[Array, "2"], values: Values) -> dict[str, Array]:
+        """Stiffness and damping of the shape there, the mass being among the values."""
+        _, q, p = self.shape_at(at).denominator
+        mass, stiffness, damping = self.parameters
+        found = values[mass] / p
+        return {stiffness: found, damping: found * q}
+
+    def quantities(self, equations: Sequence[Equation]) -> list[Quantity]:
+        """The parameters, in units by the body's own."""
         terms = [term for e in equations if (term := self.term_in(e)) is not None]
         mass = next((str(term.unit) for term in terms if term.unit), "")
         known = {"kg": ("N/m", "N s/m"), "kg m^2": ("N m/rad", "N m s/rad"), "": ("", "")}
         others = known.get(mass, (f"{mass}/s^2", f"{mass}/s"))
-        named = zip(ModeParameters.of(number)._asdict().items(), (mass, *others))
+        parts = zip(self.parameters, (mass, *others), ("mass", "stiffness", "damping"))
         words = f"of the hidden mode on {self.on}"
-        return [Quantity(name, unit, f"{part} {words}") for (part, name), unit in named]
+        return [Quantity(name, unit, f"{part} {words}") for name, unit, part in parts]
 
     def written_out(
-        self, number: int, equations: Sequence[Equation]
+        self, equations: Sequence[Equation]
     ) -> tuple[tuple[Equation, ...], dict[str, Expression], tuple[HiddenState, ...]]:
-        """The motion of the mode with this number among some equations, for a simulation.
+        """The motion of the mode among some equations, for a simulation.
 
         With velocity v of the body, w of the mass, and deflection d, body minus mass,
 
@@ -383,8 +427,9 @@ class HiddenMode(eqx.Module):
             terms = [t for e in equations for t in e.terms if t.of == inertia.of]
             named = (t for t in terms if t.derivative and t.measured)
             body = next((t.measured[0] for t in named), f"d{inertia.of}")
-        mass, stiffness, damping = ModeParameters.of(number)
-        deflection, velocity = (f"mode{_ending(number)}_{s}" for s in ("deflection", "velocity"))
+        mass, stiffness, damping = self.parameters
+        states = ("deflection", "velocity")
+        deflection, velocity = (f"mode{_ending(self.number)}_{state}" for state in states)
         stretching = difference(body, velocity)
 
         def force(sign: float | Leaf) -> tuple[Term, Term]:
@@ -395,70 +440,14 @@ class HiddenMode(eqx.Module):
             for equation, t in zip(equations, inertias)
         )
         moved = Equation(Term(mass, velocity, derivative=1), *force(-1.0))
-        unit = self.quantities(number, equations)[0].unit
+        unit = self.quantities(equations)[0].unit
         units = {"kg": ("m", "m/s"), "kg m^2": ("rad", "rad/s")}.get(unit, ("", ""))
         states = HiddenState(deflection, units[0]), HiddenState(velocity, units[1], body)
         return (*loaded, moved), {deflection: stretching}, states
 
 
-class ModeParameters(NamedTuple):
-    """Names of a mode's mass, stiffness and damping."""
-
-    mass: str
-    stiffness: str
-    damping: str
-
-    @classmethod
-    def of(cls, number: int) -> "ModeParameters":
-        """Of the mode with this number, from 0."""
-        return cls(*(f"{part}_mode{_ending(number)}" for part in "MKB"))
-
-    @property
-    def linear(self) -> str:
-        """The parameter that the force is proportional to, for a given shape."""
-        return self.mass
-
-    order = 2
-    """Of the polynomial D, which has as many coordinates in a search."""
-    words, option = "the hidden mode", "--add-mode"
-
-    @property
-    def hidden(self) -> tuple[str, ...]:
-        """Those that are no coefficient of the equations."""
-        return tuple(self)
-
-    @property
-    def judged(self) -> tuple[str, ...]:
-        """Parameters that are positive, and sure, where such an element is found."""
-        return self.mass, self.stiffness
-
-    def doubted(self, values: Values, band: tuple[Leaf, Leaf]) -> Float[Array, "2"]:
-        """Errors of what is judged that count as one: its values."""
-        return jnp.stack([values[name] for name in self.judged])
-
-    def shape(self, values: Values) -> Shape:
-        """Of p and q with these values."""
-        mass, stiffness, damping = (values[name] for name in self)
-        return Shape.of_mode(mass / stiffness, damping / stiffness)
-
-    @staticmethod
-    def shape_at(at: Float[Array, "2"] | None) -> Shape:
-        """Of the logarithm of the frequency in hertz and the damping ratio; `None`: rigid."""
-        if at is None:
-            return Shape.of_mode(jnp.zeros(()), jnp.zeros(()))
-        rate = 2 * jnp.pi * jnp.exp(at[0])
-        return Shape.of_mode(1 / rate**2, 2 * at[1] / rate)
-
-    def values_at(self, at: Float[Array, "2"], values: Values) -> dict[str, Array]:
-        """Stiffness and damping of the shape there, the mass being among the values."""
-        _, q, p = self.shape_at(at).denominator
-        stiffness = values[self.mass] / p
-        return {self.stiffness: stiffness, self.damping: stiffness * q}
-
-
-HiddenParameters = ModeParameters | SpringParameters
-Hidden = Mapping[HiddenParameters, HiddenMode | SeriesSpring]
-"""Elements that equations leave out, by their parameters: modes come before springs."""
+HiddenElement = HiddenMode | SeriesSpring
+"""What equations leave out: modes come before springs."""
 
 
 class Expanded(eqx.Module):
@@ -466,34 +455,35 @@ class Expanded(eqx.Module):
 
     **Fields:** `equation`, linear, whose terms are those of the equation differentiated 0 to `most`
     times; `parameters` of the equation without hidden elements; `elements`, of each hidden element
-    its parameters and the column that it filters, of a mode its body's acceleration, among
-    `columns`, the equation's own, which begin with the target. Modes come before springs.
+    the column that it filters, of a mode its body's acceleration, among `columns`, the equation's
+    own, which begin with the target. Modes come before springs.
     """
 
     equation: Equation
     parameters: tuple[str, ...] = eqx.field(static=True)
     columns: tuple[str, ...] = eqx.field(static=True)
-    elements: tuple[tuple[HiddenParameters, str], ...] = eqx.field(static=True)
+    elements: tuple[tuple[HiddenElement, str], ...] = eqx.field(static=True)
 
     @classmethod
-    def of(cls, equation: Equation, hidden: Hidden) -> "Expanded":
+    def of(cls, equation: Equation, hidden: Iterable[HiddenElement]) -> "Expanded":
         """An equation with those modes whose bodies it accelerates, and those springs that are in
         series with a linear element of it."""
         terms, carried = list(equation.terms), []
-        for names, element in hidden.items():
+        for element in hidden:
             term = element.term_in(equation)
             if term is None or not term.is_linear:
                 continue
             column = term.name
             if column is None:
                 # A known mass is part of the target: the acceleration needs a column of its own.
+                assert isinstance(element, HiddenMode), "a spring is behind a named coefficient"
                 column = f"acceleration of {element.on}"
                 order, measured, sign = term.derivative, term.measured, inertia_sign(term)
                 terms.append(Term(column, term.of, derivative=order, measured=measured, sign=sign))
-            carried.append((names, column))
+            carried.append((element, column))
         own = Equation(*terms, name=equation.name)
         columns = (TARGET, *own.parameters) if own.has_target else own.parameters
-        most = sum(names.order for names, _ in carried)
+        most = sum(element.order for element, _ in carried)
         raised = [Differentiated(t, k) for k in range(1, most + 1) for t in terms]
         linear = equation.of_terms(*terms, *raised)
         return cls(linear, equation.parameters, columns, tuple(carried))
@@ -501,13 +491,13 @@ class Expanded(eqx.Module):
     @property
     def most(self) -> int:
         """Derivatives that hidden elements put in front of every term."""
-        return sum(names.order for names, _ in self.elements)
+        return sum(element.order for element, _ in self.elements)
 
     @property
     def all_parameters(self) -> tuple[str, ...]:
         """Parameters of the equation and then of its modes and springs."""
         # A spring's coefficient is the equation's own.
-        hidden = (name for names, _ in self.elements for name in names)
+        hidden = (name for element, _ in self.elements for name in element.parameters)
         return tuple(dict.fromkeys((*self.parameters, *hidden)))
 
     def residual(self, values: Values, shapes: Sequence[Shape]) -> Float[Array, " columns"]:
@@ -521,12 +511,12 @@ class Expanded(eqx.Module):
         each = [shape.denominator for shape in shapes]
         whole = _product(each)
         # What a spring is in series with does not act by itself.
-        own = {TARGET: 1.0} | {c: 0.0 for names, c in self.elements if names.linear == c}
+        own = {TARGET: 1.0} | {c: 0.0 for element, c in self.elements if element.linear == c}
         weights = [own[n] if n in own else -values.get(n, 0.0) for n in self.columns]
         powers = jnp.stack([jnp.asarray(w, whole.dtype) for w in weights])[:, None] * whole[None, :]
-        for i, (names, column) in enumerate(self.elements):
+        for i, (element, column) in enumerate(self.elements):
             filtered = _product([shapes[i].numerator, *each[:i], *each[i + 1 :]])
-            size = values.get(names.linear, 0.0)
+            size = values.get(element.linear, 0.0)
             powers = powers.at[self.columns.index(column)].add(-size * filtered)
         return jnp.asarray(self._places) @ powers.ravel()
 
@@ -555,7 +545,7 @@ class Expanded(eqx.Module):
         at = {name: jnp.asarray(values[name], jnp.result_type(float)) for name in names}
 
         def residual(values: Values) -> Array:
-            return self.residual(values, [names.shape(values) for names, _ in self.elements])
+            return self.residual(values, [element.shape(values) for element, _ in self.elements])
 
         slopes = jax.jacfwd(residual)(at)
         target = residual(at) - sum(at[name] * slopes[name] for name in names)
@@ -567,9 +557,9 @@ def _product(polynomials: Sequence[Float[Array, " powers"]]) -> Float[Array, " p
     return functools.reduce(jnp.convolve, polynomials) if polynomials else jnp.ones(1)
 
 
-def mode_frequency(values: Values, names: ModeParameters) -> tuple[Array, Array]:
+def mode_frequency(values: Values, mode: HiddenMode) -> tuple[Array, Array]:
     """Natural frequency in hertz and damping ratio of a mode on a body at rest."""
-    mass, stiffness, damping = (values[name] for name in names)
+    mass, stiffness, damping = (values[name] for name in mode.parameters)
     root = jnp.sqrt(jnp.abs(stiffness / mass))
     return root / (2 * np.pi), damping / (2 * mass * root)
 

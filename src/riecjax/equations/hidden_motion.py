@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
-from riecjax.equations.hidden_elements import ModeParameters, Shape, inertia_sign
+from riecjax.equations.hidden_elements import HiddenMode, Shape, inertia_sign
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError
@@ -50,14 +50,14 @@ def with_hidden_motion(
 
     def without_hidden(equation: Equation) -> Equation:
         terms = list(equation.terms)
-        for names, element in model.hidden.items():
-            shape = names.shape(values)
-            if isinstance(names, ModeParameters):
+        for element in model.hidden:
+            shape = element.shape(values)
+            if isinstance(element, HiddenMode):
                 if (inertia := element.term_in(equation)) is not None:
-                    of, *measured = following(inertia, f"of {names.mass}", shape)
+                    of, *measured = following(inertia, f"of {element.linear}", shape)
                     terms.append(
                         Term(
-                            names.mass,
+                            element.linear,
                             of,
                             derivative=inertia.derivative,
                             measured=tuple(measured),
@@ -67,15 +67,15 @@ def with_hidden_motion(
                     )
                 continue
             for i, term in enumerate(terms):
-                if names.coefficient not in term.parameters:
+                if element.of not in term.parameters:
                     continue
                 if not term.is_linear:
                     raise ModelError(
-                        f"what the map of '{names.coefficient}' does behind its spring is not "
+                        f"what the map of '{element.of}' does behind its spring is not "
                         f"known from the motion across both alone: simulate the model, "
                         f"rx.validation.validate_held_out."
                     )
-                of, *measured = following(term, f"behind {names.stiffness}", shape)
+                of, *measured = following(term, f"behind {element.stiffness}", shape)
                 terms[i] = term.with_fields(of=of, measured=tuple(measured))
         return equation.of_terms(*terms)
 

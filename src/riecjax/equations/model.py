@@ -32,12 +32,10 @@ from riecjax.equations.equation_system import (
 from riecjax.equations.expressions import Expression, constant, relation_of, signals_read
 from riecjax.equations.hidden_elements import (
     Expanded,
+    HiddenElement,
     HiddenMode,
-    HiddenParameters,
-    ModeParameters,
     SeriesSpring,
     SpringElement,
-    SpringParameters,
     force_elements,
     why_no_element,
 )
@@ -165,6 +163,7 @@ class Model(Shown, eqx.Module):
                     f"a hidden mode on '{mode.on}' needs a term that accelerates it, such as "
                     f"rx.Term('m', '{mode.on}', derivative=1): no equation has one."
                 )
+        self.modes = tuple(replace(mode, number=i) for i, mode in enumerate(self.modes))
         names = dict.fromkeys(name for equation in self.equations for name in equation.parameters)
         taken: list[str] = []
         for spring in self.springs:
@@ -189,6 +188,7 @@ class Model(Shown, eqx.Module):
                     f"velocity or a map of one: {', '.join(fitting) or 'no equation has any'}."
                 )
             taken += every[0].parameters
+        self.springs = tuple(replace(spring, number=i) for i, spring in enumerate(self.springs))
         require_agreement(self.equations, self.parameters)
         units, listed = self.units, {quantity.name for quantity in self.parameters}
         quantities = {name: Quantity(name, units[name], "") for name in names} | self._of_hidden
@@ -480,16 +480,14 @@ class Model(Shown, eqx.Module):
         return bool(self.modes or self.springs)
 
     @property
-    def hidden(self) -> dict[HiddenParameters, HiddenMode | SeriesSpring]:
-        """What equations leave out, by its parameters: modes, and then springs."""
-        modes = {ModeParameters.of(i): mode for i, mode in enumerate(self.modes)}
-        return modes | {SpringParameters.of(i, s): s for i, s in enumerate(self.springs)}
+    def hidden(self) -> tuple[HiddenElement, ...]:
+        """What equations leave out: modes, and then springs."""
+        return (*self.modes, *self.springs)
 
     @property
     def _of_hidden(self) -> dict[str, Quantity]:
         """Parameters of hidden elements, by name."""
-        numbered = (*enumerate(self.modes), *enumerate(self.springs))
-        every = (q for i, element in numbered for q in element.quantities(i, self.equations))
+        every = (q for element in self.hidden for q in element.quantities(self.equations))
         return {quantity.name: quantity for quantity in every}
 
     def by_stage(self, of: Callable[[Equation], Made]) -> tuple[tuple[Made, ...], ...]:
@@ -499,8 +497,7 @@ class Model(Shown, eqx.Module):
     @property
     def expanded(self) -> tuple[tuple[Expanded, ...], ...]:
         """Each equation with modes and springs, linear in more columns than it has parameters."""
-        hidden = self.hidden
-        return self.by_stage(lambda equation: Expanded.of(equation, hidden))
+        return self.by_stage(lambda equation: Expanded.of(equation, self.hidden))
 
     @property
     def linear(self) -> "Model":
@@ -522,11 +519,10 @@ class Model(Shown, eqx.Module):
     @property
     def stage_parameters(self) -> list[tuple[str, ...]]:
         """Names of the coefficients of each stage, in order of first appearance."""
-        hidden = self.hidden.items()
 
         def names(equation: Equation) -> list[str]:
-            of_hidden = (n.hidden for n, element in hidden if element.term_in(equation) is not None)
-            return [*equation.parameters, *(name for names in of_hidden for name in names)]
+            there = (e for e in self.hidden if e.term_in(equation) is not None)
+            return [*equation.parameters, *(name for element in there for name in element.hidden)]
 
         return [tuple(dict.fromkeys(n for e in stage for n in names(e))) for stage in self.stages]
 
@@ -629,11 +625,11 @@ def equation_system(
     further: dict[str, Expression] = {memory.state: memory for memory in model.memories}
     further |= model.rates if rates is None else rates
     equations, hidden = model.equations, []
-    springs = tuple(SpringElement.of(i, s, equations) for i, s in enumerate(model.springs))
+    springs = tuple(SpringElement.of(spring, equations) for spring in model.springs)
     for spring in springs:
         equations = tuple(map(spring.written_out, equations))
-    for i, mode in enumerate(model.modes):
-        equations, of_mode, states = mode.written_out(i, equations)
+    for mode in model.modes:
+        equations, of_mode, states = mode.written_out(equations)
         further |= of_mode
         hidden += states
     hidden += (spring.state for spring in springs)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax.criteria.criterion import AbstractCriterion
-from riecjax.equations.hidden_elements import SpringParameters
+from riecjax.equations.hidden_elements import SeriesSpring
 from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import EquationFit, StageSolution
@@ -426,7 +426,7 @@ class Estimate(Tabled, eqx.Module):
         low, high = self.intervals()
         yield from self._wide((high - low) / 2 * sizes > MATTERING_SHARE, "interval")
         # Springs in series whose lag c / K is not told from none, and with it K from infinity.
-        springs = [isinstance(self.table[n].element, SpringParameters) for n in self.parameters]
+        springs = [isinstance(self.table[n].element, SeriesSpring) for n in self.parameters]
         errors_away = np.abs(self.theta) / self.standard_errors
         yield from each_finding(
             "series_spring_not_carried",
@@ -754,12 +754,6 @@ def combination(names: tuple[str, ...], direction: Float[np.ndarray, " p"]) -> s
         parts = [(-c, n) for c, n in parts]
     words = [f"{'-' if c < 0 else '+'} {abs(c):.2f} {n}" for c, n in parts]
     return " ".join(words).removeprefix("+ ")
-
-
-def known_entries(estimate: Estimate) -> dict[str, Any]:
-    """Value and unit of each parameter that was not estimated."""
-    table = estimate.table
-    return {n: {"value": estimate[n], "unit": table[n].unit} for n in estimate.known}
 
 
 def intervals_entry(estimate: Estimate) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from riecjax.compilation import kept_jit
 from riecjax.equations.equation import Equation
-from riecjax.equations.hidden_elements import Expanded, ModeParameters, mode_frequency
+from riecjax.equations.hidden_elements import Expanded, HiddenMode, mode_frequency
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
@@ -49,8 +49,9 @@ NEAR = 2**0.5
 """Ratio of frequencies up to which a mode is near another frequency: half an octave."""
 
 
-Stray = tuple[ModeParameters, float, float]
-"""A mode, the frequency in hertz near which it was asked for, and that where it was found."""
+Stray = tuple[tuple[str, ...], float, float]
+"""Parameters of a mode, the frequency in hertz near which it was asked for, and that where it was
+found."""
 
 
 # It prints in words, which no named tuple can take from a base class.
@@ -69,7 +70,7 @@ class ModeEvidence(Drawn):
     the search has led farther than half an octave away from where they were asked for.
     """
 
-    parameters: ModeParameters
+    parameters: tuple[str, ...]
     stage: str
     on: str
     frequency: tuple[float, float]
@@ -102,10 +103,10 @@ class ModeEvidence(Drawn):
         elsewhere = [
             Finding(
                 "mode_elsewhere",
-                f"{self.stage}: no mode near {asked:.4g} Hz: the search for {names.mass} ended at "
+                f"{self.stage}: no mode near {asked:.4g} Hz: the search for {names[0]} ended at "
                 f"{found:.3g} Hz. If the record carries both, ask for both (on the command line: "
                 f"--add-mode {self.on}={asked:.4g} --add-mode {self.on}={found:.3g}).",
-                parameters=tuple(names),
+                parameters=names,
             )
             for names, asked, found in self.strays
         ]
@@ -120,9 +121,9 @@ class ModeEvidence(Drawn):
                 f"{100 * float(self.gain):.2g} +- {100 * float(self.gain_error):.2g} %"
             )
         names = self.parameters
-        first = names == ModeParameters.of(0)
+        first = names == HiddenMode(self.on).parameters
         close = "" if first else ", or cannot tell it from another that lies close"
-        mode = f"the hidden mode on {self.on} ({names.mass})"
+        mode = f"the hidden mode on {self.on} ({names[0]})"
         message = (
             f"{self.stage}: the recordings do not carry this mode{close}: on time that it was not "
             f"found from, {mode} explains {100 * max(self.explained, 0.0):.2g} % of what is left "
@@ -135,7 +136,7 @@ class ModeEvidence(Drawn):
                 f"stiffness or damping is negative, or its damping more than critical. Leave it "
                 f"out; something else is missing, such as a delay of one signal."
             )
-        return [Finding("mode_not_carried", message, parameters=tuple(names)), *elsewhere]
+        return [Finding("mode_not_carried", message, parameters=names), *elsewhere]
 
     def entry(self) -> dict[str, Any]:
         """All of it, as plain data for JSON."""
@@ -195,24 +196,24 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
     evidence, known = [], dict(given)
     for i, equations in enumerate(model.expanded):
         stage = ModeStage.of(equations, summary.equations()[i], known)
-        modes = [names for names in stage.sought if isinstance(names, ModeParameters)]
+        modes = [element for element in stage.sought if isinstance(element, HiddenMode)]
         if modes:
             sums, last = summary.equations(found.bands[i])[i], modes[-1]
             # Modes that lie far from the frequency asked for, and the band that shows the last one.
-            places = ((m, model.hidden[m].hz, float(mode_frequency(values, m)[0])) for m in modes)
+            places = ((m.parameters, m.hz, float(mode_frequency(values, m)[0])) for m in modes)
             strays = [
                 (names, hz, at)
                 for names, hz, at in places
                 if hz is not None and not hz / NEAR <= at <= hz * NEAR
             ]
-            low, high = search_band(model, summary, last)
-            for at in (at for names, _, at in strays if names == last):
+            low, high = search_band(summary, last)
+            for at in (at for names, _, at in strays if names == last.parameters):
                 low, high = np.minimum(low, at / NEAR), np.maximum(high, at * NEAR)
             raw = on_host(_evidence(equations, sums, known, found.at[i], (low, high)))
-            mass, stiffness, damping = size = [float(values[name]) for name in last]
+            mass, stiffness, damping = size = [float(values[name]) for name in last.parameters]
             # Frequency and damping ratio, with errors by their logarithms' slopes:
             # log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
-            own = [estimate.parameters.index(name) for name in last]
+            own = [estimate.parameters.index(name) for name in last.parameters]
             relative = np.asarray(estimate.covariance)[np.ix_(own, own)] / np.outer(size, size)
             slopes = np.array([[-0.5, 0.5, 0.0], [-0.5, -0.5, 1.0]])
             errors = np.sqrt(np.einsum("ki,ij,kj->k", slopes, relative, slopes))
@@ -220,9 +221,9 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
             frequency, ratio = ((float(v), abs(float(v)) * float(e)) for v, e in pairs)
             evidence.append(
                 ModeEvidence(
-                    last,
+                    last.parameters,
                     model.plan(set(known))[i][0],
-                    model.hidden[last].on,
+                    last.on,
                     frequency,
                     ratio,
                     min(size) > 0 and damping**2 < 4 * mass * stiffness,
@@ -271,8 +272,8 @@ def _evidence(
     gain = without - left
     error = jnp.std(gain, ddof=1) / np.sqrt(FOLDS)
     parts = stage.by_element(at)
-    mode = [names for names in parts if isinstance(names, ModeParameters)][-1]
-    others = {names: part for names, part in parts.items() if names != mode}
+    mode = [element for element in parts if isinstance(element, HiddenMode)][-1]
+    others = {element: part for element, part in parts.items() if element != mode}
     return (
         mode_map(
             stage._replace(sought=(*others, mode)),

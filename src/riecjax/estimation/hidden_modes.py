@@ -23,13 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from riecjax.compilation import kept_jit
-from riecjax.equations.hidden_elements import (
-    Expanded,
-    HiddenMode,
-    HiddenParameters,
-    ModeParameters,
-    SpringParameters,
-)
+from riecjax.equations.hidden_elements import Expanded, HiddenElement, HiddenMode, SeriesSpring
 from riecjax.equations.model import Model
 from riecjax.errors import IdentifiabilityError, ModelError
 from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace, on_host
@@ -63,8 +57,8 @@ class ModeStage(NamedTuple):
     """One stage in which hidden elements are to be found, and its sums.
 
     **Fields:** `equations`; `moments` of each, less noise; `unknown`, coefficients to be found;
-    `sought`, of each element that is to be found its parameters; `given` values. An element that
-    is neither sought nor given is not there.
+    `sought`, elements that are to be found; `given` values. An element that is neither sought nor
+    given is not there.
 
     Shapes of all that is sought are one array: of each mode the logarithm of its frequency in hertz
     and its damping ratio, of each spring the logarithm of its corner frequency.
@@ -73,7 +67,7 @@ class ModeStage(NamedTuple):
     equations: tuple[Expanded, ...]
     moments: list[Float[Array, "columns columns"]]
     unknown: tuple[str, ...]
-    sought: tuple[HiddenParameters, ...]
+    sought: tuple[HiddenElement, ...]
     given: dict[str, Array]
 
     @classmethod
@@ -97,10 +91,10 @@ class ModeStage(NamedTuple):
         hidden = (of.linear for of in self.sought if of.linear not in self.given)
         return tuple(dict.fromkeys((*self.unknown, *hidden)))
 
-    def by_element(self, at: Float[Array, " shapes"]) -> dict[HiddenParameters, Array]:
+    def by_element(self, at: Float[Array, " shapes"]) -> dict[HiddenElement, Array]:
         """The part of each element that is sought."""
-        ends = np.cumsum([names.order for names in self.sought], dtype=int).tolist()
-        return {names: at[end - names.order : end] for names, end in zip(self.sought, ends)}
+        ends = np.cumsum([element.order for element in self.sought], dtype=int).tolist()
+        return {one: at[end - one.order : end] for one, end in zip(self.sought, ends)}
 
     def projected(self, at: Float[Array, " shapes"]) -> "Projected":
         """The best fit with elements of these shapes."""
@@ -158,17 +152,17 @@ class ModeStage(NamedTuple):
         sought = self.by_element(at)
         values = {**self.given, **dict(zip(self.linear, theta))}
 
-        def shape(names: HiddenParameters):
-            known = names not in sought and names.stiffness in self.given
-            return names.shape(self.given) if known else names.shape_at(sought.get(names))
+        def shape(element: HiddenElement):
+            known = element not in sought and element.stiffness in self.given
+            return element.shape(self.given) if known else element.shape_at(sought.get(element))
 
-        return [e.residual(values, [shape(n) for n, _ in e.elements]) for e in self.equations]
+        return [e.residual(values, [shape(of) for of, _ in e.elements]) for e in self.equations]
 
     def values(self, at: Float[Array, " shapes"]) -> dict[str, Array]:
         """Every parameter of the stage by name, for elements of these shapes."""
         found = {**self.given, **dict(zip(self.linear, self.projected(at).theta))}
-        for names, row in self.by_element(at).items():
-            found |= names.values_at(row, found)
+        for element, row in self.by_element(at).items():
+            found |= element.values_at(row, found)
         return found
 
 
@@ -251,10 +245,10 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
     **Arguments:** `bands` in hertz in which to look for each.
     """
     at = jnp.zeros(0)
-    for number, (names, band) in enumerate(zip(stage.sought, bands), start=1):
+    for number, (element, band) in enumerate(zip(stage.sought, bands), start=1):
         part = stage._replace(sought=stage.sought[:number])
-        axes = (frequencies(band), jnp.asarray(DAMPINGS))[: names.order]
-        grid = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, names.order)
+        axes = (frequencies(band), jnp.asarray(DAMPINGS))[: element.order]
+        grid = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, element.order)
         shapes = jnp.concatenate([jnp.tile(at, (len(grid), 1)), grid], axis=1)
         left, _ = jax.vmap(part.shares)(shapes)
         at = polished(part, shapes[jnp.argmin(left)])
@@ -262,14 +256,11 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
 
 
 def as_asked(
-    at: Float[Array, " shapes"], wanted: Sequence[HiddenMode | None]
+    at: Float[Array, " shapes"], sought: Sequence[HiddenElement]
 ) -> Float[Array, " shapes"]:
     """Modes of one body exchanged, which changes nothing but their names, so that each is as near
-    as may be to the frequency asked for.
-
-    **Arguments:** `wanted`, of each element that is sought its mode, modes first.
-    """
-    modes = [mode for mode in wanted if mode is not None]
+    as may be to the frequency asked for."""
+    modes = [element for element in sought if isinstance(element, HiddenMode)]
     rows = at[: 2 * len(modes)].reshape(-1, 2)
     for on in {mode.on: None for mode in modes if mode.hz is not None}:
         place = [i for i, mode in enumerate(modes) if mode.on == on]
@@ -333,18 +324,17 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
     stiffness alone, and for a mode above what the sampling shows; `IdentifiabilityError` where a
     signal that tells of an element never moves.
     """
-    for names in model.hidden:
-        held = [name for name in names if name in given]
-        if isinstance(names, ModeParameters) and 0 < len(held) < 3:
+    for element in model.hidden:
+        held = [name for name in element.parameters if name in given]
+        if isinstance(element, HiddenMode) and 0 < len(held) < 3:
             raise ModelError(
-                f"of a hidden mode all of {', '.join(names)} are known or none; got "
+                f"of a hidden mode all of {', '.join(element.parameters)} are known or none; got "
                 f"{', '.join(held)}."
             )
-        coefficient, stiffness = names[:2]
-        if isinstance(names, SpringParameters) and held == [stiffness]:
+        if isinstance(element, SeriesSpring) and held == [element.stiffness]:
             raise ModelError(
-                f"of a spring in series {stiffness} is known only where {coefficient} is; leave "
-                f"it out, or give both."
+                f"of a spring in series {element.stiffness} is known only where {element.of} is; "
+                f"leave it out, or give both."
             )
     known = {name: jnp.asarray(value) for name, value in given.items()}
     found, shown = [], jnp.array(True)
@@ -354,18 +344,13 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
         stage = ModeStage.of(expanded, equations[i], known)
         used, at, band = equations[i], jnp.zeros(0), None
         if stage.sought:
-            where = tuple(search_band(model, summary, names) for names in stage.sought)
-            wanted = tuple(
-                element if isinstance(element := model.hidden[names], HiddenMode) else None
-                for names in stage.sought
-            )
+            where = tuple(search_band(summary, element) for element in stage.sought)
             # The sums over the windows that tell most of the stage's elements.
             first, last = summary.band
             options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
             every = [summary.equations(option)[i] for option in options]
             stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
-            settings = where, wanted, np.asarray(rank)
-            best, at, there = _searched(expanded, stacked, known, *settings)
+            best, at, there = _searched(expanded, stacked, known, where, np.asarray(rank))
             if is_concrete(best):
                 used = every[int(best)]
                 band = options[int(best)] if summary.bins else None
@@ -400,7 +385,6 @@ def _searched(
     options: list[NormalEquations],
     known: Values,
     bands: tuple[tuple[Leaf, Leaf], ...],
-    wanted: tuple[HiddenMode | None, ...],
     rank: Int[Leaf, ""],
 ) -> tuple[Array, Float[Array, " shapes"], Bool[Array, ""]]:
     """Which windows tell most of a stage's hidden elements, where they are by these, and whether
@@ -410,15 +394,14 @@ def _searched(
     of modes, and of squared standard errors of lags in samples, infinite for what is no oscillator
     and no spring. Relative errors of lags would choose the lengths in which noise looks like one.
 
-    **Arguments:** `options`, sums with a leading axis of window lengths; `wanted`, of each element
-    its mode, if it is one.
+    **Arguments:** `options`, sums with a leading axis of window lengths.
     """
     # The search is not differentiated: what it finds has the minimum's own derivative.
     options, known, bands = held_still((options, dict(known), bands))
 
     def tried(sums: list[NormalEquations]) -> tuple[Array, Array]:
         stage = ModeStage.of(expanded, sums, known)
-        at = as_asked(search(stage, bands), wanted)
+        at = as_asked(search(stage, bands), stage.sought)
         values = stage.values(at)
         own = [_mixed(e, e.linearised(values), s) for e, s in zip(expanded, sums)]
         names = tuple(dict.fromkeys(name for e in expanded for name in e.all_parameters))
@@ -431,8 +414,8 @@ def _searched(
         doubt = jnp.sum(jnp.sum(influence**2, axis=0)[place] / share**2)
         target = stage.projected(at).target
         good = jnp.all(size > 0) & jnp.isfinite(doubt) & (target > 0)
-        for names, part in stage.by_element(at).items():
-            if isinstance(names, ModeParameters):
+        for element, part in stage.by_element(at).items():
+            if isinstance(element, HiddenMode):
                 good = good & (part[1] > 0)
         return jnp.where(good, doubt, jnp.inf), at
 
@@ -476,9 +459,9 @@ def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquat
     return sums.in_columns(lambda m: mix @ m @ mix.T, expanded.all_parameters)
 
 
-def search_band(model: Model, summary: Summary, names: HiddenParameters) -> tuple[Leaf, Leaf]:
+def search_band(summary: Summary, element: HiddenElement) -> tuple[Leaf, Leaf]:
     """Hertz between which to look for a mode, or for the corner of a spring's lag."""
-    hz = model.hidden[names].hz
+    hz = element.hz if isinstance(element, HiddenMode) else None
     if hz is not None:
         steps = [one.time_step for one in summary.recordings]
         rate = 1 / max(map(float, steps)) if is_concrete(steps) else np.inf
@@ -493,7 +476,7 @@ def search_band(model: Model, summary: Summary, names: HiddenParameters) -> tupl
     step = summary.recordings[0].time_step
     # From half a period of the longest window to where a period has a dozen samples, and for a lag,
     # which shows below its corner, to a sixth of a sample.
-    highest = 1 / (8 * step) if isinstance(names, ModeParameters) else 1 / step
+    highest = 1 / (8 * step) if isinstance(element, HiddenMode) else 1 / step
     return 0.5 / windows.beta, highest
 
 

@@ -17,11 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.equations.hidden_elements import (
-    HiddenParameters,
-    ModeParameters,
-    SpringParameters,
-)
+from riecjax.equations.hidden_elements import HiddenElement, HiddenMode, SeriesSpring
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, refuse_unknown, require
@@ -48,15 +44,15 @@ class Parameter(NamedTuple):
 
     **Fields:** `name` that is shown; `local`, what the model calls it; `unit`; `recording`, the
     number (from 0) of the only one that it is of, `None` where all share it; `element`, the
-    parameters of the hidden mode or spring that it is one of, `None` of the equations' own;
-    `meaning`, as of the model's quantities.
+    hidden mode or spring that it is one of, `None` of the equations' own; `meaning`, as of the
+    model's quantities.
     """
 
     name: str
     local: str
     unit: str = ""
     recording: int | None = None
-    element: HiddenParameters | None = None
+    element: HiddenElement | None = None
     meaning: str = ""
 
     @property
@@ -86,7 +82,7 @@ class ParameterTable(eqx.Module):
         quantities: Sequence[Quantity],
         per_record: Collection[str],
         record_count: int,
-        elements: Iterable[HiddenParameters],
+        elements: Iterable[HiddenElement],
     ) -> "ParameterTable":
         """The table of a model's own parameters, nothing of which is known.
 
@@ -211,7 +207,7 @@ def values_in_recording(
     return {name: values[other] for name, other in shown.items() if other in values}
 
 
-TABLE_KINDS = ParameterTable, Parameter, ModeParameters, SpringParameters
+TABLE_KINDS = ParameterTable, Parameter, HiddenMode, SeriesSpring
 """What a table is made of, beside names and numbers."""
 
 

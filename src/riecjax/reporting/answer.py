@@ -22,12 +22,7 @@ from msgspec import UNSET, UnsetType
 from riecjax.assessment.assess import Assessment
 from riecjax.assessment.next_steps import Step
 from riecjax.errors import ModelError, printable
-from riecjax.estimation.estimate import (
-    Estimate,
-    intervals_entry,
-    known_entries,
-    parameter_entries,
-)
+from riecjax.estimation.estimate import Estimate, intervals_entry, parameter_entries
 from riecjax.findings import Finding
 from riecjax.leaves import finite
 from riecjax.records.noise_judgement import judged
@@ -562,7 +557,9 @@ def part_of(source: Any) -> Answer:
 
 def estimate_entries(estimate: Estimate, model: str = "") -> Document:
     """The first keys of an answer; of a refined estimate, parameters alone."""
-    document: Document = {"criterion": {}, "known": known_entries(estimate), "warnings": []}
+    units = dict(estimate.units)
+    known = {name: {"value": estimate[name], "unit": units[name]} for name in estimate.known}
+    document: Document = {"criterion": {}, "known": known, "warnings": []}
     if estimate.search is not None:
         return {**document, "parameters": parameter_entries(estimate)}
 

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from riecjax.assessment.next_steps import joined
 from riecjax.discovery import Discovery, Step
-from riecjax.equations.hidden_elements import HiddenMode, ModeParameters, accelerated
+from riecjax.equations.hidden_elements import HiddenMode, accelerated
 from riecjax.findings import option_for
 from riecjax.leaves import finite
 from riecjax.reporting import Page, Section, Table, View, in_rich, print_table, say
@@ -55,7 +55,7 @@ def discovery_document(
     }
     if found.mode is not None:  # as one of the terms that were found
         (equation,), meaning = found.paths, _mode_in_words(found.mode)
-        names = ModeParameters.of(len(found.start.modes))
+        names = found.mode.parameters
         terms["mode"] = {"meaning": meaning, "equation": equation, "parameters": names}
         terms["mode"] |= dict(zip(widths, (None, "", None, None)))
     answer = parameters_of(found)

@@ -133,7 +133,7 @@ def _(thing: Recording) -> View:
 def _(thing: ModeEvidence) -> View:
     words = modes_in_words([read(ModePart, thing.entry())])
     carried = f"{'carried' if thing.carried else 'not carried'} by the recordings"
-    return View(f"{thing.parameters.mass}, {carried}", lines=[*words, *thing.findings()])
+    return View(f"{thing.parameters[0]}, {carried}", lines=[*words, *thing.findings()])
 
 
 @shown_if_known
