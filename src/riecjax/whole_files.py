@@ -37,13 +37,13 @@ _begun: set[Path] = set()
 
 @contextlib.contextmanager
 def temporary(
-    folder: Path, suffix: str = "", *, is_folder: bool = False, mode: int = 0o777
+    folder: Path, suffix: str = "", *, is_folder: bool = False, mode: int = 0o700
 ) -> Iterator[Path]:
-    """A new file, which no one else may read, or a folder in `folder`; it goes with the block.
+    """A new file or folder in `folder`, by default for no one else; it goes with the block.
 
     What processes that are gone have left there goes before.
 
-    **Arguments:** `mode` of a folder, within what the process allows.
+    **Arguments:** `mode`, within what the process allows; a file is never to be executed.
 
     **Raises:** `OSError` where there can be none.
     """
@@ -54,7 +54,7 @@ def temporary(
         if is_folder:
             path.mkdir(mode)
         else:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode & 0o666))
         yield path
     finally:
         _remove(path)
@@ -158,11 +158,8 @@ def write_file(file: Path, fill: Callable[[Path], None]) -> None:
     """
     try:
         require_plain(file)
-        with temporary(file.parent, file.suffix) as new:
+        with temporary(file.parent, file.suffix, mode=0o666) as new:
             fill(new)
-            mask = os.umask(0)
-            os.umask(mask)
-            new.chmod(0o666 & ~mask)
             new.replace(file)
     except OSError as error:
         raise DataError(f"cannot write '{file}': {error.strerror}.") from None

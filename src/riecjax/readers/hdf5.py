@@ -52,10 +52,7 @@ def read_hdf5(file: Path) -> reading.Channels:
             arrays |= columns
             # One unit for all columns of a dataset, or one for each.
             attribute = next((dataset.attrs[key] for key in UNITS if key in dataset.attrs), ())
-            units = [
-                u.decode(errors="replace") if isinstance(u, bytes) else str(u)
-                for u in np.ravel(attribute)
-            ]
+            units = [word(unit) for unit in np.ravel(attribute)]
             scale = next((key for key in SCALES if _number(dataset, key) is not None), "")
             if scale and dataset.dtype.kind in "iu":
                 units = [f"{u or 'counts'}{reading.BY_ATTRIBUTE}{scale}" for u in units or [""]]
@@ -68,6 +65,11 @@ def read_hdf5(file: Path) -> reading.Channels:
         if unit := stated.get(column) or stated.get(column.split("[")[0]):
             whole.units[column] = unit
     return reading.with_structure_times(reading.without_common_group(whole, "/"), "/")
+
+
+def word(text: object) -> str:
+    """A text, which an attribute may hold as bytes."""
+    return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
 
 
 def check_size(datasets: list[Any], file: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.readers.hdf5 import DEEPEST, check_size, walk
+from riecjax.readers.hdf5 import DEEPEST, check_size, walk, word
 from riecjax.records import reading
 
 V73 = b"MATLAB 7.3"
@@ -76,16 +76,12 @@ def read_v5(file: Path) -> reading.Channels:
     for name, value in variables.items():
         if type(value).__name__ == "MatlabOpaque":
             described = np.asarray(value).flat[0]
-            objects[_word(described["s0"])] = _word(described["s2"])
+            objects[word(described["s0"])] = word(described["s2"])
         elif not name.startswith("__"):
             for inner, array in _parts(name, value):
                 arrays[inner] = array
                 reading.check_declared(len(arrays))
     return _channels(arrays, objects)
-
-
-def _word(text: object) -> str:
-    return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
 
 
 def _parts(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
@@ -119,7 +115,7 @@ def read_v73(file: Path) -> reading.Channels:
         datasets = list(walk(source, ".", _elements))
         check_size([dataset for _, dataset in datasets], file)
         objects = {
-            name: _word(dataset.attrs.get("MATLAB_class", "object"))
+            name: word(dataset.attrs.get("MATLAB_class", "object"))
             for name, dataset in datasets
             if "MATLAB_object_decode" in dataset.attrs
         }

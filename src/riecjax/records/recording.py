@@ -16,8 +16,8 @@ from riecjax.records.faults.rows import duplicates, without_repetitions
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation.steps import halves, idle_cuts, prepare, split
 from riecjax.records.reading.channels import LONGEST_MESSAGE, Channels, read_channels
-from riecjax.records.reading.selection import Parts, record_from_channels, recordings_in, several
-from riecjax.records.reading.times import TIME_COLUMNS
+from riecjax.records.reading.selection import CHOOSE, Parts, record_from_channels, recordings_in
+from riecjax.records.reading.times import TIME_COLUMNS, listed
 from riecjax.records.reading.units import same, split_unit
 from riecjax.records.record import Record, Records, as_records
 from riecjax.settings import Reading, taking
@@ -152,7 +152,10 @@ def read_recording(path: str | os.PathLike[str], settings: Reading) -> Recording
     parts = _held(path, settings.part or ", ".join(settings.parts), settings)
     if len(parts.held) > 1:
         with _explaining(str(path), {}, {}):
-            raise several(parts.held)
+            raise DataError(
+                f"it holds {len(parts.held)} recordings: {listed(parts.held)}; read all of them "
+                f"with rx.read_recordings, or {CHOOSE}."
+            )
     return _recordings(path, parts, settings)[0]
 
 
@@ -316,15 +319,15 @@ def _explaining(
             raise
         message = str(error)
         if isinstance(error, MissingSignalError):
-            listed = ", ".join(error.available) or "none"
+            there = ", ".join(error.available) or "none"
             if taken := [new for new, column in renamed.items() if column == error.signal]:
                 message = (
                     f"there is no signal '{error.signal}': its column was renamed to '{taken[0]}' "
-                    f"(--map {taken[0]}={error.signal}); there are: {listed}."
+                    f"(--map {taken[0]}={error.signal}); there are: {there}."
                 )
             elif why := _why_absent(left_out, error.signal):
                 message = (
-                    f"{why}, so that the record has no signal '{error.signal}'; it has: {listed}."
+                    f"{why}, so that the record has no signal '{error.signal}'; it has: {there}."
                 )
         name = printable(", ".join(filter(None, (Path(source).name, part))))
         prefix = "" if message.startswith(f"{name}: ") else f"{name}: "

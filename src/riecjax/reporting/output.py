@@ -137,7 +137,7 @@ def _folder_beside(folder: Path) -> Iterator[Path]:
     """A temporary folder next to one that is to be written."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with temporary(folder.parent, is_folder=True) as made:
+        with temporary(folder.parent, is_folder=True, mode=0o777) as made:
             yield made
     except OSError as error:
         raise DataError(no_folder(folder, error)) from None

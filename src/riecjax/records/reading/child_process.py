@@ -107,7 +107,7 @@ class _Reader:
 
     def __init__(self):
         self.ending = contextlib.ExitStack()
-        place = temporary(Path(tempfile.gettempdir()), is_folder=True, mode=0o700)
+        place = temporary(Path(tempfile.gettempdir()), is_folder=True)
         folder = str(self.ending.enter_context(place))
         self.out = Path(folder) / "channels.npz"
         self.made_for = _surroundings()

@@ -25,7 +25,7 @@ from riecjax.records.reading.channels import (
     check_declared,
     first_sentence,
 )
-from riecjax.records.reading.literals import compute
+from riecjax.records.reading.literals import compute, kinds_of
 from riecjax.records.reading.times import is_called_time
 from riecjax.records.reading.units import (
     BRACKETS,
@@ -228,7 +228,7 @@ class Layout(NamedTuple):
     **Fields:** `names` of the columns; `units` by position; `start`, the line (from 0) with the
     first row of numbers; `width`, fields in a row; `filled`, those up to the last that usually
     holds something; `header`, the line of the names; `badness`, the share of rows and fields that
-    do not fit; `numbered`: whether the names are numbers of columns, the file having none.
+    do not fit.
     """
 
     dialect: Dialect
@@ -239,7 +239,6 @@ class Layout(NamedTuple):
     filled: int
     header: int
     badness: float
-    numbered: bool = False
 
     @property
     def named(self) -> bool:
@@ -290,13 +289,13 @@ def layout(
     )
     if columns and len(columns) not in (best.width, best.filled):
         raise DataError(f"{len(columns)} names are given for {best.width} columns of numbers.")
-    if columns or (not best.names and best.header < 0):
+    if columns or best.header < 0:
         # Behind a delimiter at the end of each row there may be an empty column.
         names = list(columns) or [NUMBERED.format(place + 1) for place in range(best.width)]
         names += [""] * (best.width - len(names))
         units = best.units if len(best.units) == best.width else []
-        best = best._replace(names=names, units=units, numbered=not columns)
-    for place in [best.start] if best.named or best.header < 0 else [best.header, best.start]:
+        best = best._replace(names=names, units=units)
+    for place in [best.start] if best.named else [best.header, best.start]:
         if framed := _FRAMED.match(lines[place]):
             raise DataError(
                 f"line {place + 1}: {framed[0].strip()!r} stands before the numbers; take brackets"
@@ -373,20 +372,6 @@ def _layout(lines: list[str], dialect: Dialect) -> Layout | None:
 def _texts(kind: str) -> int:
     """How many fields of a row are no numbers."""
     return kind.count("T") + kind.count("D")
-
-
-def kinds_of(fields: list[str], decimal: str) -> str:
-    """What fields hold, a letter for each: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a
-    number of the other decimal sign, which names no column; `T`, any other text."""
-    other = "." if decimal == "," else ","
-    return "".join(
-        "M" if literals.is_gap(field)
-        else "N" if literals.is_number(field, decimal)
-        else "S" if literals.is_stamp(field)
-        else "D" if literals.is_number(field, other)
-        else "T"
-        for field in fields
-    )  # fmt: skip
 
 
 def _header(
@@ -590,7 +575,7 @@ def read_table(
     decided = {
         f"delimiter {NAMES.get(sign, sign)}": sign != "," and delimiter is None,
         "decimal comma": found.dialect.decimal == ",",
-        "columns without names, called by their number": header < 0 and found.numbered,
+        "columns without names, called by their number": header < 0 and not columns,
         f"{above} line{'s' * (above > 1)} above the column names skipped": above,
         "column names taken from a comment": header >= 0
         and Dialect(",", ".").comment(lines[header]),

@@ -43,16 +43,6 @@ _MISSING_PATTERN = f"^(?:{'|'.join(map(re.escape, MISSING))}|{_NOTHING})$"
 _MISSING = re.compile(_MISSING_PATTERN)
 
 
-def is_number(text: str, decimal: str) -> bool:
-    """Whether a text is a number with this decimal sign."""
-    return _NUMBER[decimal].fullmatch(text) is not None
-
-
-def is_gap(text: str) -> bool:
-    """Whether a text stands for a value that there is not."""
-    return _MISSING.fullmatch(text) is not None
-
-
 compute: Any = pyarrow.compute
 """Its functions are made on import, unseen by type checkers."""
 
@@ -99,18 +89,14 @@ def is_numeric(text: Any, decimal: str, grouped: bool) -> Any:
     )
 
 
+# PyArrow's own conversions, of a single number too, import pandas wherever that is installed.
+_NAN = pa.Array.from_buffers(pa.float64(), 1, [None, pa.py_buffer(np.full(1, np.nan))])[0]
+
+
 def floats(column: Any) -> np.ndarray:
     """A column of PyArrow's 64-bit floats, shape `(n,)`, NaN for null."""
-    # PyArrow's own conversions, of a single number too, import pandas wherever that is installed.
     whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-    bare = pa.Array.from_buffers(
-        pa.float64(), len(whole), [None, whole.buffers()[1]], offset=whole.offset
-    )
-    values = np.array(np.from_dlpack(bare))
-    if whole.null_count:
-        null = compute.cast(whole.is_null(), pa.uint8())
-        values[np.from_dlpack(null).astype(bool)] = np.nan
-    return values
+    return np.array(np.from_dlpack(compute.coalesce(whole, _NAN)))
 
 
 def all_true(mask: Any) -> bool:
@@ -154,10 +140,19 @@ _ANY = re.sub(r"\?P<\w+>", "", "|".join(PATTERNS))
 """The same as one, whose groups have no names, of which each may be there once."""
 
 
-def is_stamp(text: str) -> bool:
-    """Whether a text is a time stamp."""
+def kinds_of(fields: list[str], decimal: str) -> str:
+    """What fields hold, a letter for each: `M`, nothing; `N`, a number; `S`, a time stamp; `D`, a
+    number of the other decimal sign, which names no column; `T`, any other text."""
+    other = "." if decimal == "," else ","
     # A number of 6 or 14 digits is a number.
-    return not text.isdigit() and _match(text) is not None
+    return "".join(
+        "M" if _MISSING.fullmatch(field)
+        else "N" if _NUMBER[decimal].fullmatch(field)
+        else "S" if _match(field)
+        else "D" if _NUMBER[other].fullmatch(field)
+        else "T"
+        for field in fields
+    )  # fmt: skip
 
 
 def are_stamps(text: Any) -> Any:

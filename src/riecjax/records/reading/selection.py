@@ -15,6 +15,7 @@ from riecjax.findings import Finding
 from riecjax.records.derived import derived, sensitivities
 from riecjax.records.faults.spikes import signed, treat_all
 from riecjax.records.noise_judgement import given_noise, judged
+from riecjax.records.preparation.resampling import on_grid, on_grid_noise
 from riecjax.records.reading import times as clocks
 from riecjax.records.reading.channels import NUMBERED, Channels
 from riecjax.records.reading.times import TIME_COLUMNS, TimeColumn, find_time, listed, seconds_in
@@ -175,8 +176,6 @@ def record_from_channels(
             by_products = {n for n, v in values.items() if n not in named and np.isinf(v).any()}
         measured = {}
         if rate is not None:
-            from riecjax.records.preparation.resampling import on_grid
-
             for name in [name for name in values if name not in by_products]:
                 time_of = times[name] if step is None else step * np.arange(values[name].size)
                 known = ~np.isnan(time_of)
@@ -192,8 +191,6 @@ def record_from_channels(
         given = given_noise(selection.noise, record.arrays)
         record = record.with_noise(given)
         if rate is not None and axis is not None:
-            from riecjax.records.preparation.resampling import on_grid_noise
-
             record = record.with_noise(on_grid_noise(measured, axis, rate, given))
         # What its samples tell of its noise, and of the signals of formulas by their columns, where
         # nothing else says it.
@@ -459,14 +456,6 @@ def recordings_in(channels: Channels, named: Collection[str] = (), part: str = "
             else:
                 held[name] = _alone(channels, member)
     return Parts(held, broken)
-
-
-def several(names: Collection[str]) -> DataError:
-    """The error of a file with several recordings where one is wanted."""
-    return DataError(
-        f"it holds {len(names)} recordings: {listed(names)}; read all of them with"
-        f" rx.read_recordings, or {CHOOSE}."
-    )
 
 
 def _alone(channels: Channels, member: Member) -> Channels:
