@@ -2,13 +2,15 @@
 
 import numpy as np
 
+from riecjax.records import remembered as module
 from riecjax.records.remembered import remembered
 
 
-def test_the_same_content_is_asked_once_and_any_other_anew():
+def test_the_same_content_is_asked_once_and_any_other_anew(monkeypatch):
     asked = []
+    monkeypatch.setattr(module, "MOST", 2)
 
-    @remembered(lambda values, power: (values, power), 2)
+    @remembered
     def total(values, power):
         asked.append(power)
         return float(np.sum(values**power))

@@ -322,7 +322,7 @@ def _undone(record: Record, model: Model, faults: Sequence[Finding]) -> Record:
             continue
         if undo == "delay":
             late = pair.fit.delay * pair.step
-            which = relation.side(pair.suspect)[0 if late > 0 else 1]
+            which = pair.sides[0 if late > 0 else 1]
             record = shift(record, dict.fromkeys(which, abs(late))) if pair.is_late else record
         elif undo == "gain":
             factor = pair.scaling if pair.gain_is_off else 1.0

@@ -184,11 +184,8 @@ class Record(Drawn, eqx.Module):
     @property
     def units(self) -> tuple[tuple[str, str], ...]:
         """(signal name, unit) pairs for those signals whose unit is known, by name."""
-        return tuple(
-            (name, self.by_name[name].unit)
-            for name in sorted(self.by_name)
-            if self.by_name[name].unit
-        )
+        known = {name: signal.unit for name, signal in self.by_name.items() if signal.unit}
+        return tuple(sorted(known.items()))
 
     @property
     def noise(self) -> Noise:

@@ -193,8 +193,7 @@ def _rounded_grid(stamps: np.ndarray) -> TimeBase | None:
         for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1)
     )
     finest = 4 * np.spacing(np.abs(stamps))
-    rounded = (u for u in units if np.all(np.abs(stamps - np.round(stamps / u) * u) <= finest))
-    if (unit := next(rounded, None)) is None:
+    if (unit := next((u for u in units if _are_multiples(stamps, u, finest)), None)) is None:
         return None
     index = np.arange(stamps.size)
     step, start = np.polyfit(index, stamps, 1, w=1 / unit)
@@ -224,13 +223,14 @@ def _finest(stamps: np.ndarray) -> float:
 def _digit(stamps: np.ndarray, below: float = np.inf) -> float:
     """The coarsest digit below some seconds that all stamps are multiples of, 0 if none is."""
     finest = _finest(stamps)
-    digits = (10.0**-place for place in range(MOST_DIGITS + 1))
-    return next(
-        (
-            digit
-            for digit in digits
-            if 0.1 * digit > finest and digit < below
-            if np.all(np.abs(stamps - np.round(stamps / digit) * digit) <= finest)
-        ),
-        0.0,
-    )
+    for digit in (10.0**-place for place in range(MOST_DIGITS + 1)):
+        if finest < 0.1 * digit and digit < below and _are_multiples(stamps, digit, finest):
+            return digit
+    return 0.0
+
+
+def _are_multiples(
+    stamps: np.ndarray, unit: float | np.ndarray, finest: float | np.ndarray
+) -> bool:
+    """Whether all stamps are multiples of a unit, but for their own rounding."""
+    return bool(np.all(np.abs(stamps - np.round(stamps / unit) * unit) <= finest))

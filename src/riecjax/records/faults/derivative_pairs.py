@@ -487,11 +487,6 @@ class Relation(NamedTuple):
         which."""
         return self.terms if len(self.of) == 1 else self.names
 
-    def side(self, suspect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of what is held against each other: a term against all else, or all terms."""
-        mine = (suspect,) if suspect in self.terms else self.terms
-        return mine, tuple(name for name in self.names if name not in mine)
-
     def words(self, suspect: str) -> tuple[str, str]:
         """What a term is called, or the whole sum; and what it should be equal to."""
         if suspect not in self.terms:
@@ -609,9 +604,16 @@ class Pair(NamedTuple):
         return name, factors.get(self.suspect, 1.0) / factors[name]
 
     @property
+    def sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of what is held against each other: a term against all else, or all terms."""
+        terms = self.relation.terms
+        mine = (self.suspect,) if self.suspect in terms else terms
+        return mine, tuple(name for name in self.relation.names if name not in mine)
+
+    @property
     def late(self) -> dict[str, float]:
         """Seconds by which each signal is later than the others, 0 unless surely and steadily."""
-        mine, others = self.relation.side(self.suspect)
+        mine, others = self.sides
         return dict.fromkeys(others, 0.0) | dict.fromkeys(mine, self.delay)
 
     @property
@@ -649,15 +651,6 @@ class Pair(NamedTuple):
         return abs(size) > max(least, sure * self.fit.errors[which])
 
 
-@remembered(
-    lambda record, relation: (
-        relation,
-        *(record.signal(name).with_nan for name in relation.names),
-        np.asarray(record.elapsed),
-        float(record.time_step),
-    )
-)
-@np.errstate(all="ignore")
 def compare(record: Record, relation: Relation) -> Pair | None:
     """Fit each signal of a relation to what the others say it should be; `None` if the record does
     not tell.
@@ -667,9 +660,18 @@ def compare(record: Record, relation: Relation) -> Pair | None:
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    x = record.signal(relation.signal).with_nan
-    terms = {name: record.signal(name).with_nan for name in relation.terms}
-    step, count = float(record.time_step), x.size
+    columns = {name: record.signal(name).with_nan for name in relation.names}
+    return _compared(relation, columns, np.asarray(record.elapsed), float(record.time_step))
+
+
+@remembered
+@np.errstate(all="ignore")
+def _compared(
+    relation: Relation, columns: dict[str, Samples], time: Samples, step: float
+) -> Pair | None:
+    """The same of columns by name, at these times, so many seconds apart."""
+    x, count = columns[relation.signal], time.size
+    terms = {name: columns[name] for name in relation.terms}
     # What is too fast has an integral that depends on what it does between samples.
     rough = (np.nanmean(np.diff(v) ** 2) > ROUGH * np.nanvar(v) for v in terms.values())
     if (len(terms) > 1 and any(rough)) or np.isnan(x).all():
@@ -680,7 +682,7 @@ def compare(record: Record, relation: Relation) -> Pair | None:
         return None
     x, terms = (x - centre) / scale, {n: v / scale * step for n, v in terms.items()}
     # Samples that follow a pause.
-    breaks = np.flatnonzero(np.diff(np.asarray(record.elapsed)) > SHORTEST_PAUSE * step) + 1
+    breaks = np.flatnonzero(np.diff(time) > SHORTEST_PAUSE * step) + 1
     every = (_held(relation, name, x, terms, breaks) for name in relation.suspects)
     if not (held := {one.suspect: one for one in every if one is not None}):
         return None
@@ -890,21 +892,10 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
     return wrong and wrong._replace(signals=relation.names), None
 
 
-# Values too large to be squared are for the fit to refuse.
-@remembered(
-    lambda record, signal, derivative: (
-        signal,
-        derivative,
-        *(record.signal(name).with_nan for name in (signal, derivative)),
-        *(record.signal(name).unit for name in (signal, derivative)),
-        float(record.time_step),
-    )
-)
-@np.errstate(over="ignore", invalid="ignore")
 def disagreement(record: Record, signal: str, derivative: str) -> Finding | None:
     """`not_its_derivative` of a signal and what is read as its derivative, if they do not fit."""
-    values, rates = record.signal(signal).with_nan, record.signal(derivative).with_nan
-    best = _best_lag(values, rates, float(record.time_step))
+    pair = {name: record.signal(name) for name in (signal, derivative)}
+    best = _best_lag(*(one.with_nan for one in pair.values()), float(record.time_step))
     if best is None:
         return None
     (correlation, gain), units, likely = best, [], ""
@@ -925,7 +916,7 @@ def disagreement(record: Record, signal: str, derivative: str) -> Finding | None
         )
         # Columns that a logger may have written in another unit, and no one converted.
         factors = {derivative: gain, signal: 1 / gain if gain else 0.0}
-        stated = {name: readings(record.signal(name).unit).values() for name in factors}
+        stated = {name: readings(pair[name].unit).values() for name in factors}
         units = [
             f"{name}={unit}"
             for name, factor in factors.items()
@@ -960,25 +951,18 @@ def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
     """Whether one of the other signals is the recorded derivative of this one."""
     values, step = record.signal(signal).with_nan, float(record.time_step)
     lags = (_best_lag(values, record.signal(other).with_nan, step) for other in others)
-    return any(lag and lag.correlation > ALIKE and abs(lag.gain - 1) < GROSS for lag in lags)
+    return any(lag and lag[0] > ALIKE and abs(lag[1] - 1) < GROSS for lag in lags)
 
 
-class _Regression(NamedTuple):
-    """Of a signal's increments on the integrals of its derivative, at one lag.
+# Values too large to be squared are for the fit to refuse.
+@remembered
+@np.errstate(over="ignore", invalid="ignore")
+def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> tuple[float, float] | None:
+    """The highest correlation of increments with integrals of their rates over any lag, and there
+    the increments' standard deviation over that of the integrals, with their common sign.
 
-    **Fields:** `correlation`; `gain`, the standard deviation of the increments over that of the
-    integrals, with their common sign.
-    """
-
-    correlation: float
-    gain: float
-
-
-def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Regression | None:
-    """The regression at the lag with the highest correlation; `None` if there are too few pairs.
-
-    Increments at all lags are differences of the same two columns, the values and the running
-    integral of the rates, so that each lag costs one pass.
+    `None` if there are too few pairs. Increments at all lags are differences of the same two
+    columns, the values and the running integral of the rates, so that each lag costs one pass.
     """
     unknown = np.isnan(values) | np.isnan(rates)
     unknown_before = np.concatenate([[0], np.cumsum(unknown)])
@@ -995,9 +979,9 @@ def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> _Regression
             # Increments that are mostly noise tell nothing of the motion.
             if size > 2 * noise and other > 0 and np.isfinite(size) and np.isfinite(other):
                 correlation = float(np.mean(increments / size * integrals / other))
-                found.append(_Regression(correlation, float(np.sign(correlation) * size / other)))
+                found.append((correlation, float(np.sign(correlation) * size / other)))
         lag *= 4
-    return max(found, key=lambda each: abs(each.correlation), default=None)
+    return max(found, key=lambda each: abs(each[0]), default=None)
 
 
 def _winsorised(increments: np.ndarray) -> np.ndarray:
@@ -1024,7 +1008,8 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
     if pair.course.kind != "steady":
         yield _uneven(record, pair, min(turn * abs(pair.course.change), 1.0), or_else)
     if pair.is_late:
-        names, late, other = _sides(pair, fit.delay > 0)
+        names, others = pair.sides if fit.delay > 0 else pair.sides[::-1]
+        late, other = " and ".join(names), " and ".join(others)
         samples, seconds = abs(fit.delay), abs(fit.delay) * step
         size = f"{samples:.3g} \u00b1 {fit.errors[0]:.1g} samples ({1e3 * seconds:.3g} ms)"
         remedy = option_for("--unfilter" if fit.lagged else "--shift", names, f"{seconds:.4g}")
@@ -1099,26 +1084,18 @@ def pair_findings(record: Record, pair: Pair) -> Iterator[Finding]:
     )
 
 
-def _sides(pair: Pair, forward: bool) -> tuple[tuple[str, ...], str, str]:
-    """Names of the suspect's side or of the other, that side in words, and what it is held
-    against.
-    """
-    mine, others = pair.relation.side(pair.suspect)
-    late, other = (mine, others) if forward else (others, mine)
-    return late, " and ".join(late), " and ".join(other)
-
-
 def _uneven(record: Record, pair: Pair, doubt: float, or_else: str) -> Finding:
     """Of a delay that changes along the record."""
     course, step, time = pair.course, pair.step, np.asarray(record.elapsed)
-    names, mine, others = _sides(pair, True)
-    both = tuple(dict.fromkeys((*names, *pair.relation.names)))
+    sides = pair.sides
+    mine, others = map(" and ".join, sides)
+    both = (*sides[0], *sides[1])
     if course.kind == "clocks":
         per = step / PPM / float(time[-1] - time[0])
         rate, start = per * course.change, float(time[0])
-        remedy = course.by_one_clock(names, rate, step, start)
+        remedy = course.by_one_clock(sides[0], rate, step, start)
         reverse = course._replace(first=-course.first)
-        other = reverse.by_one_clock(_sides(pair, False)[0], -rate, step, start)
+        other = reverse.by_one_clock(sides[1], -rate, step, start)
         return Finding(
             "two_clocks",
             f"{mine} {course.way} {others} evenly, {course.lasts} over the record: their clocks "
@@ -1181,19 +1158,19 @@ def without_computed(
     """
     if not is_concrete(record):
         return record, []
-    computed, words, judging = [], [], record
+    words, judging = [], record
     for signal, derivative in (p for p in pairs if not isinstance(p, Relation)):
         noise = judging.noise
         judged = noise.kernels.get(signal) and {signal, derivative} <= {*record.arrays}
         # Some are made of their signals by a step of preparation.
         if derivative in known or not judged or noise.is_made_of(derivative, signal):
             continue
-        position, rate = (record.signal(name).with_nan for name in (signal, derivative))
+        # As they were recorded: the record has polynomials in place of some already.
+        position, rate = (judging.signal(name).with_nan for name in (signal, derivative))
         taps = filter_between(position, rate, float(noise.std(signal)))
-        if taps is not None:
-            judging = _with_noise_of(judging, signal, derivative, taps)
-            computed.append((signal, derivative, taps))
-    for signal, derivative, taps in computed:
+        if taps is None:
+            continue
+        judging = _with_noise_of(judging, signal, derivative, taps)
         said = f"{derivative}: computed from {signal}, by a filter of {taps.size} samples"
         try:
             record, width = with_local_derivative(record, signal, derivative)
@@ -1209,7 +1186,6 @@ def _with_noise_of(record: Record, signal: str, derivative: str, taps: np.ndarra
     return record.with_noise(Noise.of({derivative: record.noise[signal].convolved(taps)}))
 
 
-@remembered(lambda signal, other, noise: (signal, other, noise))
 @np.errstate(over="ignore", invalid="ignore")
 def filter_between(signal: Samples, other: Samples, noise: float) -> Taps | None:
     """Taps of the shortest filter that makes one signal of another, whose noise has this standard
@@ -1219,12 +1195,11 @@ def filter_between(signal: Samples, other: Samples, noise: float) -> Taps | None
     # Differences are one-sided at the ends.
     position, rate = (each[first + 1 : stop - 1][:ENOUGH] for each in (signal, other))
     x, y = (np.diff(each, SHARPENED) for each in (position, rate))
-    least = LEAST_NOISE * np.std(np.diff(position))
-    if position.size < 8 * HALVES[-1] or not noise / np.sqrt(2) > least:
+    if position.size < 8 * HALVES[-1]:
         return None
-    scale = np.std(x)
+    least, scale = LEAST_NOISE * np.std(np.diff(position)), np.std(x)
     # What is not finite squared, no sensor shows.
-    if not (noise > 0 and np.isfinite(scale + np.std(y))):
+    if not (noise / np.sqrt(2) > least and np.isfinite(scale + np.std(y))):
         return None
     columns = np.lib.stride_tricks.sliding_window_view(x / scale, 2 * HALVES[-1] + 1)
     target = y[HALVES[-1] : y.size - HALVES[-1]]
@@ -1294,9 +1269,8 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     # By which each of these signals is later than the first one it is paired with.
     for name, pair in itertools.product(names, found):
         if name in pair.relation.names:
-            mine, _ = pair.relation.side(pair.suspect)
             seconds = pair.fit.delay * pair.step
-            late.setdefault(name, seconds if name in mine else -seconds)
+            late.setdefault(name, seconds if name in pair.sides[0] else -seconds)
     if not names:
         # By which signals are later than the earliest of those that they belong to.
         groups: list[dict[str, float]] = []
@@ -1316,7 +1290,7 @@ def align(record: Record, pairs: Pairs, how: str | Sequence[str] = "auto") -> Al
     for name, seconds in late.items():
         holding = [pair for pair in found if name in pair.relation.names]
         pair = next((pair for pair in holding if pair.delay), holding[0])
-        mine, others = pair.relation.side(pair.suspect)
+        mine, others = pair.sides
         other = " and ".join(others if name in mine else mine)
         message = (
             f"{name} came {seconds / pair.step:.3g} \u00b1 {pair.fit.errors[0]:.1g} samples "

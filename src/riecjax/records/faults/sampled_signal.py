@@ -63,8 +63,11 @@ def resolution_of(levels: np.ndarray) -> float:
     return quantum if np.mean(near[multiples < 100]) > 0.99 else 0.0
 
 
-def is_piecewise_linear(values: np.ndarray, levels: np.ndarray, rounding: float) -> bool:
-    """Whether more than half of the samples lie on straight lines, as only commands do."""
+def is_command(values: np.ndarray, levels: np.ndarray, rounding: float) -> bool:
+    """Whether few values are taken, or more than half of the samples lie on straight lines, as of
+    no sensor's signal."""
+    if levels.size <= FEW_LEVELS:
+        return True
     bend = np.diff(values, 2)
     inner = np.abs(bend[~np.isin(values[1:-1], levels[[0, -1]]) & ~np.isnan(bend)])
     return not inner.size or bool(np.mean(inner <= rounding) > 0.5)
@@ -83,8 +86,8 @@ class SampledSignal(NamedTuple):
     sample, shape `(n,)`, and the `time_step`; `levels`, distinct values, ascending, and how often
     each occurs, the `counts`; `rounding`, the distance within which values are one; `resolution`,
     their distance where they are multiples of one, else 0; `run_starts`, the first sample of each
-    run, a stretch of one exact value, and `run_lengths`, the samples in it; `is_command`, whether
-    it takes few values, or lies on straight lines, as no sensor's signal does.
+    run, a stretch of one exact value, and `run_lengths`, the samples in it; `is_command`, as no
+    sensor's signal is.
     """
 
     name: str
@@ -142,7 +145,7 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
         resolution_of(levels),
         starts,
         np.diff(starts, append=values.size),
-        levels.size <= FEW_LEVELS or is_piecewise_linear(values, levels, rounding),
+        is_command(values, levels, rounding),
     )
 
 

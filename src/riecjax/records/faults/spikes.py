@@ -30,11 +30,10 @@ from jaxtyping import Bool, Float, Int
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
-    FEW_LEVELS,
     LAST_DIGITS,
     ROUNDING,
     SampledSignal,
-    is_piecewise_linear,
+    is_command,
     levels_of,
     resolution_of,
 )
@@ -137,7 +136,7 @@ class Spikes(NamedTuple):
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
-@remembered(lambda values: (np.asarray(values, float),))
+@remembered
 @np.errstate(all="ignore")
 def find_spikes(values: Samples) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
@@ -151,7 +150,7 @@ def find_spikes(values: Samples) -> Spikes:
     centre = np.median(known)
     scaled = np.clip((values - centre) / scale, -LARGEST, LARGEST)
     levels = levels_of(scaled[np.abs(scaled) < BEYOND], ROUNDING)[0]
-    if levels.size <= FEW_LEVELS or is_piecewise_linear(scaled, levels, ROUNDING):
+    if is_command(scaled, levels, ROUNDING):
         # What is far beyond all other values; the value before takes its place.
         ranked = np.sort(np.abs(known))[::-1][: known.size // 10 + 2]
         apart = ranked[:-1] > np.where(ranked[1:] > 0, BEYOND * ranked[1:], IMPOSSIBLE)
