@@ -81,7 +81,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.criteria.windows import LagBins, StartBlocks, each_bin, sum_over_bins
+from riecjax.criteria.windows import (
+    LagBins,
+    StartBlocks,
+    each_bin,
+    products_of_blocks,
+    sum_over_bins,
+)
 from riecjax.leaves import Leaf
 from riecjax.records.signal import both
 
@@ -366,7 +372,7 @@ def unbroken_boxcar_moments(
     most the blocks' size.
     """
     phi, running = _side_by_side(primitives, blocks, reach)
-    block, dtype = blocks.size, phi.dtype
+    block = blocks.size
     assert isinstance(block, int)
     start, end = jnp.arange(block), jnp.arange(block + reach)
     left = blocks.unpadded - blocks.first - block * jnp.arange(blocks.number)[:, None]
@@ -380,16 +386,15 @@ def unbroken_boxcar_moments(
         inner = shifted(bin_.last + 1) - shifted(bin_.first)
         earliest = jnp.maximum(end - bin_.last, 0)
         ending = jnp.maximum(jnp.minimum(end - bin_.first, block - 1) - earliest + 1, 0)
-        sums = _Sums(inner, ending, number)
-        return jax.tree.map(lambda leaf: bin_.weight * leaf.astype(dtype), sums)
+        return _Sums(inner, ending, number)
 
     own, beyond = phi[:, :, :block], phi[:, :, block:]
 
     def law_moments(law: LagBins) -> Moments:
         total = sum_over_bins(law, bin_sums)
         weight = 0.5 * (total.number + total.squares[None, :block])
-        half = _products(own, weight[None] * own - total.inner)
-        half = half + _products(beyond, 0.5 * total.squares[None, None, block:] * beyond)
+        half = products_of_blocks(own, weight[None] * own - total.inner)
+        half = half + products_of_blocks(beyond, 0.5 * total.squares[None, None, block:] * beyond)
         return half + jnp.swapaxes(half, 1, 2), jnp.sum(total.number, axis=1)
 
     return each_bin(law_moments, lags)
@@ -423,13 +428,6 @@ def _side_by_side(
     return jnp.concatenate([parts[:, :-1], further], axis=2), running
 
 
-def _products(
-    one: Float[Array, "columns blocks samples"], other: Float[Array, "columns blocks samples"]
-) -> Float[Array, "blocks columns columns"]:
-    # Accelerators would otherwise multiply 32-bit numbers with ten bits.
-    return jnp.einsum("ibs,jbs->bij", one, other, precision=jax.lax.Precision.HIGHEST)
-
-
 def window_moments(
     phi: Float[Array, "columns n"], runs: Runs, bins: LagBins, difference: int
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
@@ -458,8 +456,7 @@ def window_moments(
         squares = points.start + 4 * points.middle + points.end
         # Windows are counted in real numbers: a long record's are more than 32-bit integers hold.
         number = jnp.sum(points.start, dtype=phi.dtype)
-        sums = _Sums(inner, squares.astype(phi.dtype), number)
-        return jax.tree.map(lambda leaf: bin_.weight * leaf, sums)
+        return _Sums(inner, squares.astype(phi.dtype), number)
 
     total = sum_over_bins(bins, of_bin)
     cross = phi @ total.inner.T

@@ -27,6 +27,7 @@ both add up to the same.
 
 from collections.abc import Callable, Sequence
 from itertools import combinations_with_replacement
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -38,6 +39,7 @@ from riecjax.criteria.all_windows import Points, Runs, interval_weights
 from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet, each_bin, sum_over_bins
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
+from riecjax.records.signal import both
 
 NoiseWeights = Float[Array, "orders orders n"]
 """W_kl at every sample, for derivatives k and l that a test function takes off."""
@@ -45,20 +47,9 @@ NoiseWeights = Float[Array, "orders orders n"]
 
 def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, pieces: int) -> Points:
     """Where all windows of a law that start in some blocks have their ends, `pieces` lags long."""
-    at, present = jnp.arange(columns.sample_count), columns.present
-    starts = blocks.first, blocks.size * blocks.number
-    if present is None:
-        first = jnp.broadcast_to(blocks.first, at.shape)
-        last = jnp.broadcast_to(blocks.unpadded - 1, at.shape)
-        runs = Runs(first, last, sum(starts) - 1)
-    else:
-        runs = Runs.of(present & (at < blocks.unpadded), *starts)
-
-    def of_bin(bin_: LagBins) -> Points:
-        counts = Points.of_bin(bin_, runs, pieces)
-        return jax.tree.map(lambda leaf: bin_.weight * leaf, counts)
-
-    return sum_over_bins(lags, of_bin)
+    valid: Any = both(columns.present, jnp.arange(columns.sample_count) < blocks.unpadded)
+    runs = Runs.of(valid, blocks.first, blocks.size * blocks.number)
+    return sum_over_bins(lags, lambda bin_: Points.of_bin(bin_, runs, pieces))
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:
@@ -164,8 +155,8 @@ def noise_weights_of_lengths(
 ) -> NoiseWeights:
     """W_kl[u] = sum over lengths and t of starts[t] w_k[u - t] w_l[u - t], by Fourier transform.
 
-    **Arguments:** `of_length`, how much windows of a length weigh that start at each sample, and
-    the weights w_k inside of them; `lengths`, bins of one each; so many `orders` k.
+    **Arguments:** `of_length`, how many windows of a length start at each sample, and the weights
+    w_k inside of them; `lengths`, bins of one each; so many `orders` k.
     """
     one, other = np.triu_indices(orders)
 

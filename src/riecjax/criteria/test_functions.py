@@ -503,9 +503,8 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         def of_length(bin_: LagBins) -> Moments:
             valid = self._whole(columns, bin_.first, blocks)[None, :]
             rows = jnp.where(valid, everywhere(bin_.first), 0.0)
-            there, weight = valid.astype(rows.dtype), jnp.asarray(bin_.weight)
-            number = blocks.products(there, there)[:, 0, 0]
-            return weight * blocks.products(rows, rows), weight * number
+            there = valid.astype(rows.dtype)
+            return blocks.products(rows, rows), blocks.products(there, there)[:, 0, 0]
 
         return each_bin(lambda law: sum_over_bins(law, of_length), lags)
 
@@ -517,7 +516,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             return None
 
         def of_length(bin_: LagBins) -> tuple[Array, Array]:
-            at = jnp.where(self._whole(columns, bin_.first, blocks), bin_.weight, 0.0)
+            at = self._whole(columns, bin_.first, blocks).astype(columns.values.dtype)
             return at, self._weights(bin_.first, columns)
 
         return noise_weights_of_lengths(of_length, windows, self.smoothness + 1)

@@ -434,10 +434,17 @@ class StartBlocks(NamedTuple):
             block = jnp.clip((jnp.arange(n) - self.first) // size, 0, number - 1)
             return products_by_block(left, right, block, number)
         # As many blocks of the same size as the samples could fill.
-        room, precision = max(-(-n // size), number), jax.lax.Precision.HIGHEST
-        blocks = self.cut(left, room), self.cut(right, room)
-        sums = jnp.einsum("abu,cbu->bac", *blocks, precision=precision)
+        room = max(-(-n // size), number)
+        sums = products_of_blocks(self.cut(left, room), self.cut(right, room))
         return sums[:number].at[-1].add(jnp.sum(sums[number:], axis=0))
+
+
+def products_of_blocks(
+    left: Float[Array, "a blocks samples"], right: Float[Array, "b blocks samples"]
+) -> Float[Array, "blocks a b"]:
+    """sum_u left[u] right[u]^T over the samples of blocks of one size."""
+    # Accelerators would otherwise multiply 32-bit numbers with ten bits.
+    return jnp.einsum("abu,cbu->bac", left, right, precision=jax.lax.Precision.HIGHEST)
 
 
 def products_by_block(
@@ -502,19 +509,24 @@ def in_chunks(
 
 
 def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:
-    """What all bins of a law add up to; a bin without a lag adds nothing, in no time.
+    """What all bins of a law add up to, each as often as its lags count; a bin without a lag adds
+    nothing, in no time.
 
     Of a single bin without a loop, which would be run for each equation: what several equations
     have in common is then computed once.
     """
     first = jax.tree.map(lambda values: values[0], bins)
+
+    def counted(bin_: LagBins) -> Sums:
+        return jax.tree.map(lambda leaf: jnp.asarray(bin_.weight) * leaf, of_bin(bin_))
+
     if bins.first.shape[0] == 1:
-        return of_bin(first)
-    shapes = jax.eval_shape(of_bin, first)
+        return counted(first)
+    shapes = jax.eval_shape(counted, first)
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
     def add(total: Sums, bin_: LagBins) -> tuple[Sums, None]:
-        added = jax.lax.cond(bin_.first <= bin_.last, of_bin, lambda _: nothing, bin_)
+        added = jax.lax.cond(bin_.first <= bin_.last, counted, lambda _: nothing, bin_)
         return jax.tree.map(jnp.add, total, added), None
 
     # In reverse mode each bin is computed again: storing all would take bins x columns x samples.

@@ -9,7 +9,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax.criteria.criterion import PARTS, AbstractCriterion
 from riecjax.criteria.windows import LengthBins
@@ -236,9 +236,9 @@ class Summary(Shown, eqx.Module):
             # Of what no noise is known nothing is taken off.
             known = any(equation.noise is not None for equation in sums)
             if known:
-                nothing = (np.zeros_like(equation.moments) for equation in sums)
                 sums = [
-                    e if e.noise is not None else e.with_noise(z) for e, z in zip(sums, nothing)
+                    e if e.noise is not None else e.with_noise(np.zeros_like(e.moments))
+                    for e in sums
                 ]
             factor = None
             if any(equation.factor is not None for equation in sums):
@@ -263,7 +263,7 @@ class Summary(Shown, eqx.Module):
         stages = [
             [pooled(i, j) for j, _ in enumerate(stage)] for i, stage in enumerate(every[0].stages)
         ]
-        digests = b"".join(np.asarray(one.digest).astype(">u4").tobytes() for one in every)
+        digests = bytes.fromhex("".join(self.digests))
         joined = RecordingSums(
             tuple(map(tuple, stages)),
             np.asarray(count),
@@ -340,16 +340,13 @@ class Summary(Shown, eqx.Module):
             room = min((number for number in ROOMS if number >= count), default=count)
 
         def in_band(recording: RecordingSums, i: int, j: int) -> NormalEquations:
-            def together(bins: Array) -> Array:
-                return bins[first:last].sum(0)
-
-            sums = recording.stages[i][j]
-            found, of_source = sums.in_blocks(together), sums.noise_of_source
-            if of_source is None:
+            sums = recording.stages[i][j].of_bins(first, last)
+            found = sums.in_blocks(lambda bins: bins[0])
+            if sums.noise_of_source is None:
                 sources = len(recording.noise.sources)
                 nothing = namespace(found).zeros((sources, *found.moments.shape[-2:]))
                 return found.with_noise(found.noise, nothing)
-            return found.with_noise(found.noise, together(of_source))
+            return found.with_noise(found.noise, sums.noise_of_source[0])
 
         return [
             [

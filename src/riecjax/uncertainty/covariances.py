@@ -311,10 +311,7 @@ def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     # Solved for the change itself: without the block, the scores at the estimate sum to minus its
     # own, and nothing is lost by subtracting two estimates that agree in most of their digits.
     def without(blocks: list[NormalEquations], score: Float[Array, " p"]) -> Float[Array, " p"]:
-        left = [
-            NormalEquations(t.clean - b.clean, t.count - b.count, t.parameters)
-            for t, b in zip(totals, blocks)
-        ]
+        left = [jax.tree.map(jnp.subtract, t, b) for t, b in zip(totals, blocks)]
         matrix = slope(left, unknowns) * scale[:, None] * scale[None, :]
         change, pivots = eliminate_with_pivots(matrix, (-score * scale)[:, None])
         # Where only this block tells of a parameter, nothing is known without it.
@@ -576,18 +573,12 @@ def studentized_replicates(
 
     **Arguments:** `draws`, see [`uniform_draws`][].
     """
-    stages, unknowns, used = statistics.blocks, statistics.unknowns, statistics.used
-    found = statistics.estimate
-    moments = [stage.clean.reshape(stage.count.shape[0], -1) for stage in stages]
+    unknowns, used, found = statistics.unknowns, statistics.used, statistics.estimate
+    stages = [NormalEquations(s.clean, s.count, s.parameters) for s in statistics.blocks]
 
     def replicate(drawn: Float[Array, "records blocks_of_record"]) -> Float[Array, " p"]:
         weights = drawn_counts(drawn, used).astype(found.dtype).ravel()
-        totals = [
-            NormalEquations(
-                (weights @ m).reshape(s.moments.shape[1:]), weights @ s.count, s.parameters
-            )
-            for m, s in zip(moments, stages)
-        ]
+        totals = [s.in_blocks(lambda blocks: jnp.tensordot(weights, blocks, 1)) for s in stages]
         again = staged_values(totals, unknowns, statistics.known)
         # Elimination with every block's score on the right would take half as long again.
         curvature = slope(totals, unknowns)

@@ -158,21 +158,22 @@ def _correlation(
     error: Series, signal: Series, lags: Int[np.ndarray, " lags"]
 ) -> Float[np.ndarray, " lags"]:
     """Mean product of the pairs that are present at each lag, over the root mean squares."""
-    size = scipy.fft.next_fast_len(2 * error.size, real=True)
-
-    def products(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-        """Sum over t of mine[t + lag] theirs[t]."""
-        spectrum = np.fft.rfft(mine, size) * np.conj(np.fft.rfft(theirs, size))
-        return np.fft.irfft(spectrum, size)[lags % size]
-
     present = [(~np.isnan(series)).astype(float) for series in (error, signal)]
     centred = [_centred(series) for series in (error, signal)]
     squares = (np.sum(c**2) / max(np.sum(p), 1) for c, p in zip(centred, present))
     scale = np.sqrt(np.prod([*squares]))
     if not scale > 0:
         return np.where(lags == 0, 1.0 if error is signal else 0.0, 0.0)
-    pairs = np.round(products(*present))
-    return np.where(pairs > 0, products(*centred) / np.maximum(pairs, 1) / scale, 0.0)
+    sums, pairs = (np.take(_products(*pair), lags, mode="wrap") for pair in (centred, present))
+    pairs = np.round(pairs)
+    return np.where(pairs > 0, sums / np.maximum(pairs, 1) / scale, 0.0)
+
+
+def _products(mine: Float[np.ndarray, " n"], theirs: Float[np.ndarray, " n"]) -> np.ndarray:
+    """Sum over t of mine[t + lag] theirs[t] at each lag, those below zero from the end on."""
+    size = scipy.fft.next_fast_len(2 * mine.size, real=True)
+    spectrum = np.fft.rfft(mine, size) * np.conj(np.fft.rfft(theirs, size))
+    return np.fft.irfft(spectrum, size)
 
 
 def averaged(series: Series, count: int) -> Series:
@@ -189,10 +190,7 @@ def bartlett_variance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n
 
     Of series about their means, zero where a sample is missing; 0 of a silent one.
     """
-    size = scipy.fft.next_fast_len(2 * one.size, real=True)
-    first, second = (
-        np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size) for series in (one, other)
-    )
+    first, second = (_products(series, series) for series in (one, other))
     scale = first[0] * second[0]
     count = np.count_nonzero((one != 0) | (other != 0))
     return float(np.sum(first * second) / (scale * count)) if scale > 0 and count else 0.0
@@ -338,25 +336,20 @@ def error_spectrum(
         running = np.cumsum(longest_first)
         typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
         length = max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
-    left, explained, target = map(np.asarray, (error.error, error.explained, error.target))
-    pairs = {
-        "error": (left, left),
-        "explained": (explained, explained),
-        "target": (target, target),
-        "common": (target, explained),
-    }
-    sums = {name: np.zeros(length // 2 + 1) for name in pairs}
+    # Of error, explained part and target with themselves, and of the target with what is explained.
+    one = np.stack([error.error, error.explained, error.target, error.target])
+    other = np.stack([error.error, error.explained, error.target, error.explained])
+    sums = np.zeros((len(one), length // 2 + 1))
     rate, count = 1 / float(error.time_step), 0
     how: Any = {"nperseg": length, "detrend": "constant" if detrend else False}
     for run in runs:
         # A longer run of segments counts for more, as in one mean over all of them.
         segments = max((run.stop - run.start - length) // (length - length // 2) + 1, 0)
         count += segments
-        for name, (one, other) in pairs.items() if segments else ():
-            _, density = scipy.signal.csd(one[run], other[run], rate, **how)
-            sums[name] += segments * np.real(density)
-    means = {name: total / max(count, 1) for name, total in sums.items()}
-    return ErrorSpectrum(np.fft.rfftfreq(length, 1 / rate), **means, segments=count)
+        if segments:
+            _, density = scipy.signal.csd(one[:, run], other[:, run], rate, **how)
+            sums += segments * np.real(density)
+    return ErrorSpectrum(np.fft.rfftfreq(length, 1 / rate), *(sums / max(count, 1)), segments=count)
 
 
 # Why eq. (18) allows ordinary least squares. With n windows the errors' covariance is
