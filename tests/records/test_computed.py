@@ -67,7 +67,7 @@ def test_a_copy_of_the_position_is_no_derivative_of_it(noise):
     level = float(noise_level(x))
     smoothed = scipy.signal.savgol_filter(x, 21, 3)
     for copy in (x, -x, np.float32(2.5 * x).astype(float), smoothed):
-        assert filter_between(x, copy, level) is None
+        assert filter_between(x, np.asarray(copy), level) is None
 
 
 def test_gaps_and_repaired_spikes_do_not_hide_it():

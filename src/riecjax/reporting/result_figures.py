@@ -40,7 +40,6 @@ from riecjax.reporting.charts.chart import (
     labelled,
     single,
 )
-from riecjax.reporting.equations import expression_in_words
 from riecjax.shows import chart_of
 from riecjax.validation import HeldOut, ResidualTests, WindowChoice, WindowSweep
 from riecjax.validation.residuals import Correlation, EquationResidual, ErrorSpectrum
@@ -318,7 +317,8 @@ def _curve(
     at = [estimate.parameters.index(term.parameters[i]) for i in free]
     covariance = np.asarray(estimate.covariance)[np.ix_(at, at)]
     variance = np.einsum("ig,ij,jg->g", functions[free], covariance, functions[free])
-    name = expression_in_words(term.of).replace("_", " ")
+    label = term.of if isinstance(term.of, str) else getattr(term.of, "__name__", "variable")
+    name = label.strip("_").replace("_", " ")
     return IdentifiedCurve(
         name=str(term.name),
         # Coefficients of a roof or a step are values of the curve, whose unit is the equation's.

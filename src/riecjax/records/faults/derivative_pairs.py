@@ -895,7 +895,8 @@ def compared(record: Record, relation: Relation) -> tuple[Finding | None, Pair |
 def disagreement(record: Record, signal: str, derivative: str) -> Finding | None:
     """`not_its_derivative` of a signal and what is read as its derivative, if they do not fit."""
     pair = {name: record.signal(name) for name in (signal, derivative)}
-    best = _best_lag(*(one.with_nan for one in pair.values()), float(record.time_step))
+    x, dx = (one.with_nan for one in pair.values())
+    best = _best_lag(x, dx, float(record.time_step))
     if best is None:
         return None
     (correlation, gain), units, likely = best, [], ""
