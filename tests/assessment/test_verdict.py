@@ -113,6 +113,7 @@ ORDINARY = rx.Equation(
 """Parameters of a user's own, called as hidden elements', recordings' own and widths are."""
 
 
+@pytest.mark.slow
 def test_a_parameter_is_what_the_model_says_whatever_it_is_called(tmp_path):
     record = rx.Record(motion(False), STANDARD.step)
     quick = {"refine": None, "sweep": False, "intervals": rx.Sandwich()}

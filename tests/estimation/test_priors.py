@@ -159,6 +159,7 @@ def test_a_prior_that_data_contradict_is_named_however_narrow_it_is(share):
     assert found.verdict.parameters["k"].level == "do not use"
 
 
+@pytest.mark.slow
 def test_a_prior_of_a_later_stage_of_random_windows_and_of_single_precision():
     other = rx.Equation(rx.Term("m", "a"), rx.Term("b", "v"), -rx.Term(1.0, "G"), name="other")
     push = 2.0 * A + 3.0 * V + NOISE * np.random.default_rng(9).standard_normal(X.size)
