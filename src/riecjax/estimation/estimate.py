@@ -209,6 +209,12 @@ class Estimate(Tabled, eqx.Module):
         return self.table.settled({name: jnp.asarray(value) for name, value in values.items()})
 
     @property
+    def _by_data(self) -> Bool[np.ndarray, " p"]:
+        """Which parameters neither a bound nor a prior tells."""
+        told = self.told_by_data.free
+        return np.array([name in told for name in self.parameters], bool)
+
+    @property
     def known(self) -> dict[str, Any]:
         """Parameters that were not estimated, with their values."""
         return self.table.known
@@ -465,12 +471,10 @@ class Estimate(Tabled, eqx.Module):
         rounding = 10 * float(jnp.finfo(self.theta.dtype).eps) ** 0.5
         told = [bool(s.relative_rms > rounding) for s in self.stages for _ in s.parameters]
         few = np.asarray(self.effective_windows) < FEWEST_WINDOWS
-        of_data = self.told_by_data.free
-        by_data = np.array([name in of_data for name in self.parameters])
         yield from finding(
             "few_effective_windows",
             self.parameters,
-            few & told & by_data,
+            few & told & self._by_data,
             self.effective_windows,
             f"errors of overlapping windows are correlated: all of them tell as much as so many "
             f"independent ones of {{}}. With fewer than {FEWEST_WINDOWS} an interval is rough. "
@@ -630,12 +634,11 @@ class Estimate(Tabled, eqx.Module):
 
     def _few_blocks(self) -> Iterator[Finding]:
         """Intervals by a small-sample sandwich, and those that lean."""
-        freedom, told = self.uncertainty.degrees_of_freedom, self.told_by_data.free
         yield from finding(
             "few_blocks",
             self.parameters,
-            self.uncertainty.few_blocks & np.array([name in told for name in self.parameters]),
-            freedom,
+            self.uncertainty.few_blocks & self._by_data,
+            self.uncertainty.degrees_of_freedom,
             "few independent stretches of the record tell of {} (degrees of freedom of the "
             "variance): these intervals come from a small-sample sandwich with Student's t and are "
             "the wider the fewer there are. Record for longer, or excite them all along.",

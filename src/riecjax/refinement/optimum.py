@@ -286,8 +286,9 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         flat = (work <= self.rtol**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
         # Of parameters, and of initial states.
         pairs = (step.parameters, point.parameters), (step.initial, point.initial)
-        sizes = ([jnp.max(jnp.abs(v), initial=0.0) for v in pair] for pair in pairs)
-        stuck = jnp.all(jnp.stack([moved <= NO_STEP * size for moved, size in sizes]))
+        stuck = jnp.all(
+            jnp.stack([self.norm(moved) <= NO_STEP * self.norm(at) for moved, at in pairs])
+        )
         if self.report is not None:
             jax.debug.callback(self.report, accepted.energy)
         low, high = (end / args.scale for end in args.limits())
