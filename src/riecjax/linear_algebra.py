@@ -16,11 +16,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.leaves import Leaf, namespace
+from riecjax import arrays as xp
+from riecjax.leaves import Leaf
 
 
 def unit_scale(diagonal: Float[Leaf, "*batch p"]) -> Float[Array, "*batch p"]:
@@ -28,19 +28,21 @@ def unit_scale(diagonal: Float[Leaf, "*batch p"]) -> Float[Array, "*batch p"]:
 
     Parameters may differ by ten powers of ten. 1 where the diagonal is zero.
     """
-    xp, size = namespace(diagonal), abs(diagonal)
+    size = abs(diagonal)
     return xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 1.0)
 
 
-def unit_diagonal(matrix: Float[Any, "p p"]) -> tuple[Float[Array, "p p"], Float[Array, " p"]]:
+def unit_diagonal(
+    matrix: Float[Any, "*batch p p"],
+) -> tuple[Float[Array, "*batch p p"], Float[Array, "*batch p"]]:
     """The matrix scaled to a diagonal of ones, and the factors, see [`unit_scale`][]."""
-    scale = unit_scale(matrix.diagonal())
-    return matrix * scale[:, None] * scale[None, :], scale
+    scale = unit_scale(xp.diagonal(matrix, axis1=-2, axis2=-1))
+    return matrix * scale[..., :, None] * scale[..., None, :], scale
 
 
 def solve_scaled(
-    matrix: Float[Array, "p p"], right: Float[Array, "p k"], ridge: float = 0.0
-) -> Float[Array, "p k"]:
+    matrix: Float[Array, "*batch p p"], right: Float[Array, "*batch p k"], ridge: float = 0.0
+) -> Float[Array, "*batch p k"]:
     """matrix^-1 right, by elimination once the matrix has a diagonal of ones (plus `ridge`).
 
     Rows and columns of a Gram matrix have the units of its parameters, whose sizes would else
@@ -48,35 +50,52 @@ def solve_scaled(
     """
     scaled, scale = unit_diagonal(matrix)
     if ridge:
-        scaled = scaled + ridge * jnp.eye(scaled.shape[0], dtype=scaled.dtype)
-    return scale[:, None] * eliminate(scaled, scale[:, None] * right)
+        scaled = scaled + ridge * np.eye(scaled.shape[-1], dtype=scaled.dtype)
+    return scale[..., :, None] * eliminate(scaled, scale[..., :, None] * right)
 
 
-def eliminate(matrix: Float[Array, "p p"], right: Float[Array, "p k"]) -> Float[Array, "p k"]:
+def eliminate(
+    matrix: Float[Array, "*batch p p"], right: Float[Array, "*batch p k"]
+) -> Float[Array, "*batch p k"]:
     """matrix^-1 right, see [`eliminate_with_pivots`][]."""
     return eliminate_with_pivots(matrix, right)[0]
 
 
 def eliminate_with_pivots(
-    matrix: Float[Array, "p p"], right: Float[Array, "p k"]
-) -> tuple[Float[Array, "p k"], Float[Array, " p"]]:
+    matrix: Float[Array, "*batch p p"], right: Float[Array, "*batch p k"]
+) -> tuple[Float[Array, "*batch p k"], Float[Array, "*batch p"]]:
     """matrix^-1 right by Gauss and Jordan's elimination, and its pivots, which are not exchanged.
 
     For matrices whose leading blocks are positive definite, which need no exchange; scale them to a
     diagonal of ones first (see [`solve_scaled`][]). The pivots are then the shares of each column's
-    square that those before it do not explain. A compiler turns it into vector instructions over
-    thousands of small matrices, where LAPACK is called once for each.
+    square that those before it do not explain. Thousands of small matrices go through it together,
+    in vector instructions, where LAPACK is called once for each.
     """
-    size = matrix.shape[0]
+    size = matrix.shape[-1]
+    right = xp.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
+    table = xp.concatenate([matrix, right], axis=-1)
+    if xp.is_traced(table):
 
-    def step(table: Array, k: Array) -> tuple[Array, Array]:
-        row = table[k] / table[k, k]
-        cleared = table - table[:, k][:, None] * row[None, :]
-        return cleared.at[k].set(row), table[k, k]
+        def step(table: Array, k: Array) -> tuple[Array, Array]:
+            pivot = table[..., k, k]
+            row = table[..., k, :] / pivot[..., None]
+            cleared = table - table[..., :, k][..., None] * row[..., None, :]
+            return cleared.at[..., k, :].set(row), pivot
 
-    table = jnp.concatenate([matrix, right], axis=1)
-    table, pivots = jax.lax.scan(step, table, jnp.arange(size))
-    return table[:, size:], pivots
+        table, pivots = jax.lax.scan(step, table, np.arange(size))
+        return table[..., size:], xp.moveaxis(pivots, 0, -1)
+    # Matrices side by side in memory, so that each operation runs along all of them; columns that
+    # are done are not touched again.
+    table = np.ascontiguousarray(np.moveaxis(table.reshape(-1, *table.shape[-2:]), 0, -1))
+    pivots = np.empty((size, table.shape[-1]))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for k in range(size):
+            pivots[k] = table[k, k]
+            row = table[k, k + 1 :] / pivots[k]
+            table[:, k + 1 :] -= table[:, k, None] * row
+            table[k, k + 1 :] = row
+    solved = np.moveaxis(table[:, size:], -1, 0)
+    return solved.reshape(right.shape), pivots.T.reshape(right.shape[:-1])
 
 
 def solve_few(matrix: Float[Array, "p p"], right: Float[Array, " p"]) -> Float[Array, " p"]:
@@ -88,11 +107,11 @@ def solve_few(matrix: Float[Array, "p p"], right: Float[Array, " p"]) -> Float[A
     """
     count = right.shape[0]
     if count > 3:
-        return jnp.linalg.solve(matrix, right)
+        return xp.linalg.solve(matrix, right)
     columns = [[matrix[i, j] for i in range(count)] for j in range(count)]
     known = [right[i] for i in range(count)]
     replaced = ([*columns[:j], known, *columns[j + 1 :]] for j in range(count))
-    return jnp.stack([_determinant(c) for c in replaced]) / _determinant(columns)
+    return xp.stack([_determinant(c) for c in replaced]) / _determinant(columns)
 
 
 def _determinant(columns: list[list[Array]]) -> Array:
@@ -110,14 +129,14 @@ def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Fl
 
     Under vmap, a CPU takes one matrix at a time; other devices take them all at once.
     """
-    if namespace(matrix) is np:
+    if not xp.is_traced(matrix):
         eigen: Any = np.linalg.eigh(matrix)
         return eigen.eigenvalues, eigen.eigenvectors
     return jax.lax.platform_dependent(matrix, cpu=_one_by_one, default=_eigen)
 
 
 def _eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
-    values, vectors = jnp.linalg.eigh(matrix)
+    values, vectors = xp.linalg.eigh(matrix)
     return values, vectors
 
 
@@ -161,24 +180,24 @@ def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:
 
 def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*batch n n"]:
     """Upper triangle R with R^T R = moments, to rounding; zero for a column that is."""
-    n, diagonal = moments.shape[-1], jnp.diagonal(moments, axis1=-2, axis2=-1)
-    size = jnp.maximum(diagonal, 0.0)
+    n, diagonal = moments.shape[-1], xp.diagonal(moments, axis1=-2, axis2=-1)
+    size = xp.maximum(diagonal, 0.0)
     scale = unit_scale(size)
     # Columns that explain one another would leave a pivot of rounding, of either sign.
-    rounding = 8 * n * jnp.finfo(moments.dtype).eps
-    identity = jnp.eye(n, dtype=moments.dtype).reshape((1,) * (moments.ndim - 2) + (n, n))
+    rounding = 8 * n * xp.finfo(moments.dtype).eps
+    identity = np.eye(n, dtype=moments.dtype).reshape((1,) * (moments.ndim - 2) + (n, n))
     scaled = moments * scale[..., :, None] * scale[..., None, :] + rounding * identity
-    factor = jnp.swapaxes(jnp.linalg.cholesky(scaled), -1, -2)
-    return jnp.sqrt(size)[..., None, :] * factor
+    factor = xp.swapaxes(xp.linalg.cholesky(scaled), -1, -2)
+    return xp.sqrt(size)[..., None, :] * factor
 
 
-def gram_condition_limit(dtype: jnp.dtype) -> float:
+def gram_condition_limit(dtype: np.dtype) -> float:
     """Condition number of rows past which their Gram matrix no longer serves.
 
     It keeps the error of eps cond^2 in theta below 1e-5 in 64-bit (cond 2e5) and below 1e-2 in
     32-bit (cond 290).
     """
-    eps = float(jnp.finfo(dtype).eps)
+    eps = float(xp.finfo(dtype).eps)
     return float((1e-5 / eps) ** 0.5) if eps < 1e-10 else float((1e-2 / eps) ** 0.5)
 
 

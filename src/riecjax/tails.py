@@ -4,15 +4,16 @@
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
 
-def normal(tail: float) -> float:
+def normal(tail: ArrayLike) -> Any:
     """The value that a standard normal number exceeds with this probability."""
-    return float(-scipy.special.ndtri(tail))
+    return -scipy.special.ndtri(tail)
 
 
 def student(tail: float, freedom: ArrayLike) -> np.ndarray:

@@ -77,105 +77,80 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.criteria.windows import (
-    LagBins,
-    StartBlocks,
-    each_bin,
-    products_of_blocks,
-    sum_over_bins,
-)
+from riecjax import arrays as xp
+from riecjax.criteria.windows import LagBins, StartBlocks, each_bin, sum_over_bins
 from riecjax.leaves import Leaf
-from riecjax.records.signal import both
 
 ROW = 16
 """Samples to a row: so many products each costs, and one sixteenth is left to sum over rows."""
 TRIANGLE = np.triu(np.ones((ROW, ROW)))
 
 
+def running_sum(values: Float[Array, "*columns n"]) -> Float[Array, "*columns n"]:
+    """Sum of the samples up to each, itself included."""
+    return _by_rows(values) if xp.is_traced(values) else np.cumsum(values, axis=-1)
+
+
 @jax.jit  # is called dozens of times in one trace, of few shapes
-def running_sum(values: Float[Array, "columns n"]) -> Float[Array, "columns n"]:
-    """Sum of the samples up to each, itself included.
+def _by_rows(values: Float[Array, "*columns n"]) -> Float[Array, "*columns n"]:
+    """By rows of 16 samples, each times a triangle of ones, and then over the rows' totals.
 
-    By rows of 16 samples, each times a triangle of ones, and then over the rows' totals likewise.
-    A matrix product is many times faster than a scan, and sums of sums round as log n, not n.
+    A compiled matrix product is many times faster than a scan, and sums of sums round as log n.
     """
-    columns, n = values.shape
+    *columns, n = values.shape
     if n <= 2 * ROW:
-        return jnp.cumsum(values, axis=1)
+        return xp.cumsum(values, axis=-1)
     rows = -(-n // ROW)
-    padded = jnp.pad(values, ((0, 0), (0, rows * ROW - n)))
-    triangle = jnp.asarray(TRIANGLE, values.dtype)
+    padded = xp.pad(values, [(0, 0)] * len(columns) + [(0, rows * ROW - n)])
+    triangle = TRIANGLE.astype(values.dtype)
     # Accelerators would otherwise multiply 32-bit numbers with ten bits.
-    within = jnp.matmul(
-        padded.reshape(columns * rows, ROW), triangle, precision=jax.lax.Precision.HIGHEST
-    ).reshape(columns, rows, ROW)
-    totals = within[:, :, -1]
-    before = running_sum(totals) - totals
-    return (within + before[:, :, None]).reshape(columns, rows * ROW)[:, :n]
-
-
-def sum_between(
-    values: Array, first: Int[Array, " n"], last: Int[Array, " n"], stride: int = 1
-) -> Float[Array, "columns n"]:
-    """Sum of values, shape `(columns, n)`, at `first`, `first + stride`, ... `last`.
-
-    One difference S[last + stride] - S[first] of the running sum S[i] = values[i - stride] +
-    values[i - 2 stride] + ... For `last = first - stride` it is zero.
-    """
-    columns, n = values.shape
-    if stride == 1:
-        running = jnp.pad(running_sum(values), ((0, 0), (1, 0)))
-    else:
-        padded = jnp.pad(values, ((0, 0), (stride, -n % stride)))
-        running = jnp.cumsum(padded.reshape(columns, -1, stride), axis=1)
-        running = running.reshape(columns, -1)[:, : n + stride]
-    end = n + stride - 1
-    return running[:, jnp.clip(last + stride, 0, end)] - running[:, jnp.clip(first, 0, end)]
+    within = xp.matmul(
+        padded.reshape(-1, ROW), triangle, precision=jax.lax.Precision.HIGHEST
+    ).reshape(*columns, rows, ROW)
+    totals = within[..., -1]
+    before = _by_rows(totals) - totals
+    return (within + before[..., None]).reshape(*columns, rows * ROW)[..., :n]
 
 
 ORDERS = (2, 4, 6, 8)
 
 
 def running_integral(
-    samples: Float[Array, "columns n"],
-    order: int = 2,
-    present: Bool[Array, " n"] | None = None,
-    unpadded: Int[Array, ""] | int | None = None,
+    samples: Float[Array, "columns n"], order: int = 2, present: Bool[Array, " n"] | None = None
 ) -> Float[Array, "columns n"]:
     """Integral from the first sample to each, in units of the time step.
 
-    An interval whose polynomial would reach over a missing sample takes the trapezoid instead. Of a
-    padded record, the last sample of its own is number `unpadded - 1`.
+    An interval whose polynomial would reach over a missing sample takes the trapezoid instead.
     """
+    n = samples.shape[1]
     areas = 0.5 * (samples[:, 1:] + samples[:, :-1])
-    order = min(order, 2 * (samples.shape[1] // 2))
+    order = min(order, 2 * (n // 2))
     if order > 2:
         # Of the polynomial centred on each interval; at either end of one for several.
-        n, reach = samples.shape[1], order // 2 - 1
-        inner = n - order + 1
+        reach, inner = order // 2 - 1, n - order + 1
         weights = interval_weights(order, reach)
         middle = sum(
             (float(w) * samples[:, j : j + inner] for j, w in enumerate(weights[1:], 1)),
             start=float(weights[0]) * samples[:, :inner],
         )
-        first = [samples[:, :order] @ interval_weights(order, i) for i in range(reach)]
-        end = n if unpadded is None else jnp.maximum(unpadded, order)
-        tail = jax.lax.dynamic_slice_in_dim(samples, end - order, order, axis=1)
-        behind = [tail @ interval_weights(order, order - 1 - reach + i) for i in range(reach)]
-        behind = jnp.stack(behind, 1)
-        higher = jnp.concatenate([jnp.stack(first, 1), middle, behind], axis=1)
-        higher = jax.lax.dynamic_update_slice_in_dim(higher, behind, end - 1 - reach, axis=1)
+        first, last = (
+            xp.stack([ends @ interval_weights(order, at) for at in places], 1)
+            for ends, places in (
+                (samples[:, :order], range(reach)),
+                (samples[:, n - order :], range(order - 1 - reach, order - 1)),
+            )
+        )
+        higher = xp.concatenate([first, middle, last], axis=1)
         if present is None:
             areas = higher
         else:  # where every sample of an interval's polynomial is present
-            absent = jnp.pad(jnp.cumsum(~present), (1, 0))
+            absent = xp.pad(xp.cumsum(~present), (1, 0))
             first = np.clip(np.arange(n - 1) - (order // 2 - 1), 0, n - order)
-            areas = jnp.where((absent[first + order] == absent[first])[None, :], higher, areas)
-    return jnp.pad(running_sum(areas), ((0, 0), (1, 0)))
+            areas = xp.where((absent[first + order] == absent[first])[None, :], higher, areas)
+    return xp.pad(running_sum(areas), ((0, 0), (1, 0)))
 
 
 @lru_cache
@@ -189,16 +164,6 @@ def interval_weights(order: int, interval: int) -> Float[np.ndarray, " order"]:
     powers = np.arange(order)
     integrals = (0.5 ** (powers + 1) - (-0.5) ** (powers + 1)) / (powers + 1)
     return np.linalg.solve(np.vander(nodes, increasing=True).T, integrals)
-
-
-def unpadded_mean(
-    values: Float[Array, "columns n"], unpadded: Int[Array, ""] | int | None
-) -> Float[Array, " columns"]:
-    """Mean of the first `unpadded` samples, of all by default."""
-    if unpadded is None or (isinstance(unpadded, int) and unpadded == values.shape[1]):
-        return jnp.mean(values, axis=1)
-    inside = jnp.arange(values.shape[1]) < unpadded
-    return jnp.sum(jnp.where(inside[None, :], values, 0.0), axis=1) / unpadded
 
 
 class Primitives(eqx.Module):
@@ -231,15 +196,18 @@ class Primitives(eqx.Module):
     def _at(
         self, position: Int[Array, " windows"] | Float[Array, " windows"]
     ) -> Float[Array, "columns windows"]:
-        if jnp.issubdtype(position.dtype, jnp.integer):
+        if np.issubdtype(position.dtype, np.integer):
             # A window's columns lie side by side then: one line of cache instead of one for each.
-            return self.values.T[position].T
+            return xp.take(self.values.T, position, axis=0).T
         # Between samples the integrand is the straight line s_i + x (s_i+1 - s_i), 0 <= x <= 1, so
         # its primitive is F_i + x (F_i+1 - F_i) - x (1 - x) / 2 (s_i+1 - s_i).
-        below = jnp.clip(position.astype(jnp.int32), 0, self.values.shape[1] - 2)
+        below = xp.clip(position.astype(np.int32), 0, self.values.shape[1] - 2)
         share = (position - below)[None, :]
-        left, right = self.values[:, below], self.values[:, below + 1]
-        return left + share * (right - left) - 0.5 * share * (1 - share) * self.bend[:, below]
+        left, right, bend = (
+            xp.take(each, at, axis=1)
+            for each, at in ((self.values, below), (self.values, below + 1), (self.bend, below))
+        )
+        return left + share * (right - left) - 0.5 * share * (1 - share) * bend
 
 
 class Runs(NamedTuple):
@@ -249,62 +217,64 @@ class Runs(NamedTuple):
     sample of the run it lies in; `stop`, where the last window of all starts.
     """
 
-    first: Int[Array, " n"]
-    last: Int[Array, " n"]
+    first: Int[Array, "*blocks n"]
+    last: Int[Array, "*blocks n"]
     stop: Int[Array, ""] | int
 
     @classmethod
     def of(
-        cls, valid: Bool[Array, " n"], first: Int[Array, ""] | int, count: Int[Array, ""] | int
+        cls, valid: Bool[Array, "*blocks n"], first: Int[Array, ""] | int, count: int
     ) -> "Runs":
         """Of a mask, and so many starts from the `first` on."""
-        at = jnp.arange(valid.shape[0])
-        gap_before = jax.lax.cummax(jnp.where(valid, -1, at))
-        gap_after = jax.lax.cummin(jnp.where(valid, at.size, at), reverse=True)
-        return cls(jnp.maximum(gap_before + 1, first), gap_after - 1, first + count - 1)
+        at = np.arange(valid.shape[-1])
+        gap_before = xp.running_max(xp.where(valid, -1, at))
+        gap_after = xp.running_min(xp.where(valid, at.size, at), reverse=True)
+        return cls(xp.maximum(gap_before + 1, first), gap_after - 1, first + count - 1)
 
 
 class Points(NamedTuple):
     """Weight of windows that start, have their middle (times k as well) or end at each sample."""
 
-    start: Float[Array, " n"]
-    middle: Float[Array, " n"]
-    middle_by_half: Float[Array, " n"]
-    end: Float[Array, " n"]
+    start: Float[Array, "*blocks n"]
+    middle: Float[Array, "*blocks n"]
+    middle_by_half: Float[Array, "*blocks n"]
+    end: Float[Array, "*blocks n"]
 
     @classmethod
     def of_bin(cls, bin_: LagBins, runs: Runs, pieces: int) -> "Points":
         """How many windows of a bin's lengths, `pieces` lags each, have their ends at each sample;
         without weights."""
-        at, shortest, longest = jnp.arange(runs.last.shape[0]), bin_.first, bin_.last
+        at, shortest, longest = np.arange(runs.last.shape[-1]), bin_.first, bin_.last
         first, last, stop = runs
 
         def counted(low: Leaf, high: Array) -> Array:
-            return jnp.maximum(high - low + 1, 0)
+            return xp.maximum(high - low + 1, 0)
 
         begins = (at >= first) & (at <= stop) & (at <= last)
-        start = counted(shortest, jnp.minimum(longest, (last - at) // pieces))
-        least = jnp.maximum(shortest, -(-(at - stop) // pieces))
-        end = counted(least, jnp.minimum(longest, (at - first) // pieces))
-        middle = by_half = jnp.zeros_like(end)
+        start = counted(shortest, xp.minimum(longest, (last - at) // pieces))
+        least = xp.maximum(shortest, -((stop - at) // pieces))
+        end = counted(least, xp.minimum(longest, (at - first) // pieces))
+        middle = by_half = np.zeros(1)
         if pieces == 2:
-            low = jnp.maximum(shortest, at - stop)
-            high = jnp.minimum(longest, jnp.minimum(at - first, last - at))
+            low = xp.maximum(shortest, at - stop)
+            high = xp.minimum(longest, xp.minimum(at - first, last - at))
             middle = counted(low, high)
             by_half = middle * (low + high) / 2
-        return cls(jnp.where(begins, start, 0), middle, by_half, jnp.where(at <= last, end, 0))
+        return cls(xp.where(begins, start, 0), middle, by_half, xp.where(at <= last, end, 0))
 
 
 class _Sums(NamedTuple):
-    """What a bin of lags adds to the moments.
+    """What a bin of lags adds to the moments of each block.
 
-    **Fields:** `inner`, the sum of phi that multiplies phi at each sample; `squares`, the weight of
-    phi phi^T at each sample; `number` of windows, in all or from each start.
+    **Fields:** `inner`, the sum of phi that multiplies phi at each start; `around`, that which
+    multiplies phi at each middle, of hats; `squares`, the weight of phi phi^T at each sample;
+    `number` of windows in each block.
     """
 
-    inner: Float[Array, "columns n"]
-    squares: Float[Array, " n"]
-    number: Float[Array, "*starts"]
+    inner: Float[Array, "blocks columns starts"]
+    around: Float[Array, "blocks columns n"]
+    squares: Float[Array, "#blocks n"]
+    number: Float[Array, " blocks"]
 
 
 Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
@@ -319,145 +289,140 @@ def moments_in_blocks(
     **Arguments:** `primitives`, whose differences are the rows; `lags` with two axes give moments
     for each of the first, along a leading axis; `reach`: no window is longer, in samples.
     """
-    values, present, size = primitives.values, primitives.present, blocks.size
-    if primitives.difference == 1 and present is None and isinstance(size, int) and reach <= size:
-        # Shorter blocks lose fewer digits. At four times the reach, the samples beyond a block,
-        # which two blocks work through, are still few.
-        parts = 1
-        while size % (2 * parts) == 0 and size // (2 * parts) >= 4 * reach:
-            parts *= 2
-        shorter = blocks._replace(size=size // parts, number=blocks.number * parts)
-        moments, number = unbroken_boxcar_moments(primitives, lags, shorter, reach)
-        apart = (*moments.shape[:-3], blocks.number, parts)
-        moments = moments.reshape(*apart, *moments.shape[-2:])
-        return jnp.sum(moments, axis=-3), jnp.sum(number.reshape(apart), axis=-1)
-    n = values.shape[1]
-    valid: Any = both(present, jnp.arange(n) < blocks.unpadded)
-    # Of a block of traced size no more is known than that it is shorter than the longest window.
-    width = min((size if isinstance(size, int) else reach) + reach, n)
+    # Shorter blocks lose fewer digits. At four times the reach, the samples beyond a block, which
+    # two blocks work through, are still few.
+    parts, size = 1, blocks.size
+    while size % (2 * parts) == 0 and size // (2 * parts) >= 4 * reach:
+        parts *= 2
+    blocks = blocks._replace(size=size // parts, number=blocks.number * parts)
+    phi, valid = _referred(primitives, blocks, reach)
+    order, broken = primitives.difference, primitives.present is not None or reach > blocks.size
 
-    def of_block(index: Int[Array, ""]) -> tuple[Array, Array]:
-        # The last slices would reach beyond the record: they begin earlier instead.
-        first = blocks.first + index * size
-        begin = jnp.clip(first, 0, n - width)
-        part = jax.lax.dynamic_slice_in_dim(values, begin, width, axis=1)
-        # With their polynomial put back, less what their differences do not see: the mean for first
-        # differences and the straight line of least squares for second ones.
-        place = jnp.arange(width) - (width - 1) / 2
-        order = primitives.difference
-        phi = part + primitives.mean[:, None] * (place**order / order)[None, :]
-        phi = phi - jnp.mean(phi, axis=1, keepdims=True)
-        if order > 1:
-            slope = (phi @ place) / jnp.maximum(jnp.sum(place**2), 1.0)
-            phi = phi - slope[:, None] * place[None, :]
-        there = jax.lax.dynamic_slice_in_dim(valid, begin, width)
-        runs = Runs.of(there, first - begin, size)
-        return each_bin(lambda law: window_moments(phi, runs, law, order), lags)
+    def of_law(law: LagBins) -> Moments:
+        if order == 1 and not broken:
+            return _unbroken_boxcars(phi, valid, blocks.size, law)
+        return _of_runs(phi, Runs.of(valid, 0, blocks.size), law, order)
 
-    moments, number = jax.lax.map(of_block, jnp.arange(blocks.number))
-    if lags.first.ndim == 1:
+    moments, number = each_bin(of_law, lags, beside=phi)
+    if parts == 1:
         return moments, number
-    return jnp.swapaxes(moments, 0, 1), jnp.swapaxes(number, 0, 1)
+    apart = (*number.shape[:-1], number.shape[-1] // parts, parts)
+    moments = moments.reshape(*apart, *moments.shape[-2:])
+    return moments.sum(axis=-3), number.reshape(apart).sum(axis=-1)
 
 
-def unbroken_boxcar_moments(
-    primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: int
-) -> Moments:
-    """Moments of all boxcar rows, for blocks of starts, where no sample is missing.
-
-    All blocks go side by side, and every sum is a running sum, shifted by one offset for all
-    samples, in place of one looked up at limits that differ. M is symmetric, so half of it is
-    formed: M = Z + Z^T with Z = sum_u phi[u] ((s[u] + e[u]) / 2 phi[u] - c[u])^T, one product over
-    the block's starts, and one over the samples beyond it, where s and c are zero. `reach` is at
-    most the blocks' size.
-    """
-    phi, running = _side_by_side(primitives, blocks, reach)
-    block = blocks.size
-    assert isinstance(block, int)
-    start, end = jnp.arange(block), jnp.arange(block + reach)
-    left = blocks.unpadded - blocks.first - block * jnp.arange(blocks.number)[:, None]
-
-    def bin_sums(bin_: LagBins) -> _Sums:
-        def shifted(by: Leaf) -> Array:
-            return jax.lax.dynamic_slice_in_dim(running, by, block, axis=2)
-
-        lag_count = bin_.last - bin_.first + 1
-        number = jnp.clip(left - start[None, :] - bin_.first, 0, lag_count)
-        inner = shifted(bin_.last + 1) - shifted(bin_.first)
-        earliest = jnp.maximum(end - bin_.last, 0)
-        ending = jnp.maximum(jnp.minimum(end - bin_.first, block - 1) - earliest + 1, 0)
-        return _Sums(inner, ending, number)
-
-    own, beyond = phi[:, :, :block], phi[:, :, block:]
-
-    def law_moments(law: LagBins) -> Moments:
-        total = sum_over_bins(law, bin_sums)
-        weight = 0.5 * (total.number + total.squares[None, :block])
-        half = products_of_blocks(own, weight[None] * own - total.inner)
-        half = half + products_of_blocks(beyond, 0.5 * total.squares[None, None, block:] * beyond)
-        return half + jnp.swapaxes(half, 1, 2), jnp.sum(total.number, axis=1)
-
-    return each_bin(law_moments, lags)
-
-
-def _side_by_side(
+def _referred(
     primitives: Primitives, blocks: StartBlocks, reach: int
-) -> tuple[Float[Array, "columns blocks reached"], Float[Array, "columns blocks 1+reached"]]:
-    """phi of each block and of what its windows reach beyond it, and the running sum S of that.
+) -> tuple[Float[Array, "blocks columns n"], Bool[Array, "blocks n"]]:
+    """phi of each block and of what its windows reach beyond it, zero beyond the record, and where
+    it is valid.
 
-    phi is referred to the block's mean and zero beyond the record. What lies beyond a block is the
-    beginning of the next one, which has another reference: phi there differs by the constant
-    `step`, and S by `step` times the number of samples added up.
+    The polynomial is put back, less what differences do not see: the mean for first differences
+    and the straight line of least squares for second ones.
     """
-    values, mean, block, count = primitives.values, primitives.mean, blocks.size, blocks.number
-    assert isinstance(block, int)
-    parts = blocks.cut(values, count + 1)
-    valid = jnp.clip(blocks.unpadded - blocks.first - block * jnp.arange(count + 1), 0, block)
-    inside = (jnp.arange(block)[None, :] < valid[:, None])[None]
-    place = jnp.arange(block) - (block - 1) / 2
-    parts = jnp.where(inside, parts + mean[:, None, None] * place[None, None, :], 0.0)
-    reference = jnp.sum(parts, axis=2) / jnp.maximum(valid, 1)[None, :]
-    parts = jnp.where(inside, parts - reference[:, :, None], 0.0)
-    running = running_sum(parts.reshape(-1, block)).reshape(parts.shape)
-    total = running[:, :-1, -1:]
-    step = (jnp.diff(reference, axis=1) + block * mean[:, None])[:, :, None]
-    further = jnp.where(inside[:, 1:, :reach], parts[:, 1:, :reach] + step, 0.0)
-    added = jnp.minimum(jnp.arange(1, reach + 1)[None, :], valid[1:, None])
-    beyond = total + running[:, 1:, :reach] + step * added[None]
-    running = jnp.concatenate([jnp.zeros_like(total), running[:, :-1], beyond], axis=2)
-    return jnp.concatenate([parts[:, :-1], further], axis=2), running
+    values, order = primitives.values, primitives.difference
+    n, width = values.shape[1], blocks.size + reach
+    place = np.arange(width) - (width - 1) / 2
+    left = n - blocks.first - blocks.size * np.arange(blocks.number)
+    inside = np.arange(width) < left[:, None]
+    place, inside = place.astype(values.dtype), inside[:, None, :]
+    phi = blocks.cut(values, width) + primitives.mean[:, None] * (place**order / order)
+    count = xp.maximum(inside.sum(axis=-1, keepdims=True), 1)
+
+    def mean(of: Array) -> Array:
+        return xp.where(inside, of, 0.0).sum(axis=-1, keepdims=True) / count
+
+    phi = phi - mean(phi)
+    if order > 1:
+        along = place - mean(place)
+        steep = mean(along**2)
+        phi = phi - mean(phi * along) / xp.where(steep > 0, steep, 1.0) * along
+    valid = inside[:, 0]
+    if primitives.present is not None:
+        valid = valid & blocks.cut(primitives.present[None], width)[:, 0]
+    return xp.where(inside, phi, 0.0), valid
 
 
-def window_moments(
-    phi: Float[Array, "columns n"], runs: Runs, bins: LagBins, difference: int
-) -> tuple[Float[Array, "columns columns"], Float[Array, ""]]:
-    """Sum of the outer products of all rows, and their number: of boxcars (a first difference of
-    phi) or hats (a second one)."""
-    at = jnp.arange(phi.shape[1])
+def _moments(
+    phi: Array, starts: int, inner: Array, around: Array | None, squares: Array
+) -> Float[Array, "blocks columns columns"]:
+    """M = Z + Z^T with Z = sum_u phi[u] (squares[u] / 2 phi[u] + inner[u] + around[u])^T: M is
+    symmetric, so that half of it is formed."""
+    half = 0.5 * squares[..., None, :]
+    own, beyond = phi[..., :starts], phi[..., starts:]
+    z = xp.products(own, half[..., :starts] * own + inner)
+    z = z + xp.products(beyond, half[..., starts:] * beyond)
+    if around is not None:
+        z = z + xp.products(phi, around)
+    return z + xp.swapaxes(z, -1, -2)
+
+
+def _unbroken_boxcars(
+    phi: Float[Array, "blocks columns n"], valid: Bool[Array, "blocks n"], size: int, law: LagBins
+) -> Moments:
+    """Moments of all boxcar rows where no sample is missing: every sum is a running sum, shifted by
+    one offset for all samples, in place of one looked up at limits that differ."""
+    running = xp.pad(running_sum(phi), ((0, 0), (0, 0), (1, 0)))
+    start, end = np.arange(size), np.arange(phi.shape[-1])
+    left = valid.sum(axis=-1)[:, None]
+
+    def of_bin(bin_: LagBins) -> _Sums:
+        number = xp.clip(left - start - bin_.first, 0, bin_.last - bin_.first + 1)
+        inner = xp.cut(running, bin_.first, size) - xp.cut(running, bin_.last + 1, size)
+        latest = xp.minimum(end - bin_.first, size - 1)
+        ending = xp.maximum(latest - xp.maximum(end - bin_.last, 0) + 1, 0)
+        starting = xp.pad(number, ((0, 0), (0, end.size - size)))
+        squares = (starting + ending).astype(phi.dtype)
+        return _Sums(inner, np.zeros(1), squares, number.sum(axis=-1).astype(phi.dtype))
+
+    total = sum_over_bins(law, of_bin, beside=phi)
+    return _moments(phi, size, total.inner, None, total.squares), total.number
+
+
+def _of_runs(
+    phi: Float[Array, "blocks columns n"], runs: Runs, law: LagBins, difference: int
+) -> Moments:
+    """Moments of all boxcars (a first difference of phi) or hats (a second one) within runs of
+    valid samples."""
+    size, at = int(runs.stop) + 1, np.arange(phi.shape[-1])
+    once = xp.pad(running_sum(phi), ((0, 0), (0, 0), (1, 0)))
+    twice = once
+    if difference == 2:  # S[i] = phi[i - 2] + phi[i - 4] + ...
+        pairs = xp.pad(phi, ((0, 0), (0, 0), (2, -at.size % 2)))
+        twice = xp.cumsum(pairs.reshape(*phi.shape[:2], -1, 2), axis=2)
+        twice = twice.reshape(*phi.shape[:2], -1)[..., : at.size + 2]
+
+    def between(running: Array, low: Array, high: Array, stride: int) -> Array:
+        """Sum of phi at `low`, `low + stride`, ... `high`; zero where `high` lies before."""
+        end = running.shape[-1] - 1
+        low = xp.clip(low, 0, end)
+        high = xp.clip(xp.maximum(high + stride, low), 0, end)
+        low, high = (xp.broadcast_to(i, (phi.shape[0], low.shape[-1])) for i in (low, high))
+        first, last = (xp.take_along_axis(running, i[:, None], axis=-1) for i in (low, high))
+        return last - first
 
     def of_bin(bin_: LagBins) -> _Sums:
         shortest, longest = bin_.first, bin_.last
         points = Points.of_bin(bin_, runs, difference)
-
-        def beyond(count: Array, low: Leaf, high: Array, stride: int = 1) -> Array:
-            sums = sum_between(phi, at + stride * low, at + stride * high, stride)
-            return jnp.where((count > 0)[None, :], sums, 0.0)
-
         # From the start t: k up to the longest, with the end inside the run.
-        most = jnp.minimum(longest, (runs.last - at) // difference)
-        inner = -beyond(points.start, shortest, most)
+        start, last = at[:size], runs.last[:, :size]
+        most = xp.minimum(longest, (last - start) // difference)
+        there = (points.start[:, :size] > 0)[:, None]
+        inner, around = -between(once, start + shortest, start + most, 1), np.zeros(1)
         if difference == 2:
+            low, high = (start + 2 * k for k in (shortest, most))
+            inner = between(twice, low, high, 2) + 2 * inner
             # From the middle u: the start u - k and the end u + k in the run, the start in the
             # range.
-            low = jnp.maximum(shortest, at - runs.stop)
-            high = jnp.minimum(longest, jnp.minimum(runs.last - at, at - runs.first))
-            ends = beyond(points.start, shortest, most, stride=2)
-            inner = ends + 2 * (inner - beyond(points.middle, low, high))
+            low = xp.maximum(shortest, at - runs.stop)
+            high = xp.minimum(longest, xp.minimum(runs.last - at, at - runs.first))
+            around = -2 * between(once, at + low, at + high, 1)
+            around = xp.where((points.middle > 0)[:, None], around, 0.0)
         squares = points.start + 4 * points.middle + points.end
         # Windows are counted in real numbers: a long record's are more than 32-bit integers hold.
-        number = jnp.sum(points.start, dtype=phi.dtype)
-        return _Sums(inner, squares.astype(phi.dtype), number)
+        number = points.start.astype(phi.dtype).sum(axis=-1)
+        return _Sums(xp.where(there, inner, 0.0), around, squares.astype(phi.dtype), number)
 
-    total = sum_over_bins(bins, of_bin)
-    cross = phi @ total.inner.T
-    return (phi * total.squares[None, :]) @ phi.T + cross + cross.T, total.number
+    total = sum_over_bins(law, of_bin, beside=phi)
+    around = total.around if difference == 2 else None
+    return _moments(phi, size, total.inner, around, total.squares), total.number

@@ -16,16 +16,15 @@ from typing import ClassVar, Self
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from riecjax import arrays as xp
 from riecjax.criteria.noise_moments import noise_moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import (
     AbstractWindows,
     AllWindows,
-    Count,
     LagBins,
     RandomWindows,
     StartBlocks,
@@ -74,14 +73,14 @@ class Rows(eqx.Module):
         own = dict(zip(self.parameters, self.columns[1:]))
         given = [known[name] * column for name, column in own.items() if name in known]
         unknown = {name: column for name, column in own.items() if name not in known}
-        columns = jnp.stack([self.target - sum(given), *unknown.values()])
+        columns = xp.stack([self.target - sum(given), *unknown.values()])
         return Rows(columns, self.position, tuple(unknown), self.valid)
 
     def count(self) -> Float[Array, ""]:
         """Number of valid rows."""
         if self.valid is None:
-            return jnp.asarray(self.columns.shape[1], self.columns.dtype)
-        return jnp.sum(self.valid, dtype=self.columns.dtype)
+            return np.asarray(self.columns.shape[1], self.columns.dtype)
+        return self.valid.sum(dtype=self.columns.dtype)
 
 
 class AbstractCriterion(eqx.Module):
@@ -147,13 +146,11 @@ class AbstractCriterion(eqx.Module):
             return self.windows.count
         if not is_concrete(self.windows, record.time_step):
             return None
-        # Inside a jitted function, JAX would trace arithmetic on known numbers too.
-        with jax.ensure_compile_time_eval():
-            # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
-            # n - k starts; a bin's lags have n - k on average at its middle.
-            first, last, weight = (np.asarray(leaf, float) for leaf in self.law(record))
-            starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
-            return float(np.sum(weight * (last - first + 1) * starts))
+        # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
+        # n - k starts; a bin's lags have n - k on average at its middle.
+        first, last, weight = (np.asarray(leaf, float) for leaf in self.law(record))
+        starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
+        return float(np.sum(weight * (last - first + 1) * starts))
 
     def between(self, alpha: float | Array, beta: float | Array) -> Self:
         """The same with windows of other lengths.
@@ -178,29 +175,24 @@ class AbstractCriterion(eqx.Module):
             return self
         return dataclasses.replace(self, windows=self.windows.fitted(records))
 
-    def draw(
-        self, record: Record, key: Key[Array, ""] | None, unpadded: Count | None = None
-    ) -> WindowSet:
+    def draw(self, record: Record, key: Key[Array, ""] | None) -> WindowSet:
         """Where rows are taken: each sample as a window, or the windows of a key; of all windows,
-        without one, a fixed random sample.
-
-        `unpadded`: samples before any padding of the record, all by default.
-        """
+        without one, a fixed random sample."""
         if self.windows is None:
-            at = jnp.arange(record.sample_count)
+            at = np.arange(record.sample_count)
             return WindowSet(at, at)
         return self.windows.drawn.draw(
             jax.random.key(0) if key is None else key,
-            record.sample_count if unpadded is None else unpadded,
+            record.sample_count,
             record.time_step,
             self.test_function.length_multiple,
         )
 
-    def rows_of(self, columns: Columns, drawn: WindowSet, unpadded: Count | None = None) -> Rows:
+    def rows_of(self, columns: Columns, drawn: WindowSet) -> Rows:
         """One row of these columns for each window."""
-        values, valid = self.test_function.integrals(columns, drawn, unpadded)
+        values, valid = self.test_function.integrals(columns, drawn)
         if valid is not None:
-            values = jnp.where(valid[None, :], values, 0.0)
+            values = xp.where(valid[None, :], values, 0.0)
         return Rows(values, drawn.start, columns.parameters, valid)
 
     def rows(self, equation: Equation, record: Record, key: Key[Array, ""] | None = None) -> Rows:

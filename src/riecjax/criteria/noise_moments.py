@@ -30,16 +30,14 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax import arrays as xp
 from riecjax.criteria.all_windows import Points, Runs, interval_weights
 from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet, each_bin, sum_over_bins
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
-from riecjax.records.signal import both
 
 NoiseWeights = Float[Array, "orders orders n"]
 """W_kl at every sample, for derivatives k and l that a test function takes off."""
@@ -47,9 +45,9 @@ NoiseWeights = Float[Array, "orders orders n"]
 
 def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, pieces: int) -> Points:
     """Where all windows of a law that start in some blocks have their ends, `pieces` lags long."""
-    valid: Any = both(columns.present, jnp.arange(columns.sample_count) < blocks.unpadded)
+    valid = np.ones(columns.sample_count, bool) if columns.present is None else columns.present
     runs = Runs.of(valid, blocks.first, blocks.size * blocks.number)
-    return sum_over_bins(lags, lambda bin_: Points.of_bin(bin_, runs, pieces))
+    return sum_over_bins(lags, lambda bin_: Points.of_bin(bin_, runs, pieces), beside=runs)
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:
@@ -57,7 +55,7 @@ def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWe
     start, end = points.start, points.end
     inside = _covered(start, end) + _at_ends(start, end, _end_squares(quadrature))
     mixed = 0.5 * step * (end - start)
-    return jnp.array([[step**2 * inside, mixed], [mixed, start + end]])
+    return xp.stack([xp.stack([step**2 * inside, mixed]), xp.stack([mixed, start + end])])
 
 
 def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:
@@ -79,7 +77,7 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
     twice = {j - first: float(p) for j, p in enumerate(np.asarray(quotient))}
     ends = {j: (max(j, 0) + twice.get(j, 0.0), once[j]) for j in once}
     triangle = _square_ramp(start) - 4 * _ramp(by_half) - _square_ramp(end)
-    ramp = 2 * (jnp.cumsum(by_half) - 0.5 * by_half) - _ramp(start) + _ramp(end)
+    ramp = 2 * (xp.cumsum(by_half) - 0.5 * by_half) - _ramp(start) + _ramp(end)
     flat = _covered(start, end) - middle
     triangle = triangle + _at_ends(
         start, end, {j: w**2 - max(j, 0) ** 2 for j, (w, _) in ends.items()}
@@ -95,41 +93,40 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
         flat = flat + (turn**2 - abs(sign)) * own
     knots = twice[0] * (start + end + 4 * middle) - 2 * by_half
     turn = 0.5 * step * (end - start)
-    return jnp.array(
-        [
-            [step**4 * triangle, step**3 * ramp, step**2 * knots],
-            [step**3 * ramp, step**2 * flat, turn],
-            [step**2 * knots, turn, start + 4 * middle + end],
-        ]
+    rows = (
+        (step**4 * triangle, step**3 * ramp, step**2 * knots),
+        (step**3 * ramp, step**2 * flat, turn),
+        (step**2 * knots, turn, start + 4 * middle + end),
     )
+    return xp.stack([xp.stack(row) for row in rows])
 
 
 def _covered(start: Array, end: Array) -> Array:
     """Windows whose first and last sample a sample lies between, these included."""
-    return jnp.cumsum(start) - jnp.cumsum(end) + end
+    return xp.cumsum(start) - xp.cumsum(end) + end
 
 
 def _ramp(points: Array) -> Array:
     """Sum of points[u] (v - u) over u < v."""
-    return _shifted(jnp.cumsum(jnp.cumsum(points)), 1)
+    return _shifted(xp.cumsum(xp.cumsum(points)), 1)
 
 
 def _square_ramp(points: Array) -> Array:
     """Sum of points[u] (v - u)^2 over u < v: (v - u)^2 is twice C(v - u + 1, 2) less v - u."""
-    return 2 * _shifted(jnp.cumsum(jnp.cumsum(jnp.cumsum(points))), 1) - _ramp(points)
+    return 2 * _shifted(xp.cumsum(xp.cumsum(xp.cumsum(points))), 1) - _ramp(points)
 
 
 def _shifted(values: Array, by: int) -> Array:
     """values[u - by], zero beyond the ends."""
     n = values.shape[0]
-    return jnp.pad(values, (max(by, 0), max(-by, 0)))[max(-by, 0) : max(-by, 0) + n]
+    return xp.pad(values, (max(by, 0), max(-by, 0)))[max(-by, 0) : max(-by, 0) + n]
 
 
 def _at_ends(start: Array, end: Array, weights: dict[int, float]) -> Array:
     """What ends of windows add at j samples inwards."""
     return sum(
         (w * (_shifted(start, j) + _shifted(end, -j)) for j, w in weights.items()),
-        start=jnp.zeros_like(start),
+        start=xp.zeros_like(start),
     )
 
 
@@ -152,21 +149,26 @@ def noise_weights_of_lengths(
     of_length: Callable[[LagBins], tuple[Float[Array, " n"], Float[Array, "orders n"]]],
     lengths: LagBins,
     orders: int,
+    *,
+    beside: Any,
 ) -> NoiseWeights:
     """W_kl[u] = sum over lengths and t of starts[t] w_k[u - t] w_l[u - t], by Fourier transform.
 
     **Arguments:** `of_length`, how many windows of a length start at each sample, and the weights
-    w_k inside of them; `lengths`, bins of one each; so many `orders` k.
+    w_k inside of them; `lengths`, bins of one each; so many `orders` k; `beside`, what `of_length`
+    closes over.
     """
     one, other = np.triu_indices(orders)
 
     def products(length: LagBins) -> Array:
         at, inside = of_length(length)
-        spectrum = jnp.fft.rfft(inside[one] * inside[other], 2 * at.size, axis=-1)
-        return jnp.fft.rfft(at, 2 * at.size)[None] * spectrum
+        # Twice as many samples, half of them zero, keep the ends from wrapping around.
+        size = xp.fft_size(2 * at.size)
+        spectrum = xp.fft.rfft(inside[one] * inside[other], size, axis=-1)
+        spectrum = xp.fft.rfft(at, size)[None] * spectrum
+        return xp.fft.irfft(spectrum, size, axis=-1)[:, : at.size]
 
-    found = jnp.fft.irfft(sum_over_bins(lengths, products), axis=-1)
-    found = found[:, : found.shape[1] // 2]
+    found = sum_over_bins(lengths, products, beside=beside)
     place = np.zeros((orders, orders), int)
     place[one, other] = place[other, one] = np.arange(one.size)
     return found[place]
@@ -218,36 +220,38 @@ def noise_moments(
 
     added = None
     if squares:
-        is_law = isinstance(windows, LagBins)
-        added = each_bin(in_closed_form, windows) if is_law else in_closed_form(windows)
+        if isinstance(windows, LagBins):
+            added = each_bin(in_closed_form, windows, beside=(columns, squares))
+        else:
+            added = in_closed_form(windows)
     if added is None:
-        unit = jnp.ones(1)
+        unit = np.ones(1)
         added = [times * _probed([(m, unit)], columns, products) for times, m in squares]
     found = dict(zip(noisy.white, added))
-    curved = sum(added[len(found) :], start=jnp.zeros(()))
+    curved = sum(added[len(found) :], start=np.zeros(()))
     # Kernels of the signals' coloured noise, which has unit size in each.
     coloured: dict[str, list[tuple[Movement, Array]]] = {}
     for name, movement in sorted(noisy.coloured.items()):
         own = {
             s: t for s, t in noise.kernels[name].items() if not is_white(noise, s, noisy.coloured)
         }
-        size = jnp.sqrt(sum(jnp.sum(jnp.asarray(t) ** 2) for t in own.values()))
+        size = xp.sqrt(sum(xp.square(t).sum() for t in own.values()))
         for source, taps in own.items():
-            unit = jnp.asarray(taps) / jnp.where(size > 0, size, 1.0)
+            unit = taps / xp.where(size > 0, size, 1.0)
             coloured.setdefault(source, []).append((movement, unit))
     for source, parts in sorted(coloured.items()):
         found[source] = _probed(parts, columns, products)
-    nothing = jnp.zeros_like(next(iter(found.values())))
-    of_source = [jnp.sum(found.get(source, nothing), axis=-3) for source in noise.sources]
-    return sum(found.values(), start=curved), jnp.stack(of_source, axis=-3)
+    nothing = xp.zeros_like(next(iter(found.values())))
+    of_source = [found.get(source, nothing).sum(axis=-3) for source in noise.sources]
+    return sum(found.values(), start=curved), xp.stack(of_source, axis=-3)
 
 
 def _weighted(
     movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
 ) -> Float[Array, "blocks columns columns"]:
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
-    n, total = weights.shape[-1], jnp.zeros((blocks.number, size, size), weights.dtype)
-    unit = jnp.ones((1, n), weights.dtype)
+    n, total = weights.shape[-1], np.zeros((blocks.number, size, size), weights.dtype)
+    unit = np.ones((1, n), weights.dtype)
     for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
         rows, columns = np.array(movement.rows[k]), np.array(movement.rows[m])
         weight = weights[k, m][None]
@@ -256,9 +260,11 @@ def _weighted(
             part = blocks.products(weight, unit) * (left @ right.T)[None]
         else:
             part = blocks.products(weight * left, right * unit)
-        total = total.at[:, rows[:, None], columns[None, :]].add(part)
+        one, other = rows[:, None], columns[None, :]
+        total = xp.with_added(total, (slice(None), one, other), part)
         if k != m:
-            total = total.at[:, columns[:, None], rows[None, :]].add(jnp.swapaxes(part, 1, 2))
+            turned = xp.swapaxes(part, 1, 2)
+            total = xp.with_added(total, (slice(None), other.T, one.T), turned)
     return total
 
 
@@ -274,15 +280,15 @@ def _probed(
     n, reach = like.sample_count, max(taps.shape[-1] // 2 for _, taps in parts)
 
     def once(signs: Array) -> Array:
-        values = jnp.zeros_like(like.values)
+        values = xp.zeros_like(like.values)
         for movement, taps in parts:
             # White noise, which begins `reach` samples earlier, through the kernel.
-            size = signs.shape[0] + taps.shape[-1]
-            white = jnp.fft.rfft(signs.astype(values.dtype), size)
+            size = xp.fft_size(signs.shape[0] + taps.shape[-1])
+            white = xp.fft.rfft(signs.astype(values.dtype), size)
             first = reach + taps.shape[-1] // 2
-            noise = jnp.fft.irfft(white * jnp.fft.rfft(taps, size), size)[first : first + n]
+            noise = xp.fft.irfft(white * xp.fft.rfft(taps, size), size)[first : first + n]
             values = values + movement.times(noise, like)
         return products(eqx.tree_at(lambda columns: columns.values, like, values))
 
     place = np.arange(n + 2 * reach) % SIGNS.shape[1]
-    return jnp.mean(jax.lax.map(once, jnp.asarray(SIGNS[:, place])), axis=0)
+    return xp.each(once, SIGNS[:, place], beside=(parts, like)).mean(axis=0)

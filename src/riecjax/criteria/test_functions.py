@@ -28,11 +28,11 @@ from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.special
 from jaxtyping import Array, Bool, Float, Int
 
+from riecjax import arrays as xp
 from riecjax.criteria.all_windows import (
     ORDERS,
     Moments,
@@ -40,7 +40,6 @@ from riecjax.criteria.all_windows import (
     Primitives,
     moments_in_blocks,
     running_integral,
-    unpadded_mean,
 )
 from riecjax.criteria.noise_moments import (
     NoiseWeights,
@@ -51,7 +50,6 @@ from riecjax.criteria.noise_moments import (
 )
 from riecjax.criteria.windows import (
     AllWindows,
-    Count,
     LagBins,
     StartBlocks,
     WindowSet,
@@ -141,13 +139,8 @@ class AbstractTestFunction(eqx.Module):
         """Edges in seconds of bins of lengths whose sums it asks to be kept apart, if any."""
         return None
 
-    def integrals(
-        self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
-    ) -> Integrals:
-        """Integral of every column over every window.
-
-        `unpadded`: samples before any padding of the columns, all by default.
-        """
+    def integrals(self, columns: Columns, windows: WindowSet) -> Integrals:
+        """Integral of every column over every window."""
         raise NotImplementedError
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
@@ -217,14 +210,10 @@ class Dirac(AbstractTestFunction):
     smoothness: ClassVar[int] = 0
     row_seconds: ClassVar[int] = 0  # the pulse is per second, which the integral takes back
 
-    def integrals(
-        self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
-    ) -> Integrals:
-        """Every column at the start of every window, where the sample is not padding."""
-        valid: Any = valid_windows(windows, columns.present)
-        if unpadded is not None:
-            valid = both(valid, windows.start < unpadded)
-        return columns.values[0][:, windows.start], valid
+    def integrals(self, columns: Columns, windows: WindowSet) -> Integrals:
+        """Every column at the start of every window."""
+        valid = valid_windows(windows, columns.present)
+        return xp.take(columns.values[0], windows.start, axis=1), valid
 
 
 class _Differences(AbstractTestFunction):
@@ -270,7 +259,7 @@ class _Differences(AbstractTestFunction):
         """Samples beside a window that its integrals may look at."""
         return self.quadrature
 
-    def primitives(self, columns: Columns, unpadded: Count | None = None) -> Primitives:
+    def primitives(self, columns: Columns) -> Primitives:
         """Primitives of the target (first row) and of every named coefficient's column.
 
         A column is sum_k d^k/dt^k values[k], so that its s-fold integral is the sum over k of the
@@ -278,37 +267,35 @@ class _Differences(AbstractTestFunction):
         """
         s, step, present = self.smoothness, columns.time_step, columns.present
         values = columns.values[0]
-        mean, bend = jnp.zeros_like(values[:, 0]), jnp.zeros_like(values[:, 1:])
+        mean, bend = xp.zeros_like(values[:, 0]), xp.zeros_like(values[:, 1:])
         for integrated in range(1, s + 1):
             values = values * step
-            average = unpadded_mean(values, unpadded)
+            average = xp.mean(values, axis=1)
             # A later mean is integrated s - 1 times at most: the s-th difference of that vanishes.
             mean = average * step ** (s - 1) if integrated == 1 else mean
-            bend = jnp.diff(values, axis=1)
-            values = running_integral(values - average[:, None], self.quadrature, present, unpadded)
+            bend = xp.diff(values, axis=1)
+            values = running_integral(values - average[:, None], self.quadrature, present)
             values = values + columns.values[integrated]
         return Primitives(values, mean, bend, present, s)
 
-    def integrals(
-        self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
-    ) -> Integrals:
+    def integrals(self, columns: Columns, windows: WindowSet) -> Integrals:
         """Integral of every column over every window.
 
         **Raises:** `ModelError` for windows that start between samples, unless the test function
         is the boxcar with trapezoidal quadrature.
         """
-        on_samples = jnp.issubdtype(windows.start.dtype, jnp.integer)
+        on_samples = np.issubdtype(windows.start.dtype, np.integer)
         if not on_samples and (self.smoothness > 1 or self.quadrature > 2):
             raise ModelError(
                 "windows between samples go with the boxcar and quadrature of order 2; draw them "
                 "on samples (between_samples=False)."
             )
-        values = self.primitives(columns, unpadded).differences(*windows)
+        values = self.primitives(columns).differences(*windows)
         return values, valid_windows(windows, columns.present)
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts."""
-        primitives = self.primitives(columns, blocks.unpadded)
+        primitives = self.primitives(columns)
         return moments_in_blocks(primitives, lags, blocks, reach=reach)
 
     def noise_weights(
@@ -316,20 +303,20 @@ class _Differences(AbstractTestFunction):
     ) -> NoiseWeights | None:
         """In closed form for windows on samples, but for hats in 32-bit: running sums of squares
         are cubes of a chunk's length, beside which those of a window have no digit left."""
-        if self.smoothness == 2 and columns.values.dtype == jnp.float32:
+        if self.smoothness == 2 and columns.values.dtype == np.float32:
             return None
         if isinstance(windows, LagBins):
             points = points_of_windows(columns, windows, blocks, self.smoothness)
-        elif not jnp.issubdtype(windows.start.dtype, jnp.integer):
+        elif not np.issubdtype(windows.start.dtype, np.integer):
             return None
         else:
             whole = valid_windows(windows, columns.present)
-            one = jnp.ones(windows.start.shape) if whole is None else whole.astype(float)
+            one = np.ones(windows.start.shape) if whole is None else whole.astype(float)
             half = (windows.stop - windows.start) // 2
             places = windows.start, windows.start + half, windows.start + half, windows.stop
-            nothing = jnp.zeros(columns.sample_count, one.dtype)
+            nothing = np.zeros(columns.sample_count, one.dtype)
             each = zip(places, (one, one, half * one, one))
-            points = Points(*(nothing.at[place].add(weight) for place, weight in each))
+            points = Points(*(xp.with_added(nothing, place, weight) for place, weight in each))
         weights = boxcar_noise_weights if self.smoothness == 1 else hat_noise_weights
         return weights(points, self.quadrature, columns.time_step)
 
@@ -373,10 +360,10 @@ def valid_windows(
     """Which windows hold no missing sample; `None` where nothing is missing."""
     if present is None:
         return None
-    absent = jnp.pad(jnp.cumsum(~present), (1, 0))
-    first = jnp.floor(windows.start).astype(jnp.int32)
-    last = jnp.ceil(windows.stop).astype(jnp.int32)
-    return absent[last + 1] == absent[first]
+    absent = xp.pad(xp.cumsum(~present), (1, 0))
+    first = xp.floor(windows.start).astype(np.int32)
+    last = xp.ceil(windows.stop).astype(np.int32)
+    return xp.take(absent, last + 1) == xp.take(absent, first)
 
 
 # Smooth test functions, integrated by fast Fourier transform.
@@ -458,7 +445,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         nodes, weights = _nodes()
         found = np.zeros((frequency.size, length.size))
         for place, seconds in enumerate(length):
-            phi = weights * np.asarray(self.weight(jnp.asarray(nodes), jnp.asarray(seconds)))
+            phi = weights * self.derivatives(nodes, seconds, 0)[0]
             z = np.pi * frequency * seconds
             seen = z < NODES
             phase = np.outer(z[seen], nodes)
@@ -466,25 +453,25 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             found[seen, place] = 0.5 * seconds * size
         return found
 
-    def integrals(
-        self, columns: Columns, windows: WindowSet, unpadded: Count | None = None
-    ) -> Integrals:
+    def integrals(self, columns: Columns, windows: WindowSet) -> Integrals:
         """Integral of every column of the equation over every window.
 
         **Raises:** `ModelError` for windows that start between samples.
         """
-        if not jnp.issubdtype(windows.start.dtype, jnp.integer):
+        if not np.issubdtype(windows.start.dtype, np.integer):
             raise ModelError(f"{self.name}s need windows on samples (between_samples=False).")
-        everywhere = self._at_every_start(columns, unpadded)
-        count = columns.sample_count if unpadded is None else unpadded
-        windows, lengths = self.rounded(windows, count)
+        everywhere = self._at_every_start(columns)
+        windows, lengths = self.rounded(windows, columns.sample_count)
 
-        def of_length(total: Array, length: Array) -> tuple[Array, None]:
+        def of_length(length: Array) -> Array:
             mine = (windows.stop - windows.start == length)[None, :]
-            return jnp.where(mine, everywhere(length)[:, windows.start], total), None
+            return xp.where(mine, xp.take(everywhere(length), windows.start, axis=1), 0.0)
 
-        empty = jnp.zeros((columns.values.shape[1], windows.start.shape[0]), columns.values.dtype)
-        total, _ = jax.lax.scan(of_length, empty, lengths)
+        beside = (columns, windows)
+        each = LagBins(lengths, lengths, np.ones(self.lengths, columns.values.dtype))
+        # A length that is there twice counts once.
+        each = each._replace(last=xp.where(_again(lengths), lengths - 1, lengths))
+        total = sum_over_bins(each, lambda bin_: of_length(bin_.first), beside=beside)
         return total, valid_windows(windows, columns.present)
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
@@ -493,20 +480,23 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         lengths = self._lengths(bins.first[0], bins.last[-1])
         length = lengths[:, None]
         inside = (bins.first[None, :] <= length) & (length <= bins.last[None, :])
-        weights = jnp.sum(jnp.where(inside, bins.weight[None, :], 0.0), axis=1)
-        return LagBins(lengths, lengths, weights / jnp.mean(weights))
+        weights = xp.where(inside, bins.weight[None, :], 0.0).sum(axis=1)
+        return LagBins(lengths, lengths, weights / weights.mean())
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
-        everywhere = self._at_every_start(columns, blocks.unpadded)
+        everywhere = self._at_every_start(columns)
 
         def of_length(bin_: LagBins) -> Moments:
             valid = self._whole(columns, bin_.first, blocks)[None, :]
-            rows = jnp.where(valid, everywhere(bin_.first), 0.0)
+            rows = xp.where(valid, everywhere(bin_.first), 0.0)
             there = valid.astype(rows.dtype)
             return blocks.products(rows, rows), blocks.products(there, there)[:, 0, 0]
 
-        return each_bin(lambda law: sum_over_bins(law, of_length), lags)
+        def of_law(law: LagBins) -> Moments:
+            return sum_over_bins(law, of_length, beside=columns)
+
+        return each_bin(of_law, lags, beside=columns)
 
     def noise_weights(
         self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
@@ -519,80 +509,100 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             at = self._whole(columns, bin_.first, blocks).astype(columns.values.dtype)
             return at, self._weights(bin_.first, columns)
 
-        return noise_weights_of_lengths(of_length, windows, self.smoothness + 1)
+        orders = self.smoothness + 1
+        return noise_weights_of_lengths(of_length, windows, orders, beside=columns)
 
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
         """Where a window of this length may start: in a block, with no sample missing."""
-        start = jnp.arange(columns.sample_count)
+        n = columns.sample_count
+        start = np.arange(n)
         within = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
-        window = WindowSet(start, jnp.minimum(start + length, columns.sample_count - 1))
+        window = WindowSet(start, xp.minimum(start + length, n - 1))
         unbroken = valid_windows(window, columns.present)
-        valid: Any = both(unbroken, within & (start + length < blocks.unpadded))
+        valid: Any = both(unbroken, within & (start + length < n))
         return valid
 
-    def _at_every_start(
-        self, columns: Columns, unpadded: Count | None
-    ) -> Callable[[Leaf], Float[Array, "columns n"]]:
+    def _at_every_start(self, columns: Columns) -> Callable[[Leaf], Float[Array, "columns n"]]:
         """A function of window length: integrals of every column over the windows at each start."""
         # A constant has no derivative, while the sum of a weight's derivative is not quite zero.
-        values = jnp.stack(
+        values = xp.stack(
             [
-                part if order == 0 else part - unpadded_mean(part, unpadded)[:, None]
+                part if order == 0 else part - part.mean(axis=1, keepdims=True)
                 for order, part in enumerate(columns.values)
             ]
         )
-        size = 2 * columns.sample_count
-        spectrum = jnp.fft.rfft(values, size, axis=-1)
+        n = columns.sample_count
+        size = xp.fft_size(2 * n)
+        spectrum = xp.fft.rfft(values, size, axis=-1)
 
         def everywhere(length: Leaf) -> Float[Array, "columns n"]:
-            weights = jnp.fft.rfft(self._weights(length, columns), size, axis=-1)
-            product = jnp.sum(spectrum * jnp.conj(weights)[:, None, :], axis=0)
-            return jnp.fft.irfft(product, size, axis=-1)[:, : columns.sample_count]
+            weights = xp.fft.rfft(self._weights(length, columns), size, axis=-1)
+            product = (spectrum * xp.conj(weights)[:, None, :]).sum(axis=0)
+            return xp.fft.irfft(product, size, axis=-1)[:, :n]
 
         return everywhere
 
     def _lengths(self, shortest: Int[Array, ""], longest: Int[Array, ""]) -> Int[Array, " lengths"]:
         spacing = (longest - shortest) / max(self.lengths - 1, 1)
-        return jnp.round(shortest + spacing * jnp.arange(self.lengths)).astype(shortest.dtype)
+        return xp.round(shortest + spacing * np.arange(self.lengths)).astype(shortest.dtype)
 
     def rounded(
-        self, windows: WindowSet, sample_count: Count
+        self, windows: WindowSet, sample_count: int
     ) -> tuple[WindowSet, Int[Array, " lengths"]]:
         """The windows with the nearest of `lengths` lengths, and these lengths in samples."""
         drawn = windows.stop - windows.start
-        lengths = self._lengths(jnp.min(drawn), jnp.max(drawn))
-        length = lengths[self._nearest(drawn, lengths)]
-        start = jnp.minimum(windows.start, sample_count - 1 - length)
+        lengths = self._lengths(drawn.min(), drawn.max())
+        length = xp.take(lengths, self._nearest(drawn, lengths))
+        start = xp.minimum(windows.start, sample_count - 1 - length)
         return WindowSet(start, start + length), lengths
 
     def _nearest(
         self, drawn: Int[Array, " windows"], lengths: Int[Array, " lengths"]
     ) -> Int[Array, " windows"]:
         spacing = (lengths[-1] - lengths[0]) / max(self.lengths - 1, 1)
-        nearest = jnp.round((drawn - lengths[0]) / jnp.where(spacing > 0, spacing, 1.0))
-        return jnp.clip(nearest.astype(jnp.int32), 0, self.lengths - 1)
+        nearest = xp.round((drawn - lengths[0]) / xp.where(spacing > 0, spacing, 1.0))
+        return xp.clip(nearest.astype(np.int32), 0, self.lengths - 1)
 
     def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "1+s n"]:
         """h psi_k at the samples of a window of `length` samples, k from 0 to the smoothness s."""
-        sample = jnp.arange(columns.sample_count)
+        n = columns.sample_count
+        # Where the length is known, no more than the window is worked through.
+        count = n if xp.is_traced(length) else min(int(length) + 1, n)
+        sample = np.arange(count)
         # By whole numbers: at the window's end |tau| is 1 but for rounding, and a compiler may
         # evaluate |tau| < 1 twice, once with fused multiply-adds, so that the masks differ.
         inside = (sample > 0) & (sample < length)
-        tau = jnp.where(inside, 2 * sample / length - 1, 0.0)
-        seconds = jnp.asarray(length * columns.time_step)
-        one, slope = jnp.ones_like(tau), 2 / seconds  # slope: d tau / dt
+        tau = xp.where(inside, 2 * sample / length - 1, 0.0).astype(columns.values.dtype)
+        seconds = length * columns.time_step
+        along = self.derivatives(tau, seconds, self.smoothness)
+        rows = [(-2 / seconds) ** order * of for order, of in enumerate(along)]  # d tau / dt
+        weights = xp.where(inside[None, :], xp.stack(rows), 0.0) * columns.time_step
+        return xp.pad(weights, ((0, 0), (0, n - count)))
+
+    def derivatives(
+        self, tau: Float[Array, " n"], length: Float[Array, ""], most: int
+    ) -> list[Float[Array, " n"]]:
+        """phi and its derivatives by tau up to `most`, at tau from -1 to 1: JAX's, unless a class
+        knows better."""
 
         def phi(at: Array) -> Array:
-            return self.weight(at, seconds)
+            return self.weight(at, length)
 
         def along(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
-            return lambda at: jax.jvp(function, (at,), (one,))[1]
+            return lambda at: jax.jvp(function, (at,), (jax.numpy.ones_like(at),))[1]
 
-        rows, by_tau = [phi(tau)], phi
-        for order in range(1, self.smoothness + 1):
-            by_tau = along(by_tau)
-            rows.append((-slope) ** order * by_tau(tau))
-        return jnp.where(inside[None, :], jnp.stack(rows), 0.0) * columns.time_step
+        def every(at: Array) -> list[Array]:
+            found = [phi]
+            for _ in range(most):
+                found.append(along(found[-1]))
+            return [of(at) for of in found]
+
+        return xp.by_jax(every, tau)
+
+
+def _again(lengths: Int[Array, " lengths"]) -> Bool[Array, " lengths"]:
+    """Which of some lengths, from the shortest on, is the one before it again."""
+    return xp.concatenate([np.zeros(1, bool), lengths[1:] == lengths[:-1]])
 
 
 class Bump(AbstractSmoothTestFunction):
@@ -618,6 +628,20 @@ class Bump(AbstractSmoothTestFunction):
     def weight(self, tau: Float[Array, " n"], length: Float[Array, ""]) -> Float[Array, " n"]:
         """(1 - tau^2)^p."""
         return (1 - tau**2) ** self.p
+
+    def derivatives(
+        self, tau: Float[Array, " n"], length: Float[Array, ""], most: int
+    ) -> list[Float[Array, " n"]]:
+        """(1 - tau^2)^(p - k) times a polynomial q_k for the k-th derivative, which differentiates
+        to q_(k+1) = (1 - tau^2) q_k' - 2 (p - k) tau q_k."""
+        rest, found = 1 - tau**2, []
+        polynomial = np.polynomial.Polynomial([1.0])
+        for order in range(most + 1):
+            of = sum((c * tau**i for i, c in enumerate(polynomial.coef.tolist())), 0.0 * tau)
+            found.append(rest ** (self.p - order) * of)
+            slope = np.polynomial.Polynomial([0.0, -2.0 * (self.p - order)])
+            polynomial = polynomial.deriv() * np.polynomial.Polynomial([1, 0, -1]) + slope * polynomial
+        return found
 
     def gain(self, frequency: Frequencies, length: Lengths) -> Gains:
         """|H| of windows by Poisson's integral for Bessel's functions, with z = w T / 2.
@@ -665,14 +689,14 @@ class GradedBump(Bump):
             )
 
     def _lengths(self, shortest: Int[Array, ""], longest: Int[Array, ""]) -> Int[Array, " lengths"]:
-        share = jnp.arange(self.lengths) / max(self.lengths - 1, 1)
+        share = np.arange(self.lengths) / max(self.lengths - 1, 1)
         lengths = shortest * (longest / shortest) ** share
-        return jnp.round(lengths).astype(jnp.asarray(shortest).dtype)
+        return xp.round(lengths).astype(xp.asarray(shortest).dtype)
 
     def _nearest(
         self, drawn: Int[Array, " windows"], lengths: Int[Array, " lengths"]
     ) -> Int[Array, " windows"]:
-        return jnp.argmin(jnp.abs(drawn[:, None] - lengths[None, :]), axis=1)
+        return xp.argmin(xp.abs(drawn[:, None] - lengths[None, :]), axis=1)
 
     def edges(self, alpha: float, beta: float) -> Float[np.ndarray, " lengths+1"]:
         """Edges in seconds of bins that hold one length each, see the base class."""

@@ -36,8 +36,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from numpy.typing import ArrayLike
 
+from riecjax import arrays as xp
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
+from riecjax.leaves import Leaf, as_leaf, is_concrete
 from riecjax.records.record import Record
 
 Sums = TypeVar("Sums")
@@ -81,11 +82,7 @@ class LagBins(NamedTuple):
 
 def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     """The nearest whole numbers."""
-    return namespace(lags).round(lags).astype(np.int32)
-
-
-Count = Int[Array, ""] | int
-"""A number of samples, which may be traced."""
+    return xp.round(lags).astype(np.int32)
 
 
 class WindowSet(NamedTuple):
@@ -125,7 +122,7 @@ class AbstractWindows(eqx.Module):
             )
 
     def lags(
-        self, sample_count: Count, time_step: Float[Array, ""], multiple: int = 1
+        self, sample_count: int, time_step: Float[Array, ""], multiple: int = 1
     ) -> tuple[Int[Array, ""], Int[Array, ""]]:
         """Shortest and longest window in multiples of samples, at least 1, within the record.
 
@@ -133,7 +130,6 @@ class AbstractWindows(eqx.Module):
         """
         band = self.alpha, self.beta
         alpha, beta = band if is_concrete(band) else _rounded_away(band)
-        xp = namespace(alpha, beta, time_step)
         unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
         shortest = xp.clip(xp.divide(alpha, unit), 1, most)
         longest = xp.clip(xp.divide(beta, unit), shortest, most)
@@ -247,7 +243,7 @@ class AllWindows(AbstractWindows):
     def fitted(self, records: Sequence[Record]) -> Self:
         """The same windows with `longest_samples` determined, if that is possible.
 
-        A power of two, so that other lengths of about this size compile nothing anew.
+        A power of two, so that blocks of starts divide evenly.
         """
         steps = [record.time_step for record in records]
         if self.longest_samples is not None or not is_concrete(self.beta, steps):
@@ -289,9 +285,9 @@ class AllWindows(AbstractWindows):
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
         """The law of lags, which are multiples of so many samples: a bin for each weight."""
         low, high = self.lags(sample_count, time_step, multiple)
-        xp, dtype = namespace(self.law, low, high), time_step.dtype
+        dtype = time_step.dtype
         if self.law is None:
-            return LagBins(low[None], high[None], xp.ones(1, dtype))
+            return LagBins(low[None], high[None], np.ones(1, dtype))
         share = xp.linspace(0.0, 1.0, self.law.shape[0] + 1)
         # Real numbers: lags times bins may pass 32-bit integers.
         first = low + rounded(share * (high - low + 1))
@@ -348,7 +344,7 @@ class RandomWindows(AbstractWindows):
     def draw(
         self,
         key: Key[Array, ""],
-        sample_count: Count,
+        sample_count: int,
         time_step: Float[Array, ""],
         multiple: int = 1,
     ) -> WindowSet:
@@ -356,13 +352,13 @@ class RandomWindows(AbstractWindows):
 
         On samples, lengths are multiples of `multiple` samples.
         """
-        u, v = jax.random.uniform(key, (2, self.count))
+        u, v = xp.on_host(jax.random.uniform(key, (2, self.count)))
         if self.between_samples:
             last = sample_count - 1.0
             room_a, room_b = last - self.alpha / time_step, last - self.beta / time_step
-            room = jnp.sqrt(room_a**2 - u * (room_a**2 - room_b**2))
+            room = xp.sqrt(room_a**2 - u * (room_a**2 - room_b**2))
             start = v * room
-            return WindowSet(start, jnp.minimum(start + (last - room), last))
+            return WindowSet(start, xp.minimum(start + (last - room), last))
         m = multiple
         shortest, longest = self.lags(sample_count, time_step, m)
         # In real numbers: of ten minutes at 10 kHz, 32-bit integers do not hold the pairs.
@@ -370,9 +366,9 @@ class RandomWindows(AbstractWindows):
         most = (sample_count - m * shortest).astype(u.dtype)
         pair = u * (lag_count * most - m * lag_count * (lag_count - 1) / 2)
         b = 2.0 * most + m
-        j = 4 * pair / (b + jnp.sqrt(b**2 - 8 * m * pair))
-        lag = m * (shortest + jnp.clip(j.astype(jnp.int32), 0, longest - shortest))
-        start = jnp.minimum((v * (sample_count - lag)).astype(jnp.int32), sample_count - lag - 1)
+        j = 4 * pair / (b + xp.sqrt(b**2 - 8 * m * pair))
+        lag = m * (shortest + xp.clip(j.astype(np.int32), 0, longest - shortest))
+        start = xp.minimum((v * (sample_count - lag)).astype(np.int32), sample_count - lag - 1)
         return WindowSet(start, start + lag)
 
 
@@ -385,8 +381,6 @@ def power_of_two(value: float) -> int:
 
 CHUNK = 2**14
 """Samples to a chunk: large beside a window, and its columns fit into a processor's cache."""
-ROUND = 2**12
-"""Samples to a chunk of a record that is filled up: some beyond its end are worked through."""
 WHOLE = 2**17
 """Samples up to which a record is not cut, so that expressions may look at all of it."""
 WHOLE_32_BIT = 2**14
@@ -395,131 +389,108 @@ WHOLE_32_BIT = 2**14
 
 def chunk_length(record: Record, block: int, reach: int) -> int:
     """Starts to a chunk, a whole number of blocks; the whole record if it is not much longer."""
-    uncut = WHOLE if record.time_step.dtype == jnp.float64 else WHOLE_32_BIT
+    uncut = WHOLE if record.time_step.dtype == np.float64 else WHOLE_32_BIT
     if record.sample_count <= max(uncut, 4 * reach):
         return record.sample_count
     return -(-max(CHUNK, 4 * reach) // block) * block
 
 
 class StartBlocks(NamedTuple):
-    """Blocks of starts, one after the other, and how many of the samples are no padding.
+    """Blocks of starts, one after the other.
 
     **Fields:** `first` sample at which the first block begins; `size`, starts to a block; `number`
-    of blocks; `unpadded`, how many samples are the recording's: no window reaches beyond. Padding
-    fills an array up to a length that other recordings have too.
+    of blocks.
     """
 
     first: Int[Array, ""] | int
-    size: Int[Array, ""] | int
+    size: int
     number: int
-    unpadded: Int[Array, ""] | int
 
-    def cut(
-        self, values: Float[Array, "columns n"], number: int
-    ) -> Float[Array, "columns number size"]:
-        """The first of so many blocks of a size that is known, zero beyond the last sample."""
-        assert isinstance(self.size, int)
-        room = number * self.size
+    def cut(self, values: Float[Array, "columns n"], width: int) -> Float[Array, "b columns w"]:
+        """Each block and what follows it, so many samples from its first one on; zero beyond the
+        last sample."""
+        columns, size, number = values.shape[0], self.size, self.number
+        room = max(number * size, (number - 1) * size + width)
+        if not xp.are_traced(values, self.first):
+            part = values[:, self.first : self.first + room]
+            part = np.pad(part, ((0, 0), (0, room - part.shape[1])))
+            every = np.lib.stride_tricks.sliding_window_view(part, width, axis=1)
+            return np.swapaxes(every[:, : number * size : size], 0, 1)
         # Room behind, so that no slice would begin earlier than asked for.
-        padded = jnp.pad(values, ((0, 0), (0, room)))
-        part = jax.lax.dynamic_slice_in_dim(padded, self.first, room, axis=1)
-        return part.reshape(values.shape[0], number, self.size)
+        part = xp.cut(jnp.pad(values, ((0, 0), (0, room))), self.first, room)
+        if width > 2 * size:
+            return jnp.stack([part[:, at : at + width] for at in range(0, number * size, size)])
+        part = jnp.pad(part, ((0, 0), (0, (number + 1) * size - room)))
+        blocks = jnp.swapaxes(part.reshape(columns, number + 1, size), 0, 1)
+        return jnp.concatenate([blocks[:-1], blocks[1:, :, : width - size]], axis=2)
 
     def products(
         self, left: Float[Array, "a n"], right: Float[Array, "b n"]
     ) -> Float[Array, "blocks a b"]:
         """sum_u left[u] right[u]^T by blocks; what lies beyond counts to the last one."""
-        n, number, size = left.shape[1], self.number, self.size
-        if not isinstance(size, int):
-            block = jnp.clip((jnp.arange(n) - self.first) // size, 0, number - 1)
-            return products_by_block(left, right, block, number)
+        n = left.shape[1]
         # As many blocks of the same size as the samples could fill.
-        room = max(-(-n // size), number)
-        sums = products_of_blocks(self.cut(left, room), self.cut(right, room))
-        return sums[:number].at[-1].add(jnp.sum(sums[number:], axis=0))
-
-
-def products_of_blocks(
-    left: Float[Array, "a blocks samples"], right: Float[Array, "b blocks samples"]
-) -> Float[Array, "blocks a b"]:
-    """sum_u left[u] right[u]^T over the samples of blocks of one size."""
-    # Accelerators would otherwise multiply 32-bit numbers with ten bits.
-    return jnp.einsum("abu,cbu->bac", left, right, precision=jax.lax.Precision.HIGHEST)
-
-
-def products_by_block(
-    left: Float[Array, "a n"], right: Float[Array, "b n"], block: Int[Array, " n"], number: int
-) -> Float[Array, "blocks a b"]:
-    """sum_u left[u] right[u]^T over the samples of each of so many blocks."""
-    each = left.T[:, :, None] * right.T[:, None]
-    return jax.ops.segment_sum(each, block, num_segments=number)
+        every = self._replace(number=max(-(-n // self.size), self.number))
+        sums = xp.products(*(every.cut(each, self.size) for each in (left, right)))
+        beyond = sums[self.number - 1 :].sum(axis=0, keepdims=True)
+        return xp.concatenate([sums[: self.number - 1], beyond])
 
 
 def in_chunks(
     record: Record,
     blocks: StartBlocks,
-    of_chunk: Callable[[Record, StartBlocks], Any],
+    of_chunk: Callable[[Record, StartBlocks, Any], Any],
     *,
     reach: int,
     margin: int,
+    length: int,
+    beside: Any = (),
 ) -> Any:
     """What `of_chunk` makes of each block of starts of a record, stacked along a leading axis.
 
-    Where the number of samples before the padding is traced, chunks beyond them are not worked
-    through, and what is returned for their blocks is zero.
-
     **Arguments:**
 
-    - `of_chunk`: takes a stretch of the record and the blocks of starts in it, over which the
-      arrays that it returns lead.
+    - `of_chunk`: takes a stretch of the record, the blocks of starts in it, over which the arrays
+      that it returns lead, and the sample that the stretch begins at.
     - `reach`: samples that a window reaches beyond its start at most; `margin`: samples more on
       either side, for quadrature.
+    - `length`: starts to a chunk; `beside`, what `of_chunk` closes over.
     """
-    n, size, unpadded = record.sample_count, blocks.size, blocks.unpadded
-    assert isinstance(size, int)
-    is_padded = not isinstance(unpadded, int)
-    length = chunk_length(record, size, reach)
-    if is_padded:
-        length = -(-max(ROUND, 4 * reach) // size) * size
+    n, size, count = record.sample_count, blocks.size, blocks.number
     width = length + reach + 2 * margin
-    if width >= n:
-        return of_chunk(record, blocks)
-    last = jnp.maximum(unpadded - width, 0)
+    if width >= n - blocks.first:
+        return of_chunk(record, blocks, 0)
 
     def one(index: Array) -> Any:
         start = blocks.first + index * length
-        begin = jnp.clip(start - margin, 0, last)
-        here = jnp.minimum(unpadded - begin, width) if is_padded else width
-        return of_chunk(
-            record.stretch(begin, width), StartBlocks(start - begin, size, length // size, here)
-        )
+        begin = xp.clip(start - margin, 0, n - width)
+        part = record.stretch(begin, width)
+        return of_chunk(part, StartBlocks(start - begin, size, length // size), begin)
 
-    def unless_beyond(index: Array) -> Any:
-        # To learn the shapes and to loop it is traced once.
-        once = jax.jit(one)
-        shapes = jax.eval_shape(once, index)
-        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-        beyond = blocks.first + index * length >= unpadded
-        return jax.lax.cond(beyond, lambda _: nothing, once, index)
-
-    count = blocks.number
-    each = jnp.arange(-(-count * size // length))
-    chunks = jax.lax.map(unless_beyond if is_padded else one, each)
+    chunks = xp.each(one, np.arange(-(-count * size // length)), beside=(record, beside))
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
 
 
-def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:
+def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums], *, beside: Any) -> Sums:
     """What all bins of a law add up to, each as often as its lags count; a bin without a lag adds
     nothing, in no time.
 
     Of a single bin without a loop, which would be run for each equation: what several equations
     have in common is then computed once.
+
+    **Arguments:** `beside`, what `of_bin` closes over.
     """
-    first = jax.tree.map(lambda values: values[0], bins)
 
     def counted(bin_: LagBins) -> Sums:
-        return jax.tree.map(lambda leaf: jnp.asarray(bin_.weight) * leaf, of_bin(bin_))
+        return jax.tree.map(lambda leaf: bin_.weight * leaf, of_bin(bin_))
 
+    first = LagBins(*(leaf[0] for leaf in bins))
+    if not xp.are_traced(bins, beside):
+        total = counted(first)
+        for bin_ in map(LagBins._make, zip(*(leaf[1:] for leaf in bins))):
+            if bin_.first <= bin_.last:
+                total = jax.tree.map(np.add, total, counted(bin_))
+        return total
     if bins.first.shape[0] == 1:
         return counted(first)
     shapes = jax.eval_shape(counted, first)
@@ -530,7 +501,7 @@ def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums]) -> Sums:
         return jax.tree.map(jnp.add, total, added), None
 
     # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
-    return jax.lax.scan(jax.checkpoint(add), nothing, bins)[0]
+    return jax.lax.scan(jax.checkpoint(add), nothing, LagBins(*map(jnp.asarray, bins)))[0]
 
 
 # Bins of window lengths whose sums are kept apart, so that a band can be chosen afterwards.
@@ -630,11 +601,14 @@ def law_in_bins(law: LagBins, bins: LengthBins, unit: float, most: int) -> LagBi
     return LagBins(*(part.astype(leaf.dtype) for part, leaf in zip(parts, law)))
 
 
-def each_bin(of_lags: Callable[[LagBins], Any], lags: LagBins) -> Any:
-    """What is made of a law; of one in bins, of each bin, along a leading axis."""
+def each_bin(of_law: Callable[[LagBins], Any], lags: LagBins, *, beside: Any) -> Any:
+    """What is made of a law; of one in bins, of each bin, along a leading axis.
+
+    **Arguments:** `beside`, what `of_law` closes over.
+    """
     if lags.first.ndim == 1:
-        return of_lags(lags)
+        return of_law(lags)
     if lags.first.shape[0] == 1:
-        one = of_lags(jax.tree.map(lambda leaf: leaf[0], lags))
+        one = of_law(LagBins(*(leaf[0] for leaf in lags)))
         return jax.tree.map(lambda leaf: leaf[None], one)
-    return jax.lax.map(of_lags, lags)
+    return xp.each(of_law, lags, beside=beside)

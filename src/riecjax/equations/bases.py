@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax import arrays as xp
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 
@@ -69,7 +69,7 @@ class RoofFunctions(AbstractBasis):
     @property
     def points(self) -> Float[Array, " points"]:
         """The break points, to compute with."""
-        return jnp.asarray(self.break_points, jnp.result_type(float))
+        return xp.asarray(self.break_points, float)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -80,15 +80,15 @@ class RoofFunctions(AbstractBasis):
         """R_i(x) for every i."""
         # Each roof looks at x by itself: to look up the segment of x takes four times as long.
         points, x = self.points, x[None, :]
-        one, inner = jnp.ones(1, points.dtype), points[1:-1]
-        far = jnp.inf * one
-        falls = ~(x < jnp.concatenate([-far, inner, far])[:, None])
-        ended = x >= jnp.concatenate([inner, far, far])[:, None]
-        begun = ~(x < jnp.concatenate([-far, -far, inner])[:, None])
-        start = jnp.where(falls, points[:, None], jnp.pad(points, (1, 0))[:-1, None])
-        width = jnp.concatenate([one, jnp.diff(points), one])
-        share = (x - start) / jnp.where(falls, width[1:, None], width[:-1, None])
-        return jnp.where(falls, jnp.where(ended, 0.0, 1 - share), jnp.where(begun, share, 0.0))
+        one, inner = np.ones(1, points.dtype), points[1:-1]
+        far = np.inf * one
+        falls = ~(x < xp.concatenate([-far, inner, far])[:, None])
+        ended = x >= xp.concatenate([inner, far, far])[:, None]
+        begun = ~(x < xp.concatenate([-far, -far, inner])[:, None])
+        start = xp.where(falls, points[:, None], xp.pad(points, (1, 0))[:-1, None])
+        width = xp.concatenate([one, xp.diff(points), one])
+        share = (x - start) / xp.where(falls, width[1:, None], width[:-1, None])
+        return xp.where(falls, xp.where(ended, 0.0, 1 - share), xp.where(begun, share, 0.0))
 
     def words(self, name: str, of: str) -> list[str]:
         """`F R(v)`."""
@@ -100,10 +100,11 @@ class RoofFunctions(AbstractBasis):
         points = self.points
         last = points.shape[0] - 2
         # Comparing with the inner points vectorises where a binary search does not.
-        inside = [(x >= points[i]).astype(jnp.int32) for i in range(1, last + 1)]
-        below = sum(inside, start=jnp.zeros(jnp.shape(x), jnp.int32))
-        share = (x - points[below]) / (points[below + 1] - points[below])
-        return values[below] * (1 - share) + values[below + 1] * share
+        inside = [(x >= points[i]).astype(np.int32) for i in range(1, last + 1)]
+        below = sum(inside, start=np.zeros(np.shape(x), np.int32))
+        low, high = (xp.take(points, below + i) for i in (0, 1))
+        share = (x - low) / (high - low)
+        return xp.take(values, below) * (1 - share) + xp.take(values, below + 1) * share
 
 
 class Polynomial(AbstractBasis):
@@ -133,7 +134,7 @@ class Polynomial(AbstractBasis):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "exponents n"]:
         """x^p for every exponent p."""
-        return jnp.stack([x**p for p in self.exponents])
+        return xp.stack([x**p for p in self.exponents])
 
     def words(self, name: str, of: str) -> list[str]:
         """`c_1 x` and `c_3 x^3`."""
@@ -188,12 +189,12 @@ class Friction(AbstractBasis):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
         """Every function at every velocity."""
-        direction = jnp.sign(x) if self.smooth is None else jnp.tanh(x / self.smooth)
+        direction = xp.sign(x) if self.smooth is None else xp.tanh(x / self.smooth)
         sides = (x > 0, x < 0) if self.asymmetric else (True,)
-        functions = [jnp.where(side, of, 0.0) for side in sides for of in (x, direction)]
+        functions = [xp.where(side, of, 0.0) for side in sides for of in (x, direction)]
         if self.stribeck is not None:
             functions.append(direction * _near_standstill(x, self.stribeck))
-        return jnp.stack(functions)
+        return xp.stack(functions)
 
 
 def friction(
@@ -239,7 +240,7 @@ class DeadZone(AbstractShape):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
         """x - clip(x, -width, width)."""
-        return (x - jnp.clip(x, -self.width, self.width))[None]
+        return (x - xp.clip(x, -self.width, self.width))[None]
 
 
 class Saturation(AbstractShape):
@@ -249,7 +250,7 @@ class Saturation(AbstractShape):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
         """clip(x, -width, width)."""
-        return jnp.clip(x, -self.width, self.width)[None]
+        return xp.clip(x, -self.width, self.width)[None]
 
 
 class Stribeck(AbstractShape):
@@ -259,11 +260,11 @@ class Stribeck(AbstractShape):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
         """sign(x) exp(-(x / width)^2)."""
-        return (jnp.sign(x) * _near_standstill(x, self.width))[None]
+        return (xp.sign(x) * _near_standstill(x, self.width))[None]
 
 
 def _near_standstill(x: Float[Array, " n"], speed: Leaf) -> Float[Array, " n"]:
-    return jnp.exp(-((x / speed) ** 2))
+    return xp.exp(-((x / speed) ** 2))
 
 
 def _require_positive(what: str, size: Leaf | None) -> None:

@@ -20,9 +20,9 @@ import operator
 from dataclasses import replace
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
+from riecjax import arrays as xp
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, combined, evaluate, product
 from riecjax.equations.model import Model
@@ -64,16 +64,16 @@ class InMotion(AbstractTerm):
     def samples(self, record: Record, order: int) -> Signal:
         """Samples of the weighted term; see the base class."""
         velocity = evaluate(self.velocity, record)
-        ratio = combined(lambda v: jnp.clip(v / self.width, -FAR, FAR), velocity)
+        ratio = combined(lambda v: xp.clip(v / self.width, -FAR, FAR), velocity)
         weight = combined(lambda r: r**2 / (1 + r**2), ratio)
         if order or not self.term.derivative:
             samples = self.term.samples(record, self.term.derivative if order else 0)
             return combined(lambda values, weight: values * weight[None], samples, weight)
         if self.derivative:
-            of = combined(lambda v, r: v - self.width * jnp.arctan(r), velocity, ratio)
+            of = combined(lambda v, r: v - self.width * xp.arctan(r), velocity, ratio)
         else:
             of = combined(operator.mul, velocity, weight)
-        return combined(lambda values: (jnp.asarray(self.term.factor) * values)[None], of)
+        return combined(lambda values: (self.term.factor * values)[None], of)
 
     def __neg__(self) -> "InMotion":
         return eqx.tree_at(lambda own: own.term, self, -self.term)

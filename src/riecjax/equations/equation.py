@@ -3,11 +3,9 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array
 
-from riecjax.compilation import kept_jit
 from riecjax.equations.expressions import (
     Expression,
     evaluate,
@@ -177,28 +175,27 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
     at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)
     arrays = {name: np.asarray(values)[at] for name, values in record.arrays.items()}
     labels, functions = zip(*tried)
-    alone = np.asarray(_each_by_itself(functions, Record(arrays, record.time_step)))
+    alone = _each_by_itself(functions, Record(arrays, record.time_step))
     return [label for label, good in zip(labels, alone) if not good]
 
 
-@kept_jit
 def _each_by_itself(
     functions: tuple[Expression | AbstractTerm, ...], record: Record
-) -> Bool[Array, " expressions"]:
+) -> list[bool]:
     half = PROBE // 2
     parts = [record, record.part(0, half), record.part(half, PROBE)]
 
-    def alone(function: Expression | AbstractTerm) -> Bool[Array, ""]:
+    def alone(function: Expression | AbstractTerm) -> bool:
         samples = (
             samples_of(function, part, 0)
             if isinstance(function, AbstractTerm)
             else evaluate(function, part)
             for part in parts
         )
-        whole, *halves = (jnp.asarray(signal.values) for signal in samples)
+        whole, *halves = (np.asarray(signal.values) for signal in samples)
         # Of differences of large numbers, compilers may round halves otherwise than the whole.
-        size = jnp.max(jnp.abs(whole), where=jnp.isfinite(whole), initial=0.0)
-        both = jnp.concatenate(halves, axis=-1)
-        return jnp.all(jnp.isclose(whole, both, rtol=1e-9, atol=1e-9 * size, equal_nan=True))
+        size = np.max(np.abs(whole), where=np.isfinite(whole), initial=0.0)
+        both = np.concatenate(halves, axis=-1)
+        return np.all(np.isclose(whole, both, rtol=1e-9, atol=1e-9 * size, equal_nan=True))
 
-    return jnp.stack([alone(function) for function in functions])
+    return [alone(function) for function in functions]

@@ -9,12 +9,13 @@ import json
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from riecjax import arrays as xp
 from riecjax.errors import ModelError, users_code
 from riecjax.records.faults.derivative_pairs import Relation
 from riecjax.records.record import Record, Signals
@@ -24,7 +25,10 @@ Expression = str | Callable[[Signals], Array]
 """A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
 
 A function returns one number for each sample, which depends on that sample alone (long records are
-worked through in chunks), or one for all if it reads no signal.
+worked through in chunks), or one for all if it reads no signal. Of operators and `rx`'s functions it
+runs eagerly on NumPy and traced on JAX alike. Functions of `jax.numpy` do so too, eagerly in double
+precision, and compile for each new number of samples; those of `numpy` run eagerly alone, so that
+such a model is identified and not refined.
 Write functions once, at module level: a new function object each time compiles anew.
 """
 
@@ -46,10 +50,10 @@ def evaluate(expression: Expression, record: Record) -> Signal:
     signals = record.signals
     name = label_of(expression)
     with users_code(f"the expression {name}"):
-        samples = jnp.asarray(expression(signals))
+        samples = called(expression, signals)
     # One number of the signals, such as their sum, is a slip; one of no signal is a constant.
     if samples.shape == () and not signals.read:
-        samples = jnp.broadcast_to(samples, (record.sample_count,))
+        samples = xp.broadcast_to(samples, (record.sample_count,))
     if samples.shape != (record.sample_count,):
         raise ModelError(
             f"the expression {name} must return one number for each of the {record.sample_count} "
@@ -58,13 +62,27 @@ def evaluate(expression: Expression, record: Record) -> Signal:
     return Signal(samples, record.present(signals.read))
 
 
+@np.errstate(all="ignore")
+def called(function: Callable[[Signals], Any], signals: Signals) -> Array:
+    """What a function makes of signals, as an array.
+
+    One of known signals that is of JAX runs in double precision, and comes back as NumPy's.
+    """
+    if any(map(xp.is_traced, signals.data.values())):
+        return jax.numpy.asarray(function(signals))
+    with jax.enable_x64(True):
+        return xp.on_host(function(signals))
+
+
 def read_expression(expression: Expression, signals: Signals) -> None:
     """Note in `signals.read` what an expression reads, without computing anything."""
     if isinstance(expression, str):
         _ = signals[expression]
         return
+    probe = Signals(dict.fromkeys(signals.data, np.full(2, 0.5)))
+    probe.read = signals.read
     with users_code(f"the expression {label_of(expression)}"):
-        jax.eval_shape(lambda: expression(signals))
+        called(expression, probe)
 
 
 class _AnySignals(Signals):
@@ -72,13 +90,13 @@ class _AnySignals(Signals):
 
     def __init__(self):
         # An expression may ask for some signal, no matter which, to learn the number of samples.
-        super().__init__({"": jnp.zeros(1)})
+        super().__init__({"": np.zeros(1)})
         self.order: list[str] = []
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.data:
             self.order.append(name)
-        return jnp.full(1, 0.5)
+        return np.full(1, 0.5)
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str)
@@ -93,7 +111,7 @@ def signals_read(expression: Expression) -> tuple[str, ...]:
         return (expression,)
     signals = _AnySignals()
     with users_code(f"the expression {label_of(expression)}"):
-        shape = jax.eval_shape(lambda: jnp.asarray(expression(signals))).shape
+        shape = called(expression, signals).shape
     if shape != (1,) and (shape != () or signals.order):
         raise ModelError(
             f"the expression {label_of(expression)} must return one number for each sample; for "
@@ -109,7 +127,7 @@ def label_of(expression: Expression) -> str:
 
 def constant(signals: Signals) -> Array:
     """1 at every sample: `Term("offset", constant, unit="N")` is a constant force."""
-    return jnp.ones(())
+    return np.ones(())
 
 
 @dataclass(frozen=True)
@@ -145,11 +163,11 @@ class _Formula:
 
 
 FORMULAS: dict[str, Callable[..., Array]] = {
-    "odd": lambda x, power: x**power if power % 2 else jnp.sign(x) * jnp.abs(x) ** power,
-    "even": lambda x, power: jnp.abs(x) ** power if power % 2 else x**power,
+    "odd": lambda x, power: x**power if power % 2 else xp.sign(x) * xp.abs(x) ** power,
+    "even": lambda x, power: xp.abs(x) ** power if power % 2 else x**power,
     "product": lambda *factors: functools.reduce(operator.mul, factors),
     "difference": operator.sub,
-    "equations.faster_than": lambda x, threshold: jnp.abs(x) > threshold,
+    "equations.faster_than": lambda x, threshold: xp.abs(x) > threshold,
 }
 
 

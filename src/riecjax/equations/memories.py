@@ -17,10 +17,10 @@ on the way back to zero, z = z_0 + dx / width, and as Dahl's from there on.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax import arrays as xp
 from riecjax.errors import ModelError
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal, SignalNoise
@@ -84,7 +84,7 @@ class Dahl(Memory):
     def __call__(self, signals: Signals) -> Array:
         """z' = (v - |v| z) / width."""
         v, z = signals[self.velocity], signals[self.state]
-        return (v - jnp.abs(v) * z) / self.width
+        return (v - xp.abs(v) * z) / self.width
 
     def after(self, state: np.ndarray | float, stroke: np.ndarray | float) -> np.ndarray:
         """s + (z - s) exp(-|stroke|), s its direction."""
@@ -102,7 +102,7 @@ class BoucWen(Memory):
     def __call__(self, signals: Signals) -> Array:
         """z' = (v - (|v| z + v |z|) / 2) / width."""
         v, z = signals[self.velocity], signals[self.state]
-        return (v - 0.5 * (jnp.abs(v) * z + v * jnp.abs(z))) / self.width
+        return (v - 0.5 * (xp.abs(v) * z + v * xp.abs(z))) / self.width
 
     def after(self, state: np.ndarray | float, stroke: np.ndarray | float) -> np.ndarray:
         """Straight back to zero, and as Dahl's from there."""
@@ -124,7 +124,7 @@ class Elapsed(Memory):
 
     def __call__(self, signals: Signals) -> Array:
         """z' = 1 / width."""
-        return jnp.full_like(signals[self.state], 1 / self.width)
+        return xp.full_like(signals[self.state], 1 / self.width)
 
     def course(self, record: Record) -> Float[np.ndarray, " n"]:
         """Time from the first sample on."""

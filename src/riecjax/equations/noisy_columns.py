@@ -35,11 +35,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from riecjax import arrays as xp
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import combined, evaluate, read_expression
 from riecjax.equations.term import AbstractTerm, samples_of
@@ -116,14 +115,14 @@ def columns_of_terms(
 ) -> Columns:
     """The columns that samples of each of an equation's terms add up to."""
     names = equation.parameters
-    zero = jnp.zeros(record.sample_count, record.time_step.dtype)
+    zero = np.zeros(record.sample_count, record.time_step.dtype)
 
     def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
         orders = (min(term.derivative, smoothness) for term in equation.terms)
         rows = _rows(zip(equation.terms, orders, each), names)
-        return jnp.stack(
+        return xp.stack(
             [
-                jnp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
+                xp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
                 for order in range(smoothness + 1)
             ]
         )
@@ -164,15 +163,15 @@ class Movement(eqx.Module):
         found = _rows(parts, parameters)
         self.rows = {order: tuple(sorted(rows)) for order, rows in found.items()}
         self.values = {
-            order: jnp.stack(jnp.broadcast_arrays(*(rows[row] for row in self.rows[order])))
+            order: xp.stack(xp.broadcast_arrays(*(rows[row] for row in self.rows[order])))
             for order, rows in found.items()
         }
 
     def times(self, noise: Float[Array, " n"], like: Columns) -> Float[Array, "orders columns n"]:
         """Values of columns that move by this much at each sample, zero where nothing moves."""
-        values = jnp.zeros_like(like.values)
+        values = xp.zeros_like(like.values)
         for order, rows in self.values.items():
-            values = values.at[order, jnp.array(self.rows[order])].set(rows * noise[None, :])
+            values = xp.with_entries(values, (order, np.array(self.rows[order])), rows * noise[None, :])
         return values
 
 
@@ -215,16 +214,16 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
             if is_white(noise, source, read):
                 directions.setdefault(("white", source), {})[name] = taps[..., 0]
             else:
-                variances[name] = variances.get(name, np.zeros(())) + jnp.sum(taps**2, axis=-1)
+                variances[name] = variances.get(name, np.zeros(())) + xp.sum(taps**2, axis=-1)
     for name, variance in variances.items():
-        directions[("coloured", name)] = {name: jnp.sqrt(variance)}
+        directions[("coloured", name)] = {name: xp.sqrt(variance)}
     moves: dict[Key, list[_Part]] = {key: [] for key in directions}
     bends: dict[tuple[Key, ...], list[tuple[_Part, ...]]] = {}
     clean, weights = [], []
     for term in equation.terms:
         above, order = max(term.derivative - smoothness, 0), min(term.derivative, smoothness)
         sampled = samples_of(term, record, above)
-        rises, curved = _term_noise(term, record, above, jnp.asarray(sampled.values), directions)
+        rises, curved = _term_noise(term, record, above, sampled.values, directions)
         for key, rise in rises.items():
             moves[key].append((term, order, rise))
         for keys, of in curved.items():
@@ -274,28 +273,28 @@ def _term_noise(
         return {}, {}
     if term.basis is not None:
         # Functions of one argument, whose noise is that of all directions together.
-        def argument(direction: Direction, step: Array) -> Array:
-            return jnp.asarray(evaluate(term.of, _moved(record, direction, step)).values)
+        def argument(direction: Direction, step: float) -> Array:
+            return evaluate(term.of, _moved(record, direction, step)).values
 
-        zero = jnp.zeros(())
-        at = argument({}, zero)
+        # Half the difference of one standard deviation to either side: the slope of all but cubics.
         slopes = {
-            key: jax.jvp(lambda h, d=direction: argument(d, h), (zero,), (jnp.ones(()),))[1]
+            key: 0.5 * (argument(direction, 1.0) - argument(direction, -1.0))
             for key, direction in touching.items()
         }
-        spread = jnp.sqrt(sum(slope**2 for slope in slopes.values()))
-        size = jnp.where(spread > 0, spread, 1.0)
-        factor = jnp.asarray(term.factor)
+        at = argument({}, 0.0)
+        spread = xp.sqrt(sum(slope**2 for slope in slopes.values()))
+        size = xp.where(spread > 0, spread, 1.0)
+        factor = term.factor
         found = _curved(values, lambda step: factor * term.functions(at + step * spread))
         rises = {key: found.rise * (own / size)[None, :] for key, own in slopes.items()}
         return rises, {tuple(touching): found}
     if term.is_linear and isinstance(expression, str):
-        factor = jnp.asarray(term.factor)
+        factor = term.factor
         return {k: (factor * d[expression]).reshape(1, 1) for k, d in touching.items()}, {}
     found = {
         (key,): _curved(
             values,
-            lambda step, d=d: jnp.asarray(term.samples(_moved(record, d, step), order).values),
+            lambda step, d=d: term.samples(_moved(record, d, step), order).values,
         )
         for key, d in touching.items()
     }
@@ -304,13 +303,13 @@ def _term_noise(
 
 def _curved(
     values: Float[Array, "columns samples"],
-    along: Callable[[Array], Float[Array, "columns samples"]],
+    along: Callable[[float], Float[Array, "columns samples"]],
 ) -> _Curved:
     """What noise of unit size along a direction does to functions of these values."""
     (one, two), (first, second) = STEPS, SHARES
-    moved = jax.vmap(along)(jnp.asarray([one, -one, two, -two]))
-    apart = [0.5 * (moved[i] - moved[i + 1]) for i in (0, 2)]
-    bends = [0.5 * (moved[i] + moved[i + 1]) - values for i in (0, 2)]
+    pairs = [(along(step), along(-step)) for step in STEPS]
+    apart = [0.5 * (above - below) for above, below in pairs]
+    bends = [0.5 * (above + below) - values for above, below in pairs]
     mixed = second / (1 + first)
     return _Curved(
         first * bends[0] + second * bends[1],
@@ -323,7 +322,7 @@ def _curved(
     )
 
 
-def _moved(record: Record, direction: Direction, step: Array) -> Record:
+def _moved(record: Record, direction: Direction, step: float) -> Record:
     signals = {name: record.signal(name) for name in direction}
     return record.with_signals(
         {n: replace(s, values=s.values + step * direction[n]) for n, s in signals.items()}

@@ -11,12 +11,11 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax.equations.bases import AbstractBasis
-from riecjax.equations.expressions import Expression, combined, evaluate, source_of
+from riecjax.equations.expressions import Expression, called, combined, evaluate, source_of
 from riecjax.errors import DataError, ModelError, require, users_code
 from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number
 from riecjax.records.record import Record, Signals
@@ -180,9 +179,8 @@ class AbstractTerm(eqx.Module):
 
         **Raises:** `DataError` where that needs a derivative that the record does not hold.
         """
-        factor = jnp.asarray(self.factor)
         expression = evaluate(self.expression(record, order), record)
-        return combined(lambda x: factor * self.functions(x), expression)
+        return combined(lambda x: self.factor * self.functions(x), expression)
 
     def with_fields(self, **changes: object) -> Self:
         """The same term with other values of some fields, which are not checked anew."""
@@ -212,7 +210,7 @@ def made_by(term: AbstractTerm, make: Callable[[], Made], samples: int) -> Made:
     kind, rows = type(term).__name__, max(len(term.parameters), 1)
     with users_code(kind):
         made = make()
-    shape = jnp.shape(made.values if isinstance(made, Signal) else made)
+    shape = np.shape(made.values if isinstance(made, Signal) else made)
     if shape != (rows, samples):
         raise ModelError(
             f"{kind} must make a row for each of {rows} coefficient(s), a column for each sample: "
@@ -408,8 +406,7 @@ def _jumping(
         at[state][i * places.size : (i + 1) * places.size] = places
     try:
         with jax.ensure_compile_time_eval():
-            probed = Signals({name: jnp.asarray(value) for name, value in at.items()})
-            samples = jnp.asarray(probed[of] if isinstance(of, str) else of(probed))
+            samples = np.asarray(at[of] if isinstance(of, str) else called(of, Signals(at)))
             values = np.asarray(samples if functions is None else functions(samples))
     except Exception:  # whatever is wrong with a user's function is said where it is used
         return set()

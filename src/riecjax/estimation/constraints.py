@@ -49,13 +49,13 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from riecjax import arrays as xp
 from riecjax.errors import ModelError, require
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number, namespace
+from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number
 from riecjax.linear_algebra import eliminate, solve_scaled, unit_diagonal, unit_scale
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.covariances import BlockStatistics, block_statistics, slope
@@ -156,14 +156,12 @@ class Constraints(eqx.Module):
         """Lower and upper bounds of some parameters, infinite where there is none, and NaN where
         they are in the wrong order, which is refused where values can be looked at."""
         low, high = _columns([self.bounds.get(name, (-np.inf, np.inf)) for name in names])
-        xp = namespace(low, high)
         return xp.where(low < high, low, xp.nan), xp.where(low < high, high, xp.nan)
 
     def prior(self, names: Sequence[str]) -> tuple[Float[Leaf, " p"], Float[Leaf, " p"]]:
         """Means of the priors of some parameters, and one over their standard deviations: 0 where
         there is no prior, and NaN where the deviation is none."""
         mean, std = _columns([self.priors.get(name, (0.0, np.inf)) for name in names])
-        xp = namespace(std)
         return mean, xp.where(std > 0, 1 / xp.where(std > 0, std, 1.0), xp.nan)
 
 
@@ -171,7 +169,6 @@ NONE = Constraints()
 
 
 def _columns(pairs: Sequence[tuple[Any, Any]]) -> tuple[Leaf, Leaf]:
-    xp = namespace(pairs)
     first, second = (xp.stack([xp.asarray(v, float) for v in values]) for values in zip(*pairs))
     return first, second
 
@@ -183,15 +180,17 @@ def diagonal_block(
     energy: Float[Array, ""] | float = 0.0,
 ) -> NormalEquations:
     """Normal equations that tell of each parameter by itself, from no row."""
-    moments = jnp.diag(jnp.concatenate([jnp.reshape(energy, 1), curvature]))
-    moments = moments.at[0, 1:].set(moment).at[1:, 0].set(moment)
-    return NormalEquations(moments, jnp.zeros((), moments.dtype), names)
+    first = xp.concatenate([xp.reshape(energy, 1), moment])[None]
+    others = xp.concatenate([moment[:, None], xp.diag(curvature)], axis=1)
+    moments = xp.concatenate([first, others])
+    return NormalEquations(moments, np.zeros((), moments.dtype), names)
 
 
 def holding(held: Bool[Array, " p"], values: Float[Array, " p"]) -> Float[Array, "columns columns"]:
     """What makes columns of what is held zero, and joins them at these values to the target."""
-    target = jnp.concatenate([jnp.ones(1, values.dtype), -jnp.where(held, values, 0.0)])
-    return jnp.diag(jnp.pad(jnp.where(held, 0.0, 1.0), (1, 0))).at[0].set(target)
+    target = xp.concatenate([np.ones(1, values.dtype), -xp.where(held, values, 0.0)])
+    kept = xp.diag(xp.where(held, 0.0, 1.0).astype(values.dtype))
+    return xp.concatenate([target[None], xp.pad(kept, ((0, 0), (1, 0)))])
 
 
 def constrained_blocks(
@@ -204,11 +203,11 @@ def constrained_blocks(
     solution add up to zero. Of what is held nothing is left but its value."""
     names, mix = blocks.parameters, holding(held, at)
     blocks = blocks.in_columns(lambda matrix: mix @ matrix @ mix.T, names)
-    total, curvature = blocks.flattened().total(), jnp.where(held, 1.0, curvature)
-    pull = jnp.where(curvature > 0, curvature * at - (total.moment - total.gram @ at), 0.0)
+    total, curvature = blocks.flattened().total(), xp.where(held, 1.0, curvature)
+    pull = xp.where(curvature > 0, curvature * at - (total.moment - total.gram @ at), 0.0)
     prior = diagonal_block(names, curvature, pull, 2 * pull @ at - curvature @ at**2)
-    share = blocks.count / jnp.maximum(jnp.sum(blocks.count), 1)
-    moments = blocks.moments + jnp.tensordot(share, prior.moments, axes=0)
+    share = blocks.count / xp.maximum(xp.sum(blocks.count), 1)
+    moments = blocks.moments + xp.tensordot(share, prior.moments, axes=0)
     return dataclasses.replace(blocks, moments=moments)
 
 
@@ -224,11 +223,11 @@ def constrained_uncertainty(
     **Arguments:** `statistics` of blocks with priors; `curvature` of these.
     """
     if constraints.priors:
-        curvature = jnp.where(held, 0.0, curvature)
+        curvature = xp.where(held, 0.0, curvature)
         whole = slope([stage.total() for stage in statistics.blocks], statistics.unknowns)
         _, weight = constraints.prior([n for _, names in statistics.unknowns for n in names])
         uncertainty = uncertainty.with_priors(*scatter_of_priors(whole, curvature, weight))
-    covariance = jnp.where(held[:, None] | held[None, :], jnp.nan, uncertainty.covariance)
+    covariance = xp.where(held[:, None] | held[None, :], xp.nan, uncertainty.covariance)
     return dataclasses.replace(uncertainty, covariance=covariance)
 
 
@@ -243,9 +242,9 @@ def scatter_of_priors(
     **Returns:** also by how much an estimate follows its prior's mean, of a single one l / (h + l):
     the prior's share of what is known of it.
     """
-    score = jnp.where(weight > 0, curvature / jnp.where(weight > 0, weight, 1.0), 0.0)
-    moved = solve_scaled(slope, jnp.diag(score), ridge)
-    return moved @ moved.T, jnp.diagonal(moved) * weight
+    score = xp.where(weight > 0, curvature / xp.where(weight > 0, weight, 1.0), 0.0)
+    moved = solve_scaled(slope, xp.diag(score), ridge)
+    return moved @ moved.T, xp.diagonal(moved) * weight
 
 
 def prior_curvature(
@@ -265,27 +264,27 @@ def prior_curvature(
     """
     records = short.number.shape[0]
     by_record = [s.in_blocks(lambda v: v.reshape(records, -1, *v.shape[1:])) for s in stages]
-    ridge = float(np.cbrt(jnp.finfo(stages[-1].moments.dtype).eps))
+    ridge = float(np.cbrt(xp.finfo(stages[-1].moments.dtype).eps))
     statistics = block_statistics(by_record, known, values, short, longest_window, ridge)
-    totals, used = [stage.total() for stage in stages], jnp.sum(statistics.used)
+    totals, used = [stage.total() for stage in stages], xp.sum(statistics.used)
     names = [name for _, found in statistics.unknowns for name in found]
-    weight = jnp.asarray(constraints.prior(names)[1])
+    weight = constraints.prior(names)[1]
     whole, place = slope(totals, statistics.unknowns), slice(sum(map(len, earlier)), None)
     # Influences of n blocks sum to zero, which takes one of n squares.
-    variance = jnp.sum(statistics.influence**2, axis=0) * used / jnp.maximum(used - 1, 1)
-    before = jnp.concatenate([*earlier, jnp.zeros_like(variance[place])])
-    variance = variance + jnp.diagonal(scatter_of_priors(whole, before, weight, ridge)[0])
+    variance = xp.sum(statistics.influence**2, axis=0) * used / xp.maximum(used - 1, 1)
+    before = xp.concatenate([*earlier, xp.zeros_like(variance[place])])
+    variance = variance + xp.diagonal(scatter_of_priors(whole, before, weight, ridge)[0])
     gram = whole[place, place]
-    inverse = solve_scaled(gram, jnp.eye(gram.shape[0], dtype=gram.dtype), ridge)
-    unit = jnp.diagonal(inverse @ gram @ inverse)
-    at = jnp.stack([jnp.asarray(values[name]) for name in totals[-1].parameters])
-    energies = totals[-1].residual_energy(at), totals[-1].energy * jnp.finfo(whole.dtype).eps
-    of_rows, rounding = (energy / jnp.maximum(totals[-1].count, 1) for energy in energies)
-    of_row = jnp.where(unit > 0, variance[place] / jnp.where(unit > 0, unit, 1.0), of_rows)
-    column = 1 / unit_scale(jnp.diagonal(gram)) ** 2
-    curvature = jnp.where(of_row > 0, jnp.minimum(of_row * weight[place] ** 2, TIGHT * column), 0.0)
-    least = jnp.where((of_row <= rounding) & (weight[place] > 0), ridge**2 * column, 0.0)
-    return jnp.maximum(curvature, least)
+    inverse = solve_scaled(gram, np.eye(gram.shape[0], dtype=gram.dtype), ridge)
+    unit = xp.diagonal(inverse @ gram @ inverse)
+    at = xp.stack([values[name] for name in totals[-1].parameters])
+    energies = totals[-1].residual_energy(at), totals[-1].energy * xp.finfo(whole.dtype).eps
+    of_rows, rounding = (energy / xp.maximum(totals[-1].count, 1) for energy in energies)
+    of_row = xp.where(unit > 0, variance[place] / xp.where(unit > 0, unit, 1.0), of_rows)
+    column = 1 / unit_scale(xp.diagonal(gram)) ** 2
+    curvature = xp.where(of_row > 0, xp.minimum(of_row * weight[place] ** 2, TIGHT * column), 0.0)
+    least = xp.where((of_row <= rounding) & (weight[place] > 0), ridge**2 * column, 0.0)
+    return xp.maximum(curvature, least)
 
 
 def sides_of_bounds(equations: NormalEquations, constraints: Constraints) -> Float[Array, " p"]:
@@ -295,39 +294,39 @@ def sides_of_bounds(equations: NormalEquations, constraints: Constraints) -> Flo
     """
     names = equations.parameters
     problem = equations.gram, equations.moment, *constraints.limits(names)
-    gram, moment, low, high = jax.lax.stop_gradient(problem)
+    gram, moment, low, high = xp.stop_gradient(problem)
     gram, scale = unit_diagonal(gram)
     moment, low, high = moment * scale, low / scale, high / scale
     size, count = len(names), len({*names} & {*constraints.bounds})
-    rounding = size * float(jnp.finfo(gram.dtype).eps)
+    rounding = size * float(xp.finfo(gram.dtype).eps)
     # Collinear columns leave no more than rounding to tell sides by.
-    gram = gram + rounding * jnp.eye(size, dtype=gram.dtype)
+    gram = gram + rounding * np.eye(size, dtype=gram.dtype)
 
     def wanted(side: Float[Array, " p"]) -> Float[Array, " p"]:
         """The sides that a solution with these ones asks for."""
         held = side != 0
-        at = jnp.where(side < 0, low, jnp.where(side > 0, high, 0.0))
-        free = jnp.where(held, 0.0, 1.0)
-        matrix = gram * free[:, None] * free[None, :] + jnp.diag(1 - free)
-        right = jnp.where(held, at, moment - gram @ at)
+        at = xp.where(side < 0, low, xp.where(side > 0, high, 0.0))
+        free = xp.where(held, 0.0, 1.0)
+        matrix = gram * free[:, None] * free[None, :] + xp.diag(1 - free)
+        right = xp.where(held, at, moment - gram @ at)
         x = eliminate(matrix, right[:, None])[:, 0]
         push = moment - gram @ x
-        slack = rounding * (jnp.abs(moment) + jnp.abs(gram) @ jnp.abs(x))
-        beyond = jnp.where(x < low - slack, -1.0, jnp.where(x > high + slack, 1.0, 0.0))
-        return jnp.where(held, jnp.where(push * side < -slack, 0.0, side), beyond)
+        slack = rounding * (xp.abs(moment) + xp.abs(gram) @ xp.abs(x))
+        beyond = xp.where(x < low - slack, -1.0, xp.where(x > high + slack, 1.0, 0.0))
+        return xp.where(held, xp.where(push * side < -slack, 0.0, side), beyond)
 
-    def pivot(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def pivot(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         side, fewest, patience = state
         other = wanted(side)
         wrong = other != side
-        fewer = jnp.sum(wrong) < fewest
-        last = jnp.arange(size) == size - 1 - jnp.argmax(wrong[::-1])
+        fewer = xp.sum(wrong) < fewest
+        last = np.arange(size) == size - 1 - xp.argmax(wrong[::-1])
         chosen = wrong & (fewer | (patience > 0) | last)
-        patience = jnp.where(fewer, 2, patience - 1)
-        return jnp.where(chosen, other, side), jnp.minimum(fewest, jnp.sum(wrong)), patience
+        patience = xp.where(fewer, 2, patience - 1)
+        return xp.where(chosen, other, side), xp.minimum(fewest, xp.sum(wrong)), patience
 
-    start = jnp.zeros_like(moment), jnp.asarray(size + 1), jnp.asarray(2)
-    return jax.lax.fori_loop(0, (count + 1) ** 2, pivot, start)[0]
+    start = xp.zeros_like(moment), np.asarray(size + 1), np.asarray(2)
+    return xp.repeated(pivot, start, (count + 1) ** 2, beside=problem)[0]
 
 
 def is_pair(given: Any, or_none: bool = False) -> bool:

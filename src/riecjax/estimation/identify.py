@@ -4,11 +4,10 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.compilation import kept_jit
+from riecjax import arrays as xp
 from riecjax.criteria.criterion import Rows
 from riecjax.equations.model import Model, as_model
 from riecjax.errors import ModelError
@@ -156,8 +155,7 @@ def estimated(
 ) -> Estimate:
     """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
     equations, short = summary.equations(), summary.short_blocks
-    window = jnp.asarray(summary.criterion.block_length)
-    # Draws are an argument: compiled in, every seed would be compiled anew.
+    window = xp.asarray(summary.criterion.block_length)
     drawn = intervals.drawn(short.number.shape[0])
     data = _Data(equations, summary.noise_freedom, short, window)
     given, modes = (table, drawn, constraints), None
@@ -175,10 +173,10 @@ def estimated(
         # counts as far as both lengths know a parameter equally well, by the ratio of their
         # variances, and where the other shows the elements at all: what lies between is otherwise
         # the scatter of the poorer one.
-        mine, its = (jnp.diagonal(one.uncertainty.covariance) for one in (fit, beside))
-        weight = jnp.minimum(mine / jnp.where(its > 0, its, jnp.inf), 1.0)
-        apart = jnp.sqrt(weight) * (jnp.asarray(beside.theta) - fit.theta)
-        apart = jnp.where(other.shown & jnp.all(jnp.isfinite(apart)), apart, 0.0)
+        mine, its = (xp.diagonal(one.uncertainty.covariance) for one in (fit, beside))
+        weight = xp.minimum(mine / xp.where(its > 0, its, xp.inf), 1.0)
+        apart = xp.sqrt(weight) * (beside.theta - fit.theta)
+        apart = xp.where(other.shown & xp.all(xp.isfinite(apart)), apart, 0.0)
         uncertainty = fit.uncertainty.widened(apart[:, None] * apart[None, :])
         fit = dataclasses.replace(fit, uncertainty=uncertainty)
     if is_concrete(fit.stages):
@@ -219,7 +217,7 @@ class _Data(NamedTuple):
     rows: list[Rows] | None = None
 
 
-@kept_jit
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _solve(
     data: _Data,
     table: ParameterTable,
@@ -246,14 +244,14 @@ def _solve(
     )
     uncertainty = uncertainty.widened(level_covariance(statistics, data.freedom))
     theta, curvature, at_bound = (
-        jnp.concatenate(parts)
+        xp.concatenate(parts)
         for parts in zip(*((s.solution.theta, s.prior_curvature, s.at_bound) for s in solutions))
     )
     uncertainty = constrained_uncertainty(uncertainty, statistics, constraints, curvature, at_bound)
     # Nothing is said of the uncertainty of what is held.
-    naive = jnp.sqrt(jnp.diagonal(naive_covariance(statistics)))
-    naive = jnp.where(at_bound, jnp.nan, naive)
-    block_count = jnp.sum(statistics.used)
+    naive = xp.sqrt(xp.diagonal(naive_covariance(statistics)))
+    naive = xp.where(at_bound, xp.nan, naive)
+    block_count = xp.sum(statistics.used)
     fit = Estimate(
         theta=theta,
         uncertainty=uncertainty,
@@ -261,7 +259,7 @@ def _solve(
         inflation=inflation,
         at_bound=at_bound,
         block_count=block_count,
-        block_length=jnp.sum(short.durations) / block_count,
+        block_length=xp.sum(short.durations) / block_count,
         naive=naive,
         stages=tuple(solutions),
     )
@@ -292,6 +290,6 @@ def _rows(
                 part = np.zeros((1 + len(names), len(factor)))
                 part[[0, *(1 + names.index(name) for name in own)]] = np.asarray(factor).T
                 parts.append(part)
-        columns = jnp.asarray(np.concatenate(parts, axis=1))
-        found.append(Rows(columns, jnp.arange(columns.shape[1]), names))
+        columns = np.concatenate(parts, axis=1)
+        found.append(Rows(columns, np.arange(columns.shape[1]), names))
     return found

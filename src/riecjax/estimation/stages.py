@@ -3,14 +3,14 @@
 import dataclasses
 import operator
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from riecjax import arrays as xp
 from riecjax.criteria.criterion import Rows
 from riecjax.estimation.constraints import (
     NONE,
@@ -22,7 +22,7 @@ from riecjax.estimation.constraints import (
     sides_of_bounds,
 )
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, namespace
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_diagonal, unit_scale
 from riecjax.summaries.normal_equations import (
     NormalEquations,
@@ -64,17 +64,20 @@ def solve(equations: NormalEquations) -> Solution:
     # numbers that are not finite, which optimisers and diverged lanes of a batch may pass through.
     gram, scale = unit_diagonal(equations.gram)
     # Rounding of the Gram matrix hides singular values of A below sqrt(eps) of the largest.
-    tolerance = float(jnp.finfo(gram.dtype).eps) * gram.shape[0]
-    eigenvalues, vectors = symmetric_eigen(jax.lax.stop_gradient(gram))
+    tolerance = float(xp.finfo(gram.dtype).eps) * gram.shape[0]
+    eigenvalues, vectors = symmetric_eigen(xp.stop_gradient(gram))
     valid = eigenvalues > tolerance * eigenvalues[-1]
-    inverse = jnp.where(valid, 1 / jnp.where(valid, eigenvalues, 1.0), 0.0)
-    theta = jax.lax.custom_linear_solve(
-        lambda x: gram @ x,
-        equations.moment * scale,
-        lambda _, right: vectors @ (inverse * (vectors.T @ right)),
-        symmetric=True,
-    )
-    singular_values = jnp.sqrt(jnp.maximum(eigenvalues, 0))
+    inverse = xp.where(valid, 1 / xp.where(valid, eigenvalues, 1.0), 0.0)
+
+    def solved(_: Any, right: Array) -> Array:
+        return vectors @ (inverse * (vectors.T @ right))
+
+    moment = equations.moment * scale
+    if xp.are_traced((gram, moment)):
+        theta = jax.lax.custom_linear_solve(lambda x: gram @ x, moment, solved, symmetric=True)
+    else:
+        theta = solved(None, moment)
+    singular_values = xp.sqrt(xp.maximum(eigenvalues, 0))
     return _solution(theta * scale, singular_values, vectors[:, 0], tolerance**0.5)
 
 
@@ -84,18 +87,22 @@ FACTORED = 2**13
 
 def solve_rows(rows: Rows) -> Solution:
     """Solve rows by a singular value decomposition: slower, accurate to eps times cond."""
-    scale = unit_scale(jnp.sum(rows.regressors**2, axis=0))
+    scale = unit_scale(xp.sum(rows.regressors**2, axis=0))
     matrix = rows.regressors * scale[None, :]
-    tolerance = float(jnp.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)
-    theta = lx.linear_solve(
-        lx.MatrixLinearOperator(matrix), rows.target, solver=lx.SVD(rcond=tolerance), throw=False
-    ).value
+    tolerance = float(xp.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)
     # With fewer rows than parameters the further singular values are zero.
     further = max(matrix.shape[1] - matrix.shape[0], 0)
-    _, singular_values, right = jnp.linalg.svd(
-        jax.lax.stop_gradient(matrix), full_matrices=further > 0
-    )
-    singular_values = jnp.pad(singular_values, (0, further))
+    _, singular_values, right = xp.linalg.svd(xp.stop_gradient(matrix), full_matrices=further > 0)
+    if xp.are_traced((matrix, rows.target)):
+        # Lineax's, for its derivative.
+        import lineax
+
+        operator = lineax.MatrixLinearOperator(matrix)
+        solver = lineax.SVD(rcond=tolerance)
+        theta = lineax.linear_solve(operator, rows.target, solver=solver, throw=False).value
+    else:
+        theta = np.linalg.lstsq(matrix, rows.target, rcond=tolerance)[0]
+    singular_values = xp.pad(singular_values, (0, further))
     return _solution(theta * scale, singular_values[::-1], right[-1], tolerance)
 
 
@@ -103,9 +110,9 @@ def _solution(
     theta: Array, ascending: Float[Array, " p"], weakest: Array, tolerance: float
 ) -> Solution:
     largest, smallest = ascending[-1], ascending[0]
-    floor = jnp.finfo(ascending.dtype).tiny
-    rank = jnp.sum(ascending > tolerance * largest)
-    return Solution(theta, largest / jnp.maximum(smallest, floor), rank, weakest)
+    floor = xp.finfo(ascending.dtype).tiny
+    rank = xp.sum(ascending > tolerance * largest)
+    return Solution(theta, largest / xp.maximum(smallest, floor), rank, weakest)
 
 
 # Normal equations of stages over records, solved in turn, and what is left of every equation.
@@ -131,7 +138,6 @@ class EquationFit(eqx.Module):
     @property
     def model_rms(self) -> Float[Array, ""]:
         """What of `relative_rms` the sensors' known noise does not make."""
-        xp = namespace(self.relative_rms)
         return xp.sqrt(xp.maximum(xp.square(self.relative_rms) - xp.square(self.noise_rms), 0.0))
 
 
@@ -163,9 +169,9 @@ class StageSolution(eqx.Module):
         if not {*self.parameters} & {*constraints.priors, *constraints.bounds}:
             return blocks
         place = np.array([blocks.parameters.index(name) for name in self.parameters])
-        at = jnp.stack([jnp.asarray(values[name]) for name in blocks.parameters])
-        held = jnp.zeros(at.shape, bool).at[place].set(self.at_bound)
-        curvature = jnp.zeros_like(at).at[place].set(self.prior_curvature)
+        at = xp.stack([values[name] for name in blocks.parameters])
+        held = xp.with_entries(np.zeros(at.shape, bool), place, self.at_bound)
+        curvature = xp.with_entries(np.zeros(at.shape, at.dtype), place, self.prior_curvature)
         return constrained_blocks(blocks, at, held, curvature)
 
 
@@ -187,21 +193,21 @@ def _constrained(
         mix, block = holding(held, values), diagonal_block(names, curvature, moment)
         if rows is None:
             return solve(equations.in_columns(lambda m: mix @ m @ mix.T, names) + block)
-        root = jnp.sqrt(curvature)
-        further = jnp.where(root > 0, moment / jnp.where(root > 0, root, 1.0), 0.0)
-        further = jnp.concatenate([further[None], jnp.diag(root)])
-        columns = jnp.concatenate([mix @ rows.columns, further], axis=1)
-        return solve_rows(Rows(columns, jnp.arange(columns.shape[1]), names))
+        root = xp.sqrt(curvature)
+        further = xp.where(root > 0, moment / xp.where(root > 0, root, 1.0), 0.0)
+        further = xp.concatenate([further[None], xp.diag(root)])
+        columns = xp.concatenate([mix @ rows.columns, further], axis=1)
+        return solve_rows(Rows(columns, np.arange(columns.shape[1]), names))
 
-    held, moment = jnp.zeros(len(names), bool), curvature * constraints.prior(names)[0]
+    held, moment = np.zeros(len(names), bool), curvature * constraints.prior(names)[0]
     solution = solved(held, moment, curvature, moment)
     if {*names} & {*constraints.bounds}:
         side = sides_of_bounds(equations + diagonal_block(names, curvature, moment), constraints)
         lower, upper = constraints.limits(names)
-        held, bound = side != 0, jnp.where(side < 0, lower, upper)
-        curvature, moment = jnp.where(held, 1.0, curvature), jnp.where(held, bound, moment)
-        theta = jnp.where(held, bound, solved(held, bound, curvature, moment).theta)
-        solution = dataclasses.replace(solution, theta=jnp.clip(theta, lower, upper))
+        held, bound = side != 0, xp.where(side < 0, lower, upper)
+        curvature, moment = xp.where(held, 1.0, curvature), xp.where(held, bound, moment)
+        theta = xp.where(held, bound, solved(held, bound, curvature, moment).theta)
+        solution = dataclasses.replace(solution, theta=xp.clip(theta, lower, upper))
     return solution, held
 
 
@@ -233,8 +239,8 @@ def solve_stages(
             continue
         of_stage = None if rows is None else rows[i].fix(found)
         solution = solve(equations) if of_stage is None else solve_rows(of_stage)
-        before, curvature = found, jnp.zeros_like(solution.theta)
-        held = jnp.zeros(curvature.shape, bool)
+        before, curvature = found, xp.zeros_like(solution.theta)
+        held = np.zeros(curvature.shape, bool)
         if {*names} & {*constraints.priors}:
             assert short is not None
             assert longest_window is not None
@@ -249,13 +255,13 @@ def solve_stages(
             )
         if {*names} & {*constraints.priors, *constraints.bounds}:
             solution, held = _constrained(equations, of_stage, constraints, curvature)
-            curvature = jnp.where(held, 0.0, curvature)
+            curvature = xp.where(held, 0.0, curvature)
         found = found | dict(zip(names, solution.theta))
         whole = _fit(equations, solution.theta, equations.energy)
         several = apart[i] if apart else []
         fits = [_fit_of_part(part.total(), equations, before, found) for part in several]
-        reference = jnp.where(equations.energy > 0, equations.energy, 1.0)
-        size = jnp.sqrt((jnp.diagonal(equations.gram) + curvature) / reference)
+        reference = xp.where(equations.energy > 0, equations.energy, 1.0)
+        size = xp.sqrt((xp.diagonal(equations.gram) + curvature) / reference)
         solutions.append(
             StageSolution(
                 solution,
@@ -277,14 +283,14 @@ def solve_stages(
 def _fit(equations: NormalEquations, theta: Float[Array, " p"], reference: Array) -> EquationFit:
     """What is left at theta, relative to the energy of a reference (0 where that is silent)."""
     positive = reference > 0
-    size = jnp.where(positive, reference, 1.0)
+    size = xp.where(positive, reference, 1.0)
     left = equations.residual_energy(theta)
     relative, noise = (
-        jnp.sqrt(jnp.where(positive, energy / size, 0.0))
+        xp.sqrt(xp.where(positive, energy / size, 0.0))
         for energy in (left, equations.noise_energy(theta))
     )
-    absolute = jnp.sqrt(left / jnp.maximum(equations.count, 1))
-    nothing = jnp.zeros_like(relative)
+    absolute = xp.sqrt(left / xp.maximum(equations.count, 1))
+    nothing = xp.zeros_like(relative)
     return EquationFit(relative, absolute, noise, equations.count, nothing, equations.parameters)
 
 
@@ -301,11 +307,11 @@ def _fit_of_part(
     """
     equation = part.fix(before)
     unknown = equation.parameters
-    theta = jnp.stack([found[name] for name in unknown]) if unknown else jnp.zeros(0)
-    values = jnp.stack([jnp.asarray(found[name]) for name in part.parameters])
-    largest = jnp.maximum(part.energy, jnp.max(values**2 * jnp.diagonal(part.gram)))
+    theta = xp.stack([found[name] for name in unknown]) if unknown else np.zeros(0)
+    values = xp.stack([found[name] for name in part.parameters])
+    largest = xp.maximum(part.energy, xp.max(values**2 * xp.diagonal(part.gram)))
     has_target = (equation.energy > 0) & bool(unknown)
-    fit = _fit(equation, theta, jnp.where(has_target, equation.energy, largest))
+    fit = _fit(equation, theta, xp.where(has_target, equation.energy, largest))
     if not unknown:
         return fit
     # The share by which an equation without a target shrinks its coefficients theta. Its residual
@@ -322,9 +328,9 @@ def _fit_of_part(
         follow = solve_scaled(rest[np.ix_(others, others)], pulled[others][:, None])[:, 0]
         curvature = curvature - pulled[others] @ follow
     energy = equation.residual_energy(theta)
-    both = energy + jnp.maximum(curvature, 0.0)
-    share = jnp.where(both > 0, energy / jnp.where(both > 0, both, 1.0), 0.0)
-    return dataclasses.replace(fit, shrinkage=jnp.where(has_target, 0.0, share))
+    both = energy + xp.maximum(curvature, 0.0)
+    share = xp.where(both > 0, energy / xp.where(both > 0, both, 1.0), 0.0)
+    return dataclasses.replace(fit, shrinkage=xp.where(has_target, 0.0, share))
 
 
 def stages_over_records(
@@ -348,7 +354,7 @@ def over_records(equations: NormalEquations, table: ParameterTable) -> NormalEqu
         record = jax.tree.map(operator.itemgetter(i), equations)
         record = record.in_columns(lambda matrix: matrix, table.of_record(names, i))
         every.append(record.embed(table.everywhere(names)))
-    return jax.tree.map(lambda *leaves: namespace(leaves).stack(leaves), *every)
+    return xp.stacked(every)
 
 
 # How far an equation's sums bear out the noise that is taken off them, and what is unsure of it.
@@ -370,7 +376,7 @@ def largest_share(
 ) -> tuple[Float[Array, ""], Float[Array, " q"]]:
     """The largest eigenvalue of one matrix against another, and its vector over the columns."""
     scaled, scale = unit_diagonal(moments)
-    xp, ridge = namespace(scaled), 100 * float(jnp.finfo(scaled.dtype).eps)
+    ridge = 100 * float(np.finfo(scaled.dtype).eps)
     values, vectors = symmetric_eigen(scaled)
     # Square roots of the eigenvalues bring the moments to the unit matrix.
     root = vectors / xp.sqrt(xp.maximum(values, 0.0) + ridge)[None, :]
@@ -384,12 +390,12 @@ def borne_out(equations: NormalEquations) -> NormalEquations:
         return equations
     total = equations.flattened().total()
     assert total.noise is not None
-    noise, moments = jax.lax.stop_gradient((total.noise, total.moments))
+    noise, moments = xp.stop_gradient((total.noise, total.moments))
     with_target = largest_share(noise, moments)[0]
     regressors = largest_share(noise[1:, 1:], moments[1:, 1:])[0]
-    least = jnp.finfo(noise.dtype).tiny
-    share = jnp.where(with_target > SCATTER, 1 / jnp.maximum(with_target, least), 1.0)
-    share = jnp.minimum(share, MOST / jnp.maximum(regressors, least))
+    least = xp.finfo(noise.dtype).tiny
+    share = xp.where(with_target > SCATTER, 1 / xp.maximum(with_target, least), 1.0)
+    share = xp.minimum(share, MOST / xp.maximum(regressors, least))
     of_source = None if equations.noise_of_source is None else share * equations.noise_of_source
     return equations.with_noise(share * equations.noise, of_source)
 
@@ -410,8 +416,8 @@ def level_covariance(
     for stage in statistics.short_blocks:
         assert stage.noise_of_source is not None
         moments = stage.noise_of_source.reshape(-1, *stage.moments.shape[-2:])
-        of_source.append(NormalEquations(moments, jnp.zeros(len(moments)), stage.parameters))
+        of_source.append(NormalEquations(moments, np.zeros(len(moments)), stage.parameters))
     moved = scores(of_source, statistics.unknowns, statistics.values)
     moved = solve_scaled(slope(totals, statistics.unknowns), moved.T)
-    spread = moved * jnp.sqrt(2 / jnp.asarray(freedom)).ravel()[None, :]
+    spread = moved * xp.sqrt(2 / xp.asarray(freedom)).ravel()[None, :]
     return spread @ spread.T

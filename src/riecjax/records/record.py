@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
+from riecjax import arrays as xp
 from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.extensions import require_packages
-from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.signal import Noise, Signal, SignalNoise, both
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn
@@ -80,11 +81,10 @@ class Record(Drawn, eqx.Module):
         skipped: ArrayLike | Array = 0.0,
     ):
         require("what a record is made of", by_name, Mapping, WRITE_RECORD, DataError)
-        dtype = jnp.result_type(float)
         self.by_name = {}
         for name, given in by_name.items():
             signal = _signal(name, given)
-            values = _owned(_numbers(name, signal.values), dtype)
+            values = _owned(_numbers(name, signal.values), float)
             present = None if signal.present is None else _owned(signal.present, bool)
             self.by_name[name] = Signal(values, present, signal.unit, signal.noise)
         # Of a batch of records, signals and time steps have the batch's axes in front.
@@ -105,10 +105,10 @@ class Record(Drawn, eqx.Module):
                 raise DataError(
                     f"the time step must be a positive number of seconds; got {least:g}."
                 )
-        self.time_step = jnp.asarray(time_step, dtype)
-        self.start_time = jnp.asarray(start_time, dtype)
-        self.stamps = None if stamps is None else _owned(stamps, dtype)
-        self.skipped = jnp.asarray(skipped, dtype)
+        self.time_step = xp.asarray(time_step, float)
+        self.start_time = xp.asarray(start_time, float)
+        self.stamps = None if stamps is None else _owned(stamps, float)
+        self.skipped = xp.asarray(skipped, float)
 
     def __check_init__(self):
         lengths = {name: values.shape for name, values in self.arrays.items()}
@@ -213,15 +213,14 @@ class Record(Drawn, eqx.Module):
     @property
     def duration(self) -> Float[Array, ""]:
         """Seconds recorded, pauses left out: t_max of eq. (15)."""
-        return namespace(self.time_step).multiply(self.time_step, self.sample_count - 1)
+        return xp.multiply(self.time_step, self.sample_count - 1)
 
     @property
     def time(self) -> Float[Array, " n"]:
         """Time of each sample in seconds."""
         if self.stamps is not None:
             return self.stamps
-        xp = namespace(self.start_time, self.time_step)
-        return xp.add(self.start_time, xp.multiply(self.time_step, xp.arange(self.sample_count)))
+        return xp.add(self.start_time, xp.multiply(self.time_step, np.arange(self.sample_count)))
 
     @property
     def elapsed(self) -> Float[Array, " n"]:
@@ -231,8 +230,7 @@ class Record(Drawn, eqx.Module):
         """
         if self.stamps is not None:
             return self.skipped + (self.stamps - self.stamps[0])
-        xp = namespace(self.skipped, self.time_step)
-        return xp.add(self.skipped, xp.multiply(self.time_step, xp.arange(self.sample_count)))
+        return xp.add(self.skipped, xp.multiply(self.time_step, np.arange(self.sample_count)))
 
     def to_frame(self) -> Any:
         """A pandas data frame of the signals, NaN where one lacks its sample; time in s is its
@@ -315,10 +313,7 @@ class Record(Drawn, eqx.Module):
 
     def stretch(self, first: Int[Array, ""], count: int) -> "Record":
         """`count` samples from `first` on, which may be traced; both must lie in the record."""
-        cut = functools.partial(
-            jax.lax.dynamic_slice_in_dim, start_index=first, slice_size=count, axis=-1
-        )
-        return self._rows(cut, first)
+        return self._rows(lambda values: xp.cut(values, first, count), first)
 
     def every(self, count: int) -> "Record":
         """Every `count`-th sample, without filtering first.
@@ -333,7 +328,7 @@ class Record(Drawn, eqx.Module):
         # Thinning must not lose a gap between two samples that stay: a gap then widens to one.
         def thin(mask: Array) -> Array:
             room = [(0, 0)] * (mask.ndim - 1) + [(0, -mask.shape[-1] % count)]
-            padded = jnp.pad(mask, room, constant_values=True)
+            padded = xp.pad(mask, room, constant_values=True)
             return padded.reshape(*mask.shape[:-1], -1, count).all(-1)
 
         return self._rows(lambda values: values[..., ::count], 0, count, thin)
@@ -426,19 +421,16 @@ def as_records(records: Records) -> list[Record]:
 
 def stack_records(records: list[Record]) -> Record:
     """Records of equal length as one batched record, to `jax.vmap` over its leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *records)
+    return xp.stacked(records)
 
 
 def _owned(values: Any, dtype: Any) -> Array:
-    """An array that no one else writes to: JAX may take up memory of NumPy's as it is.
-
-    NumPy copies, since JAX compiles a conversion for each length that is new.
-    """
-    if isinstance(values, jax.Array):
+    """An array that no one else writes to, of NumPy and in double precision unless it is traced."""
+    if xp.is_traced(values):
         return jnp.asarray(values, dtype)
-    # What 32-bit does not hold is infinite there.
-    with np.errstate(over="ignore"):
-        return jnp.asarray(np.array(values, dtype))
+    owned = np.array(values, dtype)
+    owned.flags.writeable = False
+    return owned
 
 
 def _numbers(name: str, values: Any) -> Any:
@@ -486,7 +478,7 @@ def _samples(name: str, values: ArrayLike) -> np.ndarray:
         raise DataError(
             f"signal '{name}' must be one column of samples; it has shape {samples.shape}."
         )
-    infinite = np.abs(samples) > float(jnp.finfo(jnp.result_type(float)).max)
+    infinite = np.isinf(samples)
     if infinite.any():
         raise DataError(
             f"signal '{name}' has {int(infinite.sum())} infinite value(s), the first at sample "

@@ -11,17 +11,17 @@ from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key, UInt32
 
+from riecjax import arrays as xp
 from riecjax.criteria.criterion import AbstractCriterion, Rows
-from riecjax.criteria.windows import LengthBins, products_by_block
+from riecjax.criteria.windows import LengthBins
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.equations.term import from_elsewhere
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.record import Record
 from riecjax.records.signal import Noise
 
@@ -134,8 +134,6 @@ class NormalEquations(eqx.Module):
         # Behind the columns stands one of zeros, which is taken where a parameter does not occur.
         place = {name: 1 + j for j, name in enumerate(self.parameters)}
         index = np.array([0, *(place.get(name, 1 + len(place)) for name in parameters)])
-        xp = namespace(self)
-
         def embedded(matrix: Array) -> Array:
             beside = [(0, 0)] * (matrix.ndim - 2) + [(0, 1), (0, 1)]
             return xp.pad(matrix, beside)[..., index[:, None], index[None, :]]
@@ -153,13 +151,14 @@ class NormalEquations(eqx.Module):
         # ones, and so are their moments, T M T^T. In it y'^T y' is a difference of large numbers
         # where the known terms make up most of y, and loses as many digits as they share with it;
         # A'^T A' and the blocks' additivity are untouched.
-        xp, dtype = namespace(self, known), self.moments.dtype
+        dtype, size = self.moments.dtype, 1 + len(self.parameters)
         target = [1.0, *(-known[name] if name in known else 0.0 for name in self.parameters)]
-        target = xp.stack([xp.asarray(value, dtype) for value in target])
-        regressors = np.eye(target.size, dtype=dtype)[[1 + j for j in free]]
-        mix = xp.concatenate([target[None], regressors])
+        target = xp.stack(xp.broadcast_arrays(*target), axis=-1).astype(dtype)[..., None, :]
+        regressors = np.eye(size, dtype=dtype)[[1 + j for j in free]]
+        regressors = xp.broadcast_to(regressors, (*target.shape[:-2], *regressors.shape))
+        mix = xp.concatenate([target, regressors], axis=-2)
         names = tuple(self.parameters[j] for j in free)
-        return self.in_columns(lambda matrix: mix @ matrix @ mix.T, names)
+        return self.in_columns(lambda matrix: mix @ matrix @ xp.swapaxes(mix, -1, -2), names)
 
     @classmethod
     def of_rows(
@@ -169,12 +168,10 @@ class NormalEquations(eqx.Module):
         columns = rows.columns
         if block_of_row is None:
             return cls((columns @ columns.T)[None], rows.count()[None], rows.parameters)
-        valid = jnp.ones(columns.shape[1], bool) if rows.valid is None else rows.valid
-        ones = valid.astype(columns.dtype)[None]
-        moments, count = (
-            products_by_block(each, each, block_of_row, block_count) for each in (columns, ones)
-        )
-        return cls(moments, count[:, 0, 0], rows.parameters)
+        valid = np.ones(columns.shape[1]) if rows.valid is None else rows.valid
+        moments = xp.products_by_block(columns, block_of_row, block_count)
+        count = xp.sum_by_block(valid.astype(columns.dtype), block_of_row, block_count)
+        return cls(moments, count, rows.parameters)
 
     def residual_energy(self, theta: Float[Array, " p"]) -> Float[Array, "*blocks"]:
         """Sum of squared residuals at theta; below about 1e-16 of `energy` it is rounding."""
@@ -182,12 +179,12 @@ class NormalEquations(eqx.Module):
 
     def noise_energy(self, theta: Float[Array, " p"]) -> Float[Array, "*blocks"]:
         """What sensor noise adds to `residual_energy` in expectation; 0 where none is known."""
-        return jnp.zeros_like(self.energy) if self.noise is None else _energy(self.noise, theta)
+        return xp.zeros_like(self.energy) if self.noise is None else _energy(self.noise, theta)
 
 
 def _energy(moments: Array, theta: Float[Array, " p"]) -> Array:
-    v = jnp.concatenate([jnp.ones((1,), theta.dtype), -theta])
-    return jnp.maximum(jnp.einsum("i,...ij,j->...", v, moments, v), 0.0)
+    v = xp.concatenate([np.ones(1, theta.dtype), -theta])
+    return xp.maximum(xp.einsum("i,...ij,j->...", v, moments, v), 0.0)
 
 
 def sum_of_equations(
@@ -205,7 +202,6 @@ def sum_of_equations(
 def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> NormalEquations:
     """Of one record after another, with empty blocks behind, up to as many as `room` or another."""
     most = max(room, *(part.count.shape[0] for part in parts))
-    xp = namespace(parts)
 
     def stacked(blocks: Sequence[Array], length: int) -> Array:
         behind = ([(0, length - b.shape[0])] + [(0, 0)] * (b.ndim - 1) for b in blocks)
@@ -256,7 +252,6 @@ def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " r
     """
     # Fewer than two blocks have no scatter. More than `MOST_BLOCKS` would cost memory in every
     # replicate and give the variance few more degrees of freedom than Student's t can tell apart.
-    xp = namespace(length, short)
     each = xp.maximum(xp.round(xp.divide(length, short.seconds)), 1)
     most = xp.minimum(short.number, MOST_BLOCKS)
     return xp.clip(short.number // each, 2, most).astype(np.int32)
@@ -272,15 +267,15 @@ def sum_blocks(
     number = short.number[:, None]
     place = np.arange(values.shape[1])[None, :]
     # What is left over is spread, so that no last block is shorter than the others.
-    group = jnp.where(place < number, place * used[:, None] // number, most)
-    summed = jax.vmap(lambda v, g: jax.ops.segment_sum(v, g, num_segments=most))
-    return summed(values, group).reshape(-1, *values.shape[2:])
+    group = xp.where(place < number, place * used[:, None] // number, most)
+    every = most * group.shape[0]
+    group = xp.where(group < most, group + most * np.arange(group.shape[0])[:, None], every)
+    return xp.sum_by_block(values.reshape(-1, *values.shape[2:]), group.ravel(), every)
 
 
 def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> ShortBlocks:
     """The short blocks of each record that normal equations are kept for."""
     samples = [criterion.block_samples(record) for record in records]
-    xp = namespace([record.time_step for record in records])
     return ShortBlocks(
         np.array([-(-record.sample_count // k) for record, k in zip(records, samples)]),
         xp.stack([xp.multiply(k, record.time_step) for record, k in zip(records, samples)]),
@@ -413,7 +408,7 @@ class RecordingSums(eqx.Module):
 
     def scaled(self, factor: float) -> "RecordingSums":
         """Sums times a factor; triangular factors, whose squares are sums, times its root."""
-        root = namespace(factor).sqrt(factor)
+        root = xp.sqrt(factor)
 
         def times(leaf: Leaf) -> Leaf:
             return leaf * factor

@@ -1,4 +1,4 @@
-"""One pass over a recording: cut it into parts, sum each, reduce what they say to the sums kept.
+"""One pass over a recording: cut it into chunks, sum each, put what they say side by side.
 
 Every equation's columns are sampled once, chunk by chunk, and sums over blocks of starts are made
 of them: moments of all windows, and, on request, a survey for checks and figures.
@@ -10,24 +10,24 @@ of them: moments of all windows, and, on request, a survey for checks and figure
 # and right to first order in the noise where they are not.
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Key
 
-from riecjax.compilation import kept_jit
+from riecjax import arrays as xp
 from riecjax.criteria.all_windows import Moments
-from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS, AbstractCriterion
+from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import (
+    CHUNK,
     AllWindows,
     LagBins,
     LengthBins,
     StartBlocks,
     WindowSet,
+    chunk_length,
     in_chunks,
     law_in_bins,
     power_of_two,
@@ -38,9 +38,9 @@ from riecjax.equations.expressions import evaluate
 from riecjax.equations.model import Model
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_columns
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf, namespace, on_host
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
-from riecjax.records.record import Record, both, filled_up
+from riecjax.records.record import Record, both
 from riecjax.records.signal import Signal
 from riecjax.summaries.normal_equations import (
     EquationSums,
@@ -52,9 +52,7 @@ from riecjax.summaries.normal_equations import (
 )
 
 PART = 2**17
-"""Starts to a part of a long recording."""
-FILLED = (2**12, 2**15)
-"""Samples that shorter recordings are filled up to."""
+"""Starts to a stretch of a long recording at least."""
 NOISE = np.random.default_rng(0).standard_normal(2**16)
 """White noise of unit size, which is sent through the equations."""
 APART = 9973
@@ -71,81 +69,14 @@ class Lengths(NamedTuple):
     reach: int
 
 
-class Request(NamedTuple):
-    """What to sum, as far as it is compiled in.
-
-    **Fields:** `lengths` of windows that are summed in closed form, none where a criterion has
-    single rows, and the shortest and longest lag of their law; in each block, rows that are
-    `surveyed`, none unless a survey is asked for; whether the products with a `constant` are kept
-    as well.
-    """
-
-    lengths: tuple[Lengths, ...] = ()
-    band: tuple[Int[Leaf, ""] | int, Int[Leaf, ""] | int] = (0, 0)
-    surveyed: int = 0
-    constant: bool = True
-
-
 class Surveyed(NamedTuple):
-    """Rows of some windows in each block: by the criterion, by the finest quadrature, and what
-    noise adds to them; where they start; least and largest argument of each basis."""
+    """Rows of some windows: by the criterion, by the finest quadrature, and what noise adds to
+    them; where they start; least and largest argument of each basis."""
 
-    rows: Float[Array, "blocks rows 3 columns"]
-    start: Float[Array, "blocks rows"]
-    valid: Bool[Array, "blocks rows"]
-    reach: dict[str, Float[Array, "1 2"]]
-
-
-PartSums = tuple[tuple[EquationSums, ...], Surveyed | None]
-"""What a part says of one equation: sums over windows that reach ever further, with axes `(blocks,
-bins)` and of sources `(chunks, bins)`, and a survey."""
-
-
-@kept_jit
-def part_sums(
-    part: Record,
-    blocks: StartBlocks,
-    model: Model,
-    criterion: AbstractCriterion,
-    key: Key[Array, ""] | None,
-    request: Request,
-) -> list[list[PartSums]]:
-    """What blocks of starts of a part of a recording say of each equation of each stage.
-
-    Their size is traced where blocks are shorter than the longest window, or rows are drawn.
-    """
-    lengths = request.lengths
-    drawn = None if lengths else criterion.draw(part, key, blocks.unpadded)
-
-    def of_chunk(record: Record, blocks: StartBlocks) -> list[list[PartSums]]:
-        # Every survey has noisy rows: what they are made of is evaluated once, for all.
-        disturbed, windows = record, drawn
-        if request.surveyed:
-            disturbed = _disturbed(record)
-        if request.surveyed and lengths:
-            # In each block, at places and of lengths that are drawn once for all.
-            share = np.random.default_rng(1).random((2, blocks.number, request.surveyed))
-            start = blocks.first + blocks.size * jnp.arange(blocks.number)[:, None]
-            start = start + (share[0] * blocks.size).astype(int)
-            shortest, longest = request.band
-            lag = shortest + (share[1] * (longest - shortest + 1)).astype(int)
-            windows = WindowSet(start, start + criterion.test_function.length_multiple * lag)
-
-        def of_equation(equation: Equation) -> PartSums:
-            noisy, survey = criterion.noisy_columns(equation, record), None
-            if request.surveyed and windows is not None:
-                records = record, disturbed
-                survey = _surveyed(criterion, equation, noisy.columns, records, blocks, windows)
-            every = lengths if drawn is None else (drawn,)
-            sums = tuple(_equation_sums(criterion, noisy, w, blocks, request) for w in every)
-            return sums, survey
-
-        return [[of_equation(equation) for equation in stage] for stage in model.stages]
-
-    if not isinstance(blocks.size, int):
-        return of_chunk(part, blocks)
-    reach, margin = lengths[-1].reach, criterion.test_function.margin
-    return in_chunks(part, blocks, of_chunk, reach=reach, margin=margin)
+    rows: Float[np.ndarray, "rows 3 columns"]
+    start: Float[np.ndarray, " rows"]
+    valid: Bool[np.ndarray, " rows"]
+    reach: dict[str, Float[np.ndarray, " 2"]]
 
 
 def _equation_sums(
@@ -153,7 +84,7 @@ def _equation_sums(
     noisy: NoisyColumns,
     windows: Lengths | WindowSet,
     blocks: StartBlocks,
-    request: Request,
+    constant: bool,
 ) -> EquationSums:
     """Sums of an equation's rows over windows, and what noise adds to them: over all of some
     lengths; or where a criterion has single rows, each sample's or of windows that are drawn.
@@ -162,63 +93,64 @@ def _equation_sums(
     reach, so that a block shorter than a window costs as much as one as long. Where some lengths
     are longer, neighbouring blocks are summed as one, and the first of them holds the sums.
     """
-    wider = 1
-    if isinstance(windows, WindowSet):
-        place = jnp.clip((windows.start / blocks.size).astype(jnp.int32), 0, blocks.number - 1)
-        block_of_row, counted = (place if blocks.number > 1 else None), windows
+    wider, counted = 1, windows
+    if isinstance(windows, Lengths):
+        counted = windows.lags
+        while wider * blocks.size < windows.reach and wider < blocks.number:
+            wider *= 2
+        number = -(-blocks.number // wider)
+        blocks, narrow = blocks._replace(size=wider * blocks.size, number=number), blocks.number
 
-        def products(columns: Columns) -> Moments:
-            rows = criterion.rows_of(columns, windows, blocks.unpadded)
-            sums = NormalEquations.of_rows(
-                rows, block_of_row=block_of_row, block_count=blocks.number
-            )
-            return sums.moments, sums.count
-
-    else:
-        size, counted = blocks.size, windows.lags
-        if isinstance(size, int) and windows is not request.lengths[0]:
-            while wider * size < windows.reach and blocks.number % (2 * wider) == 0:
-                wider *= 2
-            blocks = blocks._replace(size=wider * size, number=blocks.number // wider)
-
-        def products(columns: Columns) -> Moments:
+    def products(columns: Columns) -> Moments:
+        if isinstance(windows, Lengths):
             return criterion.test_function.moments(columns, windows.lags, blocks, windows.reach)
+        place = xp.clip(windows.start // blocks.size, 0, blocks.number - 1).astype(np.int32)
+        rows = criterion.rows_of(columns, windows)
+        sums = NormalEquations.of_rows(
+            rows,
+            block_of_row=place if blocks.number > 1 else None,
+            block_count=blocks.number,
+        )
+        return sums.moments, sums.count
 
-    columns, constant = noisy.columns, None
-    if request.constant:
+    columns, ones = noisy.columns, None
+    if constant:
         # A column behind that is 1 at every sample, whose product with itself comes first.
-        ones = jnp.zeros_like(columns.values[:, :1]).at[0].set(1.0)
-        values = jnp.concatenate([columns.values, ones], axis=1)
+        one = np.zeros_like(columns.values[:, :1])
+        one[0] = 1.0
+        values = np.concatenate([columns.values, one], axis=1)
         names = (*columns.parameters, "")
         moments, number = products(dataclasses.replace(columns, values=values, parameters=names))
-        constant = jnp.roll(moments[..., -1, :], 1, axis=-1)
+        ones = np.roll(moments[..., -1, :], 1, axis=-1)
         moments = moments[..., :-1, :-1]
     else:
         moments, number = products(columns)
-    sums = EquationSums(moments, number, columns.parameters, constant=constant)
+    sums = EquationSums(moments, number, columns.parameters, constant=ones)
     added = criterion.noise_of(noisy, counted, blocks, lambda moved: products(moved)[0])
     if added is not None:
         sums = sums.with_noise(*added)
     if isinstance(windows, WindowSet):  # of which there are no bins of lengths
         sums = jax.tree.map(lambda leaf: leaf[None], sums)
+    if wider == 1:
+        return sums
 
-    def blocks_first(leaf: Leaf) -> Leaf:
-        apart = jnp.swapaxes(leaf, 0, 1)[:, None]
-        behind = [(0, 0), (0, wider - 1)] + [(0, 0)] * (apart.ndim - 2)
-        return jnp.pad(apart, behind).reshape(-1, *apart.shape[2:])
+    def first_of(leaf: Leaf) -> Leaf:
+        apart = xp.expand_dims(leaf, 2)
+        behind = [(0, 0)] * 2 + [(0, wider - 1)] + [(0, 0)] * (apart.ndim - 3)
+        spread = xp.pad(apart, behind)
+        return spread.reshape(leaf.shape[0], -1, *leaf.shape[2:])[:, :narrow]
 
-    return sums.each(blocks_first, noise_of_source=lambda sources: sources[None])
+    return sums.each(first_of)
 
 
-def _disturbed(record: Record) -> Record:
-    """The record with white noise of its size on each signal; any stretch has the same."""
-    first = jnp.round(record.skipped / record.time_step).astype(int)
-    place, names = first + jnp.arange(record.sample_count), sorted(record.arrays)
-    white = jnp.asarray(NOISE, record.time_step.dtype)
+def _disturbed(record: Record, first: int) -> Record:
+    """A stretch of a record, from a sample on, with white noise of its size on each signal; any
+    other has the same where both overlap."""
+    place, names = first + np.arange(record.sample_count), sorted(record.arrays)
 
     def disturbed(number: int, name: str) -> Signal:
         signal = record.signal(name)
-        noise = record.noise.std(name) * white[(place + APART * number) % NOISE.size]
+        noise = record.noise.std(name) * NOISE[(place + APART * number) % NOISE.size]
         return dataclasses.replace(signal, values=signal.values + noise)
 
     return record.with_signals({name: disturbed(i, name) for i, name in enumerate(names)})
@@ -229,7 +161,6 @@ def _surveyed(
     equation: Equation,
     clean: Columns,
     records: tuple[Record, Record],
-    blocks: StartBlocks,
     windows: WindowSet,
 ) -> Surveyed:
     """Rows of windows: of an equation's columns, and of what noise adds to these; of a record
@@ -237,43 +168,33 @@ def _surveyed(
     record, disturbed = records
     noise, plain = (sampled_columns(equation, r, criterion.smoothness) for r in (disturbed, record))
     last = clean.sample_count - 1
-    windows = WindowSet(*(at.reshape(-1, at.shape[-1]) for at in windows))
-    shape = windows.start.shape
-    inside = (windows.stop < blocks.unpadded).ravel()
-    flat = WindowSet(*(jnp.minimum(jnp.maximum(at, 0), last).ravel() for at in windows))
+    inside = windows.stop <= last
+    held = WindowSet(*(np.clip(at, 0, last) for at in windows))
 
     def rows(by: AbstractCriterion, columns: Columns) -> tuple[Array, Array]:
-        found = by.rows_of(columns, flat, blocks.unpadded)
+        found = by.rows_of(columns, held)
         valid: Any = both(inside, found.valid)
-        return jnp.where(valid[:, None], found.columns.T, 0.0), valid.reshape(shape)
+        return np.where(valid[:, None], found.columns.T, 0.0), valid
 
     (values, valid), finer = rows(criterion, clean), criterion.finest()
     by_finest = values if finer is criterion else rows(finer, clean)[0]
-    every = jnp.stack([values, by_finest, rows(criterion, noise - plain)[0]], axis=-2)
+    every = np.stack([values, by_finest, rows(criterion, noise - plain)[0]], axis=-2)
     reaches = {}
-    real = jnp.arange(record.sample_count) < blocks.unpadded
     for term in equation.terms:
         term = term.term if isinstance(term, InMotion) else term
         if term.basis is not None:
             argument = evaluate(term.of, record).values
-            low = jnp.min(argument, where=real, initial=jnp.inf)
-            high = jnp.max(argument, where=real, initial=-jnp.inf)
-            reaches[str(term.name)] = jnp.stack([low, high])[None]
-    at = jnp.clip(jnp.floor(flat.start).astype(int), 0, last)
-    start = record.elapsed[at].reshape(shape)
-    return Surveyed(every.reshape(*shape, *every.shape[1:]), start, valid, reaches)
+            reaches[str(term.name)] = np.array([argument.min(), argument.max()])
+    start = record.elapsed[np.floor(held.start).astype(int)]
+    return Surveyed(every, start, valid, reaches)
 
 
-# A window belongs to the block of time in which it starts. Blocks divide the starts, parts divide
-# the blocks, and a part holds, beside the samples of its own starts, those that windows from them
+# A window belongs to the block of time in which it starts. Blocks divide the starts, chunks divide
+# the blocks, and a chunk holds, beside the samples of its own starts, those that windows from them
 # reach (and a margin for quadrature of higher order). So each pair of start and length counts once,
-# in one block of one part, however the recording is cut, and the blocks' sums add up to the
+# in one block of one chunk, however the recording is cut, and the blocks' sums add up to the
 # recording's. Running sums start anew in each chunk, so that their rounding does not grow with the
-# recording.
-#
-# Shapes decide what is compiled. Short recordings are filled up behind their end, to one of two
-# lengths; where they end is a traced number. Longer ones are worked through in parts of one shape.
-# So recordings of any length are served by the same few compiled functions.
+# recording, nor does memory.
 #
 # Moments hold the squares of what rows hold: of a singular value s of scaled rows they keep s^2, to
 # eps. Directions with s below sqrt(eps) are lost in them, and theta is known to eps / s^2 where
@@ -282,7 +203,7 @@ def _surveyed(
 # of the rows is kept beside them: R^T R are the moments, and R has the rows' singular values.
 
 SURVEYED = 2048
-"""Rows of a recording that a survey looks at, about."""
+"""Rows of a recording that a survey looks at."""
 SHOWN = 2000
 """Rows of a recording that a survey keeps at most."""
 
@@ -304,46 +225,144 @@ def stretch_starts(criterion: AbstractCriterion, time_step: float, wanted: int) 
     return power_of_two(max(wanted, PART, 4 * longest))
 
 
-def traced_sums(
+# What overflows is for the fit to refuse.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def recording_sums(
     model: Model,
     record: Record,
     criterion: AbstractCriterion,
     key: Key[Array, ""] | None,
-    *,
+    bins: LengthBins | None = None,
+    survey: bool = False,
+    starts: tuple[int, int] | None = None,
     apart: bool = False,
-    blocks: bool = True,
+    in_blocks: bool = True,
 ) -> RecordingSums:
-    """Moments of one record, for code that is traced: shapes are those of the record.
+    """One recording, summed in one pass; arguments as for [`summarise`][].
 
-    **Arguments:** `apart`, windows of each length by themselves, where the test function asks for
-    that; `blocks`, of starts, where rows are not summed in one.
+    **Arguments:** `starts`, first of the starts that are summed and one beyond the last; all,
+    unless others see to the rest: then see [`stretch_starts`][]. `apart`, where numbers are traced:
+    windows of each length by themselves, for a test function that asks for that. Without
+    `in_blocks` rows that are not summed in closed form make a single block.
+
+    **Raises:** `ModelError` for an expression that mixes samples of a long recording.
     """
+    traced = xp.are_traced(model, record, criterion, key)
     n, windows = record.sample_count, criterion.all_windows
-    size = criterion.block_samples(record) if blocks or windows is not None else n
-    number = -(-n // size)
-    if windows is not None:
-        law = jax.tree.map(
-            lambda lags: lags[:, None] if apart else lags[None], criterion.law(record)
-        )
-        request = Request((Lengths(law, windows.reach(n)),), constant=False)
+    size = criterion.block_samples(record) if in_blocks or windows is not None else n
+    begin, end = starts or (0, n)
+    blocks = StartBlocks(begin, size, -(-(end - begin) // size))
+    every: tuple[Lengths | WindowSet, ...] = ()
+    reach, length = 0, n
+    if windows is None:
+        every = (criterion.draw(record, key),)
     else:
-        size, request = jnp.asarray(size), Request(constant=False)
-    starts = StartBlocks(0, size, number, n)
+        every = _lengths(criterion, windows, record, bins, apart)
+        reach = max(of.reach for of in every)
+        length = chunk_length(record, size, windows.reach(n))
+    if not traced:
+        mixing = mixing_expressions(model.equations, record)
+        if mixing and length < n:
+            raise ModelError(
+                f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
+                f"long is worked through in chunks. Compute it beforehand as a signal of the "
+                f"record."
+            )
+        if windows is not None and not mixing:
+            # Whole blocks, of as many as are summed as one.
+            unit = size
+            while unit < reach:
+                unit *= 2
+            length = -(-max(CHUNK, 4 * reach) // unit) * unit
+    drawn = every[0] if windows is None else _to_survey(criterion, windows, record, blocks)
 
-    def bins_first(blocks: Leaf) -> Leaf:
-        return jnp.swapaxes(blocks, 0, 1)
+    def of_equation(
+        equation: Equation, here: Record, blocks: StartBlocks
+    ) -> tuple[EquationSums, NoisyColumns]:
+        noisy = criterion.noisy_columns(equation, here)
+        sums = [_equation_sums(criterion, noisy, of, blocks, not traced) for of in every]
+        if len(sums) == 1:
+            return sums[0], noisy
+        return jax.tree.map(lambda *of: np.concatenate(of), *sums), noisy
 
+    surveys: list[list[Surveyed]] = []
+
+    def of_chunk(here: Record, blocks: StartBlocks, begin: int) -> list[list[EquationSums]]:
+        stages = [[of_equation(e, here, blocks) for e in stage] for stage in model.stages]
+        if survey and not traced:
+            first = drawn if windows is None else _within(drawn, begin, blocks)
+            records = here, _disturbed(here, begin)
+            surveys.append(
+                [
+                    _surveyed(criterion, equation, noisy.columns, records, first)
+                    for equation, (_, noisy) in zip(
+                        model.equations, (of for stage in stages for of in stage)
+                    )
+                ]
+            )
+
+        def blocks_first(leaf: Leaf) -> Leaf:
+            return xp.swapaxes(leaf, 0, 1)
+
+        return [
+            [sums.each(blocks_first, noise_of_source=lambda of: of[None]) for sums, _ in stage]
+            for stage in stages
+        ]
+
+    margin = criterion.test_function.margin
+    found = in_chunks(
+        record,
+        blocks,
+        of_chunk,
+        reach=reach,
+        margin=margin,
+        length=length,
+        beside=(model, criterion, key),
+    )
     stages = [
         [
-            sums.each(bins_first, noise_of_source=lambda chunks: chunks.sum(0))
-            for (sums,), _ in stage
+            sums.each(
+                lambda leaf: xp.swapaxes(leaf, 0, 1), noise_of_source=lambda of: of.sum(axis=0)
+            )
+            for sums in stage
         ]
-        for stage in part_sums(record, starts, model, criterion, key, request)
+        for stage in found
     ]
-    return _of_recording(stages, record, criterion, n, record.time_step, np.zeros(8, np.uint32))
+    if surveys:
+        merged = iter([_survey(parts) for parts in zip(*surveys)])
+        stages = [
+            [dataclasses.replace(sums, survey=next(merged)) for sums in stage] for stage in stages
+        ]
+    if windows is None and not traced:
+        # Whether some stage's moments lose more digits than its rows would. What is not finite is
+        # for the fit to refuse.
+        raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages)
+        grams = [np.asarray(sum_of_equations(stage).gram) for stage in raw]
+        if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in grams):
+            for stage, equations in zip(stages, model.stages):
+                rows = (np.asarray(criterion.rows(e, record, key).columns).T for e in equations)
+                stage[:] = [
+                    dataclasses.replace(sums, factor=np.linalg.qr(columns, mode="r"))
+                    for sums, columns in zip(stage, rows)
+                ]
+    # Of some starts it is not known how many windows there would be without gaps.
+    offered = criterion.row_count(record) if end - begin == n else None
+    sums = RecordingSums(
+        tuple(map(tuple, stages)),
+        np.asarray(stages[0][0].count.shape[-1]),
+        xp.multiply(criterion.block_samples(record), record.time_step),
+        np.asarray(np.nan if offered is None else float(offered)),
+        np.asarray(end - begin),
+        record.time_step,
+        np.zeros(8, np.uint32) if traced else digest_of(model, record, criterion, key, bins),
+        record.noise,
+    )
+    if traced:
+        return sums
+    # The order of axes in memory is one in which NumPy adds up: it must survive a file.
+    return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
 
 
-@eqx.filter_jit
 def stage_normal_equations(
     model: Model,
     record: Record,
@@ -358,155 +377,23 @@ def stage_normal_equations(
     `criterion.block_samples(record)` samples; without, and unless all windows are summed, it has
     length one.
     """
-    sums = traced_sums(model, record, criterion, key, blocks=blocks)
+    sums = recording_sums(model, record, criterion, key, in_blocks=blocks)
     stages = jax.tree.map(lambda bins: bins[0], sums.stages)
     return [sum_of_equations(stage, names) for stage, names in zip(stages, model.stage_parameters)]
 
 
-def _of_recording(
-    stages: Sequence[Sequence[EquationSums]],
-    record: Record,
-    criterion: AbstractCriterion,
-    samples: int,
-    step: Leaf,
-    digest: np.ndarray,
-) -> RecordingSums:
-    """The sums of so many of a record's samples, `step` seconds apart."""
-    # Of some starts it is not known how many windows there would be without gaps.
-    offered = criterion.row_count(record) if samples == record.sample_count else None
-    return RecordingSums(
-        tuple(map(tuple, stages)),
-        np.asarray(stages[0][0].count.shape[-1]),
-        namespace(step).multiply(criterion.block_samples(record), step),
-        np.asarray(np.nan if offered is None else float(offered)),
-        np.asarray(samples),
-        step,
-        digest,
-        record.noise,
-    )
-
-
-# What overflows is for the fit to refuse.
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def recording_sums(
-    model: Model,
-    record: Record,
-    criterion: AbstractCriterion,
-    key: Key[Array, ""] | None,
-    bins: LengthBins | None,
-    survey: bool = False,
-    starts: tuple[int, int] | None = None,
-) -> RecordingSums:
-    """One recording, summed in one pass (not under jit); arguments as for [`summarise`][].
-
-    `starts`, first of the starts that are summed and one beyond the last; all, unless others see
-    to the rest: then see [`stretch_starts`][].
-
-    **Raises:** `ModelError` for an expression that mixes samples of a long recording.
-    """
-    n, step = record.sample_count, float(record.time_step)
-    mixing = mixing_expressions(model.equations, record)
-    windows = criterion.all_windows
-    if mixing and (n > PART or (windows is not None and windows.in_chunks(record))):
-        raise ModelError(
-            f"{mixing[0]} mixes samples (a mean, a difference, a filter), and a record this "
-            f"long is worked through in chunks. Compute it beforehand as a signal of the "
-            f"record."
-        )
-    begin, end = starts or (0, n)
-    block = unit = criterion.block_samples(record)
-    # What mixes samples would mix those that the record is filled up with. Starts of a part, and
-    # samples that it is filled up to; `None` to leave the record as it is.
-    width, filled = n, None
-    if not mixing:
-        filled = next((length for length in FILLED if length >= n), power_of_two(n))
-    reach = 0
-    if windows is not None:
-        weight = criterion.test_function
-        lengths = _lengths(criterion, windows, record, bins)
-        reach, longest = lengths[-1].reach, windows.reach(n)
-        lags = windows.lags(n, record.time_step, weight.length_multiple)
-        of_windows = lengths, (jnp.asarray(lags[0]), jnp.asarray(lags[1]))
-        if block < longest:
-            size, number = jnp.asarray(block), 2
-            request = Request(*of_windows, survey * SURVEYED // 2)
-        else:
-            unit = longest
-            if filled is not None and n > FILLED[-1]:
-                width = max(PART, 4 * longest)
-                filled = width + reach + 2 * weight.margin
-            elif filled is not None:
-                width = filled
-            looked_at = (n if filled is None else filled) // (1 if width <= FILLED[0] else 4)
-            size, number = longest, -(-width // longest)
-            request = Request(*of_windows, survey * max(SURVEYED * longest // looked_at, 1))
-    else:
-        size, number = jnp.asarray(block), SHORT_BLOCKS_OF_ROWS
-        request = Request(surveyed=int(survey))
-
-    def parts() -> Iterator[tuple[Record, StartBlocks]]:
-        """The recording cut into parts, each with what its windows reach beyond it."""
-        if filled is None:
-            whole = dataclasses.replace(record, skipped=np.zeros(()))
-            yield whole, StartBlocks(0, size, number, n)
-            return
-        margin = criterion.test_function.margin
-        for start in range(begin, end, width):
-            first = max(start - margin, 0)
-            stop = min(start + width + reach + margin, n)
-            samples = filled_up(record, filled, first, stop)
-            ends = jnp.asarray(start - first), jnp.asarray(stop - first)
-            yield samples, StartBlocks(ends[0], size, number, ends[1])
-
-    given = model, criterion, key if windows is None else None, request
-    found = [jax.tree.map(np.asarray, part_sums(*part, *given)) for part in parts()]
-    count, grouped = -(-(end - begin) // unit), block // unit
-
-    def in_bins(blocks: Leaf) -> Leaf:
-        bins_first = np.moveaxis(np.asarray(blocks)[:count], 1, 0)
-        return np.add.reduceat(bins_first, np.arange(0, count, grouped), axis=1)
-
-    def joined(of_parts: Sequence[PartSums]) -> EquationSums:
-        """An equation's sums: blocks, or chunks, of all parts one after the other; then bins of all
-        lengths."""
-        lengths = [
-            jax.tree.map(lambda *leaves: np.concatenate(leaves), *group)
-            for group in zip(*(sums for sums, _ in of_parts))
-        ]
-        sums: EquationSums = jax.tree.map(lambda *of: np.concatenate(of, axis=1), *lengths)
-        surveys = [rows for _, rows in of_parts if rows is not None]
-        surveyed = _survey(surveys, float(record.skipped)) if surveys else None
-        sums = sums.each(in_bins, noise_of_source=lambda chunks: chunks.sum(0))
-        return dataclasses.replace(sums, survey=surveyed)
-
-    stages = [[joined(equation) for equation in zip(*stage)] for stage in zip(*found)]
-    if windows is None:
-        # Whether some stage's moments lose more digits than its rows would. What is not finite is
-        # for the fit to refuse.
-        raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages)
-        grams = [np.asarray(sum_of_equations(stage).gram) for stage in raw]
-        if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in grams):
-            rows_of = eqx.filter_jit(criterion.rows)
-            for stage, equations in zip(stages, model.stages):
-                rows = (np.asarray(rows_of(e, record, key).columns).T for e in equations)
-                stage[:] = [
-                    dataclasses.replace(sums, factor=np.linalg.qr(columns, mode="r"))
-                    for sums, columns in zip(stage, rows)
-                ]
-    digest = digest_of(model, record, criterion, key, bins)
-    sums = _of_recording(stages, record, criterion, end - begin, np.asarray(step), digest)
-    # The order of axes in memory is one in which NumPy adds up: it must survive a file.
-    return jax.tree.map(lambda leaf: np.asarray(leaf, order="C"), sums)
-
-
 def _lengths(
-    criterion: AbstractCriterion, windows: AllWindows, record: Record, bins: LengthBins | None
+    criterion: AbstractCriterion,
+    windows: AllWindows,
+    record: Record,
+    bins: LengthBins | None,
+    apart: bool,
 ) -> tuple[Lengths, ...]:
     """Window lengths, those longer than the law's apart: they reach further than a block."""
-    n, step = record.sample_count, float(record.time_step)
-    law, reach = on_host(criterion.law(record)), windows.reach(n)
+    n, law, reach = record.sample_count, criterion.law(record), windows.reach(record.sample_count)
     if bins is None:
-        return (Lengths(jax.tree.map(lambda leaf: leaf[None], law), reach),)
+        return (Lengths(LagBins(*(at[:, None] if apart else at[None] for at in law)), reach),)
+    step = float(record.time_step)
     multiple = criterion.test_function.length_multiple
     cut = law_in_bins(law, bins, multiple * step, (n - 1) // multiple)
     beyond = bins.band[1]
@@ -514,24 +401,43 @@ def _lengths(
         return (Lengths(cut, reach),)
     longest = power_of_two(float(bins.edges[-1]) / step + 2)
     parts = (slice(beyond), reach), (slice(beyond, None), longest)
-    return tuple(
-        Lengths(jax.tree.map(lambda leaf, i=i: leaf[i], cut), farthest) for i, farthest in parts
+    return tuple(Lengths(LagBins(*(leaf[i] for leaf in cut)), far) for i, far in parts)
+
+
+def _to_survey(
+    criterion: AbstractCriterion, windows: AllWindows, record: Record, blocks: StartBlocks
+) -> WindowSet:
+    """Windows that a survey looks at, of all lengths and from all over the starts."""
+    shortest, longest = windows.lags(
+        record.sample_count, record.time_step, criterion.test_function.length_multiple
     )
+    share = np.random.default_rng(1).random((2, SURVEYED))
+    room = min(blocks.size * blocks.number, record.sample_count - blocks.first)
+    start = blocks.first + (share[0] * room).astype(int)
+    lag = shortest + (share[1] * (longest - shortest + 1)).astype(int)
+    return WindowSet(start, start + criterion.test_function.length_multiple * lag)
 
 
-def _survey(parts: Sequence[Surveyed], skipped: float) -> Survey:
-    """Rows of all parts, the first sample at `skipped` seconds, and what they come to."""
-    every = np.concatenate([p.rows.reshape(-1, *p.rows.shape[-2:]) for p in parts])
+def _within(windows: WindowSet, first: int, blocks: StartBlocks) -> WindowSet:
+    """Those of a record's windows that start in the blocks of a stretch of it, from a sample on."""
+    start, stop = (at - first for at in windows)
+    inside = (start >= blocks.first) & (start < blocks.first + blocks.size * blocks.number)
+    return WindowSet(start[inside], stop[inside])
+
+
+def _survey(parts: Sequence[Surveyed]) -> Survey:
+    """Rows of all chunks, and what they come to."""
+    every = np.concatenate([p.rows for p in parts])
     # Each as its own array: in which order products add up depends on how they lie in memory.
     rows, finer, noise = np.ascontiguousarray(np.moveaxis(every, 1, 0))
-    valid = np.flatnonzero(np.concatenate([p.valid.ravel() for p in parts]))
-    start = skipped + np.concatenate([p.start.ravel() for p in parts])
+    valid = np.flatnonzero(np.concatenate([p.valid for p in parts]))
+    start = np.concatenate([p.start for p in parts])
     shown = valid[np.linspace(0, max(valid.size - 1, 0), min(valid.size, SHOWN)).astype(int)]
     shown = shown[np.argsort(start[shown], kind="stable")]
     quadrature = np.stack([each.T @ each for each in (rows - finer, finer)])
     reach: dict[str, Leaf] = {}
     for name in parts[0].reach:
-        low, high = np.concatenate([p.reach[name] for p in parts]).T
+        low, high = np.array([p.reach[name] for p in parts]).T
         reach[name] = np.array([low.min(), high.max()])
     covariance = noise.T @ noise / max(valid.size, 1)
     return Survey(covariance, quadrature, rows[shown], start[shown], reach)

@@ -10,12 +10,12 @@ from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import AtRest, Model, as_model
 from riecjax.errors import ModelError
-from riecjax.leaves import is_concrete, is_under_trace
+from riecjax.leaves import is_concrete
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import explaining_errors
 from riecjax.summaries.normal_equations import Outline, RecordingSums
-from riecjax.summaries.one_pass import recording_sums, traced_sums
+from riecjax.summaries.one_pass import recording_sums
 from riecjax.summaries.summary import Summary
 from riecjax.summaries.task import Task, ready, task
 
@@ -34,8 +34,7 @@ def summarise(
 ) -> Summary:
     """Sum up what one or several recordings say to a model: all that [`estimate`][] needs.
 
-    Each recording is read once, and the same few compiled functions serve recordings of any length.
-    Under `jax.jit`, `jax.vmap` and `jax.grad` shapes are those of the records, and only moments are
+    Each recording is read once, chunk by chunk, and nothing is compiled. Under `jax.jit`, `jax.vmap` and `jax.grad` shapes are those of the records, and only moments are
     summed.
 
     **Arguments:** `model`, `record`, `criterion`, `key`, `noise` and `at_rest` as for
@@ -73,13 +72,12 @@ def summed(
     # With hidden elements, sums are of more columns than there are parameters.
     model = model.linear
     outline = Outline.of(model)
-    traced = not is_concrete(model, records, criterion, keys) or is_under_trace()
     windows, own, kept_apart = criterion.all_windows, None, None
     if bins is None and windows is not None and is_concrete(windows):
         own = criterion.test_function.edges(float(windows.alpha), float(windows.beta))
         kept_apart = None if own is None else LengthBins(own, (0, len(own) - 1))
     if bins is not None:
-        if traced or windows is None:
+        if windows is None or not is_concrete(records, criterion):
             raise ModelError(
                 "bins of window lengths are kept of all windows, with numbers that are known: use "
                 "rx.RIEC(rx.AllWindows(alpha, beta)), and not under jax.jit."
@@ -89,9 +87,8 @@ def summed(
 
     def sums(record: Record, key: Key[Array, ""] | None) -> RecordingSums:
         read = with_less_noise(in_motion(model, record), record, criterion)
-        if traced:
-            return traced_sums(read, record, criterion, key, apart=own is not None)
-        return recording_sums(read, record, criterion, key, kept_apart, survey, starts)
+        apart = own is not None
+        return recording_sums(read, record, criterion, key, kept_apart, survey, starts, apart)
 
     every = tuple(sums(record, key) for record, key in zip(records, keys))
     return Summary(every, criterion, outline, edges, band, band)

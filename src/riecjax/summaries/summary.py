@@ -11,11 +11,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from riecjax import arrays as xp
 from riecjax.criteria.criterion import PARTS, AbstractCriterion
 from riecjax.criteria.windows import LengthBins
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, is_concrete, namespace
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import factor_of_gram, joined_factor
 from riecjax.records.signal import Noise
 from riecjax.shows import Shown
@@ -321,7 +322,6 @@ class Summary(Shown, eqx.Module):
     @property
     def short_blocks(self) -> ShortBlocks:
         """The blocks of time that moments are kept for."""
-        xp = namespace(self.recordings)
         return ShortBlocks(
             xp.stack([xp.asarray(one.blocks) for one in self.recordings]),
             xp.stack([xp.asarray(one.block_seconds) for one in self.recordings]),
@@ -331,26 +331,22 @@ class Summary(Shown, eqx.Module):
         """Of each equation of each stage, normal equations with axes `(recordings, blocks)`.
 
         Of the bins in use, or of others. Where a recording has fewer blocks than another, empty
-        ones follow, up to one of a few numbers: then few functions serve all recordings.
+        ones follow.
         """
         first, last = self.band if band is None else band
-        count = max(one.stages[0][0].count.shape[-1] for one in self.recordings)
-        room = count
-        if is_concrete(self.recordings):
-            room = min((number for number in ROOMS if number >= count), default=count)
 
         def in_band(recording: RecordingSums, i: int, j: int) -> NormalEquations:
             sums = recording.stages[i][j].of_bins(first, last)
             found = sums.in_blocks(lambda bins: bins[0])
             if sums.noise_of_source is None:
                 sources = len(recording.noise.sources)
-                nothing = namespace(found).zeros((sources, *found.moments.shape[-2:]))
+                nothing = np.zeros((sources, *found.moments.shape[-2:]))
                 return found.with_noise(found.noise, nothing)
             return found.with_noise(found.noise, sums.noise_of_source[0])
 
         return [
             [
-                stack_normal_equations([in_band(one, i, j) for one in self.recordings], room)
+                stack_normal_equations([in_band(one, i, j) for one in self.recordings])
                 for j, _ in enumerate(stage)
             ]
             for i, stage in enumerate(self.outline.stages)
@@ -360,7 +356,6 @@ class Summary(Shown, eqx.Module):
     def noise_freedom(self) -> Float[Leaf, "recordings sources"]:
         """Degrees of freedom of the variance of each recording's sources of noise."""
         most = max(len(one.noise.sources) for one in self.recordings)
-        xp = namespace([one.noise for one in self.recordings])
         rows = [
             [xp.asarray(1.0 * f) for f in one.noise.freedom.values()] for one in self.recordings
         ]

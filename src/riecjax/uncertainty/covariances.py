@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from riecjax import arrays as xp
 from riecjax import tails
 from riecjax.linear_algebra import (
     eliminate,
@@ -60,10 +60,10 @@ def block_length(
     block's windows reaches into the next. Where the records would be fewer than twenty such blocks
     it is shortened to that, but never below twice the longest window.
     """
-    wanted = jnp.maximum(LONGEST_WINDOWS * longest_window, jnp.max(correlated))
-    room = jnp.sum(short.durations) / ENOUGH_BLOCKS
-    shortest = jnp.maximum(FEWEST_WINDOWS * longest_window, jnp.min(short.seconds))
-    return jnp.maximum(jnp.minimum(wanted, room), shortest)
+    wanted = xp.maximum(LONGEST_WINDOWS * longest_window, xp.max(correlated))
+    room = xp.sum(short.durations) / ENOUGH_BLOCKS
+    shortest = xp.maximum(FEWEST_WINDOWS * longest_window, xp.min(short.seconds))
+    return xp.maximum(xp.minimum(wanted, room), shortest)
 
 
 def politis_white(
@@ -80,42 +80,42 @@ def politis_white(
     **Arguments:** `influence` of each short block on each estimate, zero where there is none.
     """
     records, room = influence.shape[:2]
-    count = jnp.sum(short.number)
+    count = xp.sum(short.number)
     # Arrays may be longer than what they hold, so that the number of lags is traced.
     room = min(int(np.ceil(np.sqrt(records * room))) + SILENT, room - 1)
     if room < SILENT + 1:
-        return jnp.zeros(influence.shape[-1], influence.dtype)
-    lags = jnp.ceil(jnp.sqrt(count)) + SILENT
-    lags = jnp.minimum(lags, jnp.max(short.number) - 1).astype(int)
+        return np.zeros(influence.shape[-1], influence.dtype)
+    lags = xp.ceil(xp.sqrt(count)) + SILENT
+    lags = xp.minimum(lags, xp.max(short.number) - 1).astype(int)
     # Sums of products at lags 0 to `room`, of all records. Lag by lag: few enough, and XLA's
     # Fourier transforms may lock up where several run at once.
     n = influence.shape[1]
-    padded = jnp.pad(influence, ((0, 0), (0, room), (0, 0)))
+    padded = xp.moveaxis(xp.pad(influence, ((0, 0), (0, room), (0, 0))), 1, -1)
+    series = xp.moveaxis(influence, 1, -1)
 
     def at_lag(lag: Array) -> Float[Array, " p"]:
-        later = jax.lax.dynamic_slice_in_dim(padded, lag, n, axis=1)
-        return jnp.sum(influence * later, axis=(0, 1))
+        return (series * xp.cut(padded, lag, n)).sum(axis=(0, -1))
 
-    covariances = jax.lax.map(at_lag, jnp.arange(room + 1))
+    covariances = xp.each(at_lag, np.arange(room + 1), beside=(series, padded))
     positive = (covariances[0] > 0) & (lags > SILENT)
-    scale = jnp.where(positive, covariances[0], 1.0)
-    lag = jnp.arange(1, room + 1)[:, None]
-    ratios = jnp.where(lag <= lags, covariances[1:] / scale[None, :], 0.0)
-    significant = jnp.abs(ratios) >= 2 * jnp.sqrt(jnp.log10(count) / count)
+    scale = xp.where(positive, covariances[0], 1.0)
+    lag = np.arange(1, room + 1)[:, None]
+    ratios = xp.where(lag <= lags, covariances[1:] / scale[None, :], 0.0)
+    significant = xp.abs(ratios) >= 2 * xp.sqrt(xp.log10(count) / count)
     significant = significant & (lag <= lags)
     # The lag, 1 at least, after which `SILENT` in a row are insignificant; else the last one.
-    loud = jnp.pad(jnp.cumsum(significant, axis=0), ((1, 0), (0, 0)))
+    loud = xp.pad(xp.cumsum(significant, axis=0), ((1, 0), (0, 0)))
     starts = room - SILENT + 1
     quiet = loud[SILENT : SILENT + starts] == loud[:starts]
-    quiet = quiet & (jnp.arange(starts)[:, None] <= lags - SILENT)
-    last = jnp.max(jnp.where(significant, lag, 0), axis=0)
-    insignificant = jnp.where(jnp.any(quiet, axis=0), jnp.argmax(quiet, axis=0), last)
-    reach = 2 * jnp.maximum(insignificant, 1)
-    taper = jnp.clip(2 * (1 - lag / reach[None, :]), 0.0, 1.0)
-    slope = 2 * jnp.sum(taper * lag * ratios, axis=0)
-    density = 1 + 2 * jnp.sum(taper * ratios, axis=0)
-    blocks = jnp.abs(slope / jnp.maximum(density, 0.1)) ** (2 / 3) * count ** (1 / 3)
-    return jnp.where(positive, blocks, 0.0) * jnp.mean(short.seconds)
+    quiet = quiet & (np.arange(starts)[:, None] <= lags - SILENT)
+    last = xp.max(xp.where(significant, lag, 0), axis=0)
+    insignificant = xp.where(xp.any(quiet, axis=0), xp.argmax(quiet, axis=0), last)
+    reach = 2 * xp.maximum(insignificant, 1)
+    taper = xp.clip(2 * (1 - lag / reach[None, :]), 0.0, 1.0)
+    slope = 2 * xp.sum(taper * lag * ratios, axis=0)
+    density = 1 + 2 * xp.sum(taper * ratios, axis=0)
+    blocks = xp.abs(slope / xp.maximum(density, 0.1)) ** (2 / 3) * count ** (1 / 3)
+    return xp.where(positive, blocks, 0.0) * xp.mean(short.seconds)
 
 
 # Block statistics: scores of blocks of time, the slope of their sum, each block's influence.
@@ -224,45 +224,51 @@ def unknowns_of(stages: Sequence[NormalEquations], known: Mapping[str, Array]) -
 def staged_values(
     totals: list[NormalEquations], unknowns: Unknowns, known: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Every parameter by name, from the stages' normal equations (without an axis of blocks)."""
+    """Every parameter by name, from the stages' normal equations (without an axis of blocks, with
+    any others)."""
     found = dict(known)
     for i, names in unknowns:
         stage = totals[i].fix(found)
-        found |= dict(zip(names, solve_scaled(stage.gram, stage.moment[:, None])[:, 0]))
+        theta = solve_scaled(stage.gram, stage.moment[..., None])[..., 0]
+        found |= dict(zip(names, xp.moveaxis(theta, -1, 0)))
     return found
 
 
-def as_vector(unknowns: Unknowns, values: Mapping[str, Array]) -> Float[Array, " p"]:
+def as_vector(unknowns: Unknowns, values: Mapping[str, Array]) -> Float[Array, "*batch p"]:
     """The values of all unknowns, in the order in which they are found."""
-    return jnp.stack([values[name] for _, names in unknowns for name in names])
+    return xp.stack([values[name] for _, names in unknowns for name in names], axis=-1)
 
 
 def scores(
-    stages: list[NormalEquations], unknowns: Unknowns, values: Mapping[str, Array]
-) -> Float[Array, "blocks p"]:
+    stages: Sequence[NormalEquations], unknowns: Unknowns, values: Mapping[str, Array]
+) -> Float[Array, "*batch blocks p"]:
     """For each block of the leading axis, the sum of regressors times residuals."""
     parts = []
     for i, names in unknowns:
         blocks = stages[i]
-        own = jnp.array([blocks.parameters.index(name) for name in names])
-        at = jnp.stack([jnp.asarray(values[name]) for name in blocks.parameters])
-        parts.append(blocks.moment[..., own] - blocks.gram[..., own, :] @ at)
-    return jnp.concatenate(parts, axis=-1)
+        own = np.array([blocks.parameters.index(name) for name in names])
+        at = xp.stack([values[name] for name in blocks.parameters], axis=-1)
+        clean = blocks.clean[..., 1 + own, :]
+        parts.append(clean[..., 0] - xp.einsum("...bij,...j->...bi", clean[..., 1:], at))
+    return xp.concatenate(parts, axis=-1)
 
 
-def slope(totals: list[NormalEquations], unknowns: Unknowns) -> Float[Array, "p p"]:
+def slope(
+    totals: Sequence[NormalEquations], unknowns: Unknowns
+) -> Float[Array, "*batch p p"]:
     """Derivative of the scores' sum with respect to all unknowns, negated."""
     names = [name for _, found in unknowns for name in found]
     rows = []
     for i, found in unknowns:
         equations = totals[i]
-        own = jnp.array([equations.parameters.index(name) for name in found])
-        held = [name for name in equations.parameters if name in names]
-        place = jnp.array([names.index(name) for name in held])
-        source = jnp.array([equations.parameters.index(name) for name in held])
-        empty = jnp.zeros((len(found), len(names)), equations.moments.dtype)
-        rows.append(empty.at[:, place].set(equations.gram[own][:, source]))
-    return jnp.concatenate(rows)
+        own = np.array([equations.parameters.index(name) for name in found])
+        # Behind the columns stands one of zeros, for what does not occur in this stage.
+        place = {name: j for j, name in enumerate(equations.parameters)}
+        source = np.array([place.get(name, len(place)) for name in names])
+        gram = equations.gram[..., own, :]
+        gram = xp.pad(gram, [(0, 0)] * (gram.ndim - 1) + [(0, 1)])
+        rows.append(gram[..., source])
+    return xp.concatenate(rows, axis=-2)
 
 
 def block_influence(
@@ -305,23 +311,21 @@ def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     """
     unknowns, used, found = statistics.unknowns, statistics.used, statistics.estimate
     totals = [stage.total() for stage in statistics.blocks]
-    scale = unit_scale(jnp.diagonal(slope(totals, unknowns)))
-    least = 1e4 * jnp.finfo(scale.dtype).eps
+    scale = unit_scale(xp.diagonal(slope(totals, unknowns)))
+    least = 1e4 * xp.finfo(scale.dtype).eps
 
     # Solved for the change itself: without the block, the scores at the estimate sum to minus its
     # own, and nothing is lost by subtracting two estimates that agree in most of their digits.
-    def without(blocks: list[NormalEquations], score: Float[Array, " p"]) -> Float[Array, " p"]:
-        left = [jax.tree.map(jnp.subtract, t, b) for t, b in zip(totals, blocks)]
-        matrix = slope(left, unknowns) * scale[:, None] * scale[None, :]
-        change, pivots = eliminate_with_pivots(matrix, (-score * scale)[:, None])
-        # Where only this block tells of a parameter, nothing is known without it.
-        return jnp.where(jnp.min(pivots) > least, change[:, 0] * scale, -found)
-
     block_scores = scores(statistics.blocks, unknowns, statistics.values)
-    moved = jax.vmap(without)(statistics.blocks, block_scores)
-    factor = jnp.repeat((used - 1) / used, MOST_BLOCKS)
-    place = jnp.tile(jnp.arange(MOST_BLOCKS), used.shape[0])
-    moved = jnp.where((place < jnp.repeat(used, MOST_BLOCKS))[:, None], moved, 0.0)
+    left = slope(totals, unknowns) - slope(statistics.blocks, unknowns)
+    matrices = left * scale[:, None] * scale[None, :]
+    change, pivots = eliminate_with_pivots(matrices, -(block_scores * scale)[..., None])
+    # Where only this block tells of a parameter, nothing is known without it.
+    known = pivots.min(axis=-1, keepdims=True) > least
+    moved = xp.where(known, change[..., 0] * scale, -found)
+    factor = xp.repeat((used - 1) / used, MOST_BLOCKS)
+    place = np.tile(np.arange(MOST_BLOCKS), used.shape[0])
+    moved = xp.where((place < xp.repeat(used, MOST_BLOCKS))[:, None], moved, 0.0)
     return (factor[:, None] * moved).T @ moved
 
 
@@ -331,12 +335,12 @@ def sandwich_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     Newey and West's (1987) estimate with Bartlett's weights, which are the mean over all blocks of
     one length, overlapping ones included. That length is the blocks'.
     """
-    lag = jnp.round(statistics.length / statistics.short.seconds)
-    lag = jnp.maximum(lag, 1).astype(jnp.int32)
-    total = jnp.sum(jax.vmap(_overlapping_blocks)(statistics.short_influence, lag), axis=0)
+    lag = xp.round(statistics.length / statistics.short.seconds)
+    lag = xp.maximum(lag, 1).astype(np.int32)
+    total = sum(map(_overlapping_blocks, statistics.short_influence, lag))
     # Residuals sum to zero: as with any variance about a fitted mean, one of n squares is lost.
-    blocks = jnp.sum(statistics.used)
-    return total * blocks / jnp.maximum(blocks - 1, 1)
+    blocks = xp.sum(statistics.used)
+    return total * blocks / xp.maximum(blocks - 1, 1)
 
 
 def _overlapping_blocks(
@@ -349,10 +353,11 @@ def _overlapping_blocks(
     |k| apart is in lag - |k| sums. So the weights come from one running sum, for any traced lag.
     """
     n = series.shape[0]
-    running = jnp.pad(jnp.cumsum(series, axis=0), ((1, 0), (0, 0)))
-    end = jnp.arange(1, 2 * n)
-    block = running[jnp.minimum(end, n)] - running[jnp.clip(end - lag, 0, n)]
-    block = jnp.where((end < n + lag)[:, None], block, 0.0)
+    running = xp.pad(xp.cumsum(series, axis=0), ((1, 0), (0, 0)))
+    end = np.arange(1, 2 * n)
+    begin = xp.clip(end - lag, 0, n)
+    block = running[np.minimum(end, n)] - xp.take(running, begin, axis=0)
+    block = xp.where((end < n + lag)[:, None], block, 0.0)
     return block.T @ block / lag
 
 
@@ -363,12 +368,19 @@ def naive_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
         total = statistics.blocks[i].total()
         others = {n: statistics.values[n] for n in total.parameters if n not in names}
         equations = total.fix(others)
-        theta = jnp.stack([statistics.values[name] for name in names])
-        freedom = jnp.maximum(equations.count - len(names), 1)
+        theta = xp.stack([statistics.values[name] for name in names])
+        freedom = xp.maximum(equations.count - len(names), 1)
         variance = equations.residual_energy(theta) / freedom
-        identity = jnp.eye(len(names), dtype=variance.dtype)
+        identity = np.eye(len(names), dtype=variance.dtype)
         parts.append(variance * solve_scaled(equations.gram, identity))
-    return jax.scipy.linalg.block_diag(*parts)
+    return block_diagonal(parts)
+
+
+def block_diagonal(parts: Sequence[Float[Array, "q q"]]) -> Float[Array, "p p"]:
+    """A matrix with these along its diagonal."""
+    ends = np.cumsum([len(part) for part in parts])
+    beside = [[(0, 0), (end - len(part), ends[-1] - end)] for end, part in zip(ends, parts)]
+    return xp.concatenate([xp.pad(part, room) for part, room in zip(parts, beside)])
 
 
 def effective_freedom(statistics: BlockStatistics) -> Float[Array, " p"]:
@@ -378,14 +390,14 @@ def effective_freedom(statistics: BlockStatistics) -> Float[Array, " p"]:
     blocks decide has few. With block variances s^2 estimated by squares u^2 of influence, of which
     u^4 / 3 estimates s^4, (sum s^2)^2 / sum s^4 is 3 (sum u^2)^2 / sum u^4; 1 at the least.
     """
-    largest = jnp.max(jnp.abs(statistics.influence), axis=0)
+    largest = xp.max(xp.abs(statistics.influence), axis=0)
     # Of unit size first: fourth powers of small influences would vanish.
-    influence = statistics.influence / jnp.where(largest > 0, largest, 1.0)[None, :]
-    squares = jnp.sum(influence**2, axis=0)
-    fourths = jnp.sum(influence**4, axis=0)
-    most = jnp.maximum(jnp.sum(statistics.used) - 1, 1).astype(squares.dtype)
-    ratio = 3 * squares**2 / jnp.where(fourths > 0, fourths, 1.0) - 1
-    return jnp.where(fourths > 0, jnp.clip(ratio, 1, most), most)
+    influence = statistics.influence / xp.where(largest > 0, largest, 1.0)[None, :]
+    squares = xp.sum(influence**2, axis=0)
+    fourths = xp.sum(influence**4, axis=0)
+    most = xp.maximum(xp.sum(statistics.used) - 1, 1).astype(squares.dtype)
+    ratio = 3 * squares**2 / xp.where(fourths > 0, fourths, 1.0) - 1
+    return xp.where(fourths > 0, xp.clip(ratio, 1, most), most)
 
 
 def record_inflation(
@@ -404,19 +416,19 @@ def record_inflation(
     """
     count = influence.shape[0]
     if count < 2:
-        return jnp.ones(influence.shape[-1], influence.dtype)
+        return xp.ones(influence.shape[-1], influence.dtype)
     used = blocks_used[:, None].astype(influence.dtype)
-    moved = jnp.sum(influence, axis=1)
-    within = (jnp.sum(influence**2, axis=1) - moved**2 / used) * used / (used - 1)
+    moved = xp.sum(influence, axis=1)
+    within = (xp.sum(influence**2, axis=1) - moved**2 / used) * used / (used - 1)
     some = within > 0
-    ratio = jnp.where(some, moved**2 / jnp.where(some, within, 1.0), 0.0)
-    disagree = jnp.sum(ratio, axis=0) > tails.chi_square(LEVEL, count - 1)
-    between = count / (count - 1) * jnp.sum(moved**2, axis=0)
-    pooled = jnp.sum(influence**2, axis=(0, 1))
+    ratio = xp.where(some, moved**2 / xp.where(some, within, 1.0), 0.0)
+    disagree = xp.sum(ratio, axis=0) > tails.chi_square(LEVEL, count - 1)
+    between = count / (count - 1) * xp.sum(moved**2, axis=0)
+    pooled = xp.sum(influence**2, axis=(0, 1))
     known = pooled > 0
     student = float(tails.student(0.025, count - 1)) / tails.normal(0.025)
-    factor = student * jnp.sqrt(between / jnp.where(known, pooled, 1.0))
-    return jnp.where(disagree & known, jnp.maximum(factor, 1.0), 1.0)
+    factor = student * xp.sqrt(between / xp.where(known, pooled, 1.0))
+    return xp.where(disagree & known, xp.maximum(factor, 1.0), 1.0)
 
 
 # Bell and McCaffrey's sandwich for few blocks of time, with its degrees of freedom.
@@ -486,64 +498,64 @@ def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
     short, used = statistics.short, statistics.used
     records = short.number.shape[0]
     most = max(MOST_HALVES // records, 2)
-    halves = jnp.minimum(2 * used, jnp.minimum(short.number, most))
+    halves = xp.minimum(2 * used, xp.minimum(short.number, most))
     stages = [stage.merged(short, halves, most) for stage in statistics.short_blocks]
     totals = [stage.total() for stage in stages]
     whole, scale = unit_diagonal(slope(totals, unknowns))
-    inverse = eliminate(whole, jnp.eye(scale.shape[0]))
-    each = jax.vmap(lambda *blocks: slope(list(blocks), unknowns))(*stages)
+    inverse = eliminate(whole, np.eye(scale.shape[0], dtype=whole.dtype))
+    each = slope(stages, unknowns)
     each = each * (scale[:, None] * scale[None, :])[None]
     # Of one row's error, between parameters of one stage; zero between stages.
     parts = []
     for i, names in unknowns:
-        at = jnp.stack([jnp.asarray(values[name]) for name in totals[i].parameters])
+        at = xp.stack([values[name] for name in totals[i].parameters])
         # Exact data leave no more than rounding.
-        rounding = jnp.finfo(at.dtype).eps * totals[i].energy
-        left = jnp.maximum(totals[i].residual_energy(at), rounding)
-        share = left / jnp.maximum(totals[i].count, 1)
-        parts.append(jnp.full((len(names), len(names)), share))
-    variance = jax.scipy.linalg.block_diag(*parts)
-    largest = jnp.max(variance)
-    largest = jnp.where(largest > 0, largest, 1.0)
+        rounding = xp.finfo(at.dtype).eps * totals[i].energy
+        left = xp.maximum(totals[i].residual_energy(at), rounding)
+        share = left / xp.maximum(totals[i].count, 1)
+        parts.append(share * np.ones((len(names), len(names))))
+    variance = block_diagonal(parts)
+    largest = xp.max(variance)
+    largest = xp.where(largest > 0, largest, 1.0)
     working = each * (variance / largest)[None]
     # 1 for two half blocks that follow one another in a record; 0 where they are long blocks.
     record, place = np.divmod(np.arange(most * records), most)
     follow = (record[:, None] == record) & (np.abs(place[:, None] - place) == 1)
     inside = (place < halves[record]) & (halves > used)[record]
-    beside = jnp.where(follow & inside[:, None] & inside[None, :], 1.0, 0.0)
+    beside = xp.where(follow & inside[:, None] & inside[None, :], 1.0, 0.0)
 
     # Sums of the working covariance over one block's neighbours, and over both.
-    near = OVERLAP / 2 * (jnp.sum(beside, axis=1)[:, None, None] * working)
-    near = working + near + OVERLAP / 2 * jnp.tensordot(beside, working, axes=1)
-    everywhere = jnp.sum(near, axis=0)
-    should = jnp.einsum("ji,ik,jk->j", inverse, everywhere, inverse)
+    near = OVERLAP / 2 * (xp.sum(beside, axis=1)[:, None, None] * working)
+    near = working + near + OVERLAP / 2 * xp.tensordot(beside, working, axes=1)
+    everywhere = xp.sum(near, axis=0)
+    should = xp.einsum("ji,ik,jk->j", inverse, everywhere, inverse)
     # Of unit variance, or fourth powers would be lost in 32-bit.
-    rows = inverse / jnp.sqrt(should)[:, None]
+    rows = inverse / xp.sqrt(should)[:, None]
 
     def expected(row: Float[Array, " p"]) -> tuple[Array, Array]:
-        own = jnp.einsum("i,bij,j->b", row, working, row)
+        own = ((working @ row) * row).sum(axis=-1)
         both = near @ row
-        follows = jnp.einsum("i,bij->bj", row, each) @ inverse
-        covariance = jnp.diag(own) + OVERLAP / 2 * beside * (own[:, None] + own[None, :])
+        follows = xp.einsum("i,bij->bj", row, each) @ inverse
+        covariance = xp.diag(own) + OVERLAP / 2 * beside * (own[:, None] + own[None, :])
         shared = both @ follows.T
         covariance = covariance - shared - shared.T + follows @ everywhere @ follows.T
         form = covariance + beside @ covariance / 2
-        return jnp.trace(form), jnp.sum(form * form.T)
+        return xp.trace(form), (form * form.T).sum()
 
-    seen, scatter = jax.vmap(expected)(rows)
+    seen, scatter = xp.each(expected, rows, beside=(working, near))
     moved = (scores(stages, unknowns, values) * scale[None, :]) @ rows.T
     shown = moved.T @ (moved + beside @ moved / 2)
-    alike = largest * jnp.max(jnp.stack([total.count for total in totals])) / jnp.sum(halves)
-    together = jnp.trace(shown) + TOLD_BY_NONE * alike
-    together = together / (jnp.sum(seen) + TOLD_BY_NONE)
-    share = jnp.sqrt(seen + TOLD_BY_OTHERS)
-    covariance = (shown + jnp.diag(jnp.full(scale.shape, TOLD_BY_OTHERS * together))) / (
+    alike = largest * xp.max(xp.stack([total.count for total in totals])) / xp.sum(halves)
+    together = xp.trace(shown) + TOLD_BY_NONE * alike
+    together = together / (xp.sum(seen) + TOLD_BY_NONE)
+    share = xp.sqrt(seen + TOLD_BY_OTHERS)
+    covariance = (shown + TOLD_BY_OTHERS * together * np.eye(scale.shape[0])) / (
         share[:, None] * share[None, :]
     )
-    size = scale * jnp.sqrt(should)
+    size = scale * xp.sqrt(should)
     some = scatter > 0
-    freedom = jnp.where(some, seen**2 / jnp.where(some, scatter, 1.0), 1.0)
-    return FewBlocks(covariance * size[:, None] * size[None, :], jnp.maximum(freedom, 1.0), seen)
+    freedom = xp.where(some, seen**2 / xp.where(some, scatter, 1.0), 1.0)
+    return FewBlocks(covariance * size[:, None] * size[None, :], xp.maximum(freedom, 1.0), seen)
 
 
 # Bootstrap over blocks of time: whole procedures solved again from resampled normal equations.
@@ -576,24 +588,37 @@ def studentized_replicates(
     unknowns, used, found = statistics.unknowns, statistics.used, statistics.estimate
     stages = [NormalEquations(s.clean, s.count, s.parameters) for s in statistics.blocks]
 
-    def replicate(drawn: Float[Array, "records blocks_of_record"]) -> Float[Array, " p"]:
-        weights = drawn_counts(drawn, used).astype(found.dtype).ravel()
-        totals = [s.in_blocks(lambda blocks: jnp.tensordot(weights, blocks, 1)) for s in stages]
+    def replicates(
+        drawn: Float[Array, "some records blocks_of_record"],
+    ) -> Float[Array, "some p"]:
+        count = drawn_counts(drawn, used).astype(found.dtype)
+        weights = count.reshape(count.shape[0], -1)
+        totals = [s.in_blocks(lambda blocks: xp.tensordot(weights, blocks, 1)) for s in stages]
         again = staged_values(totals, unknowns, statistics.known)
         # Elimination with every block's score on the right would take half as long again.
         curvature = slope(totals, unknowns)
-        inverse = solve_scaled(curvature, jnp.eye(curvature.shape[0], dtype=curvature.dtype))
-        count = weights.reshape(used.shape[0], -1)
-        score = (scores(stages, unknowns, again) @ inverse.T).reshape(*count.shape, -1)
-        total = jnp.einsum("rb,rbp->rp", count, score)
-        squares = jnp.einsum("rb,rbp->rp", count, score**2)
-        mean = total**2 / jnp.sum(count, axis=1)[:, None]
-        error = jnp.sqrt(jnp.sum(jnp.maximum(squares - mean, 0.0), axis=0))
+        identity = np.eye(curvature.shape[-1], dtype=curvature.dtype)
+        inverse = xp.swapaxes(solve_scaled(curvature, identity), -1, -2)
+        at = {
+            name: xp.broadcast_to(xp.asarray(value)[..., None], weights.shape[:1])
+            if np.ndim(value) == 0
+            else value
+            for name, value in again.items()
+        }
+        score = (scores(stages, unknowns, at) @ inverse).reshape(*count.shape, -1)
+        total = xp.einsum("krb,krbp->krp", count, score)
+        squares = xp.einsum("krb,krbp->krp", count, score**2)
+        mean = total**2 / count.sum(axis=-1)[..., None]
+        error = xp.sqrt(xp.maximum(squares - mean, 0.0).sum(axis=1))
         moved = as_vector(unknowns, again) - found
-        usable = (error > 0) & jnp.isfinite(error) & jnp.isfinite(moved)
-        return jnp.where(usable, moved / jnp.where(usable, error, 1.0), jnp.nan)
+        usable = (error > 0) & xp.isfinite(error) & xp.isfinite(moved)
+        return xp.where(usable, moved / xp.where(usable, error, 1.0), np.nan)
 
-    return jax.lax.map(replicate, draws, batch_size=AT_ONCE)
+    # So many of them as divide all.
+    some = next(size for size in range(AT_ONCE, 0, -1) if len(draws) % size == 0)
+    grouped = draws.reshape(-1, some, *draws.shape[1:])
+    found_each = xp.each(replicates, grouped, beside=(statistics.values, stages))
+    return found_each.reshape(len(draws), -1)
 
 
 @functools.lru_cache(maxsize=4)
@@ -607,12 +632,17 @@ def uniform_draws(seed: int, replicates: int, records: int) -> np.ndarray:
 
 
 def drawn_counts(
-    drawn: Float[Array, "records blocks_of_record"], used: Int[Array, " records"]
-) -> Int[Array, "records blocks_of_record"]:
+    drawn: Float[Array, "some records blocks_of_record"], used: Int[Array, " records"]
+) -> Int[Array, "some records blocks_of_record"]:
     """How often each block is drawn, with as many draws from each record as it has blocks."""
-    block = jnp.minimum((drawn * used[:, None]).astype(jnp.int32), used[:, None] - 1)
+    # In double precision one product may round to another block than in single.
+    block = xp.minimum((drawn * used[:, None].astype(drawn.dtype)).astype(np.int32), used[:, None] - 1)
     place = np.arange(MOST_BLOCKS)
+    if not xp.are_traced((drawn, used)):
+        row = np.arange(block[..., 0].size).reshape(*block.shape[:-1], 1)
+        every = (row * MOST_BLOCKS + block)[np.broadcast_to(place < used[:, None], block.shape)]
+        return np.bincount(every, minlength=block.size).reshape(block.shape)
     # Eight bits hold them all, and four times as many are compared at once.
-    asked = jnp.where(place[None, :] < used[:, None], block, -1).astype(jnp.int8)
-    same = asked[:, :, None] == place.astype(np.int8)[None, None, :]
-    return jnp.sum(same, axis=1, dtype=jnp.int8).astype(jnp.int32)
+    asked = xp.where(place[None, :] < used[:, None], block, -1).astype(np.int8)
+    same = asked[..., :, None] == place.astype(np.int8)
+    return same.sum(axis=-2, dtype=np.int8).astype(np.int32)

@@ -9,11 +9,10 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from riecjax import arrays as xp
 from riecjax import tails
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
@@ -89,17 +88,17 @@ class Uncertainty(eqx.Module):
         variances of which one is known.
         """
         every = self.widened(scatter)
-        total, known = jnp.diagonal(every.covariance), jnp.diagonal(scatter)
-        share = jnp.where(total > 0, known / jnp.where(total > 0, total, 1.0), 0.0)
+        total, known = xp.diagonal(every.covariance), xp.diagonal(scatter)
+        share = xp.where(total > 0, known / xp.where(total > 0, total, 1.0), 0.0)
         # Less than this is rounding: data tell nothing, and no replicate moves.
-        least = float(jnp.finfo(total.dtype).eps) ** 0.5
-        of_data = jnp.maximum(1 - share, least)
+        least = float(xp.finfo(total.dtype).eps) ** 0.5
+        of_data = xp.maximum(1 - share, least)
         studentized = self.studentized
         if studentized is not None:
             count = studentized.shape[0]
-            normal = jax.scipy.special.ndtri((jnp.arange(count) + 0.5) / count)[:, None]
-            moved = jnp.where((of_data > least)[None, :], studentized, 0.0)
-            studentized = jnp.sqrt(1 - share)[None, :] * moved + normal * jnp.sqrt(share)[None, :]
+            normal = -tails.normal((np.arange(count) + 0.5) / count)[:, None]
+            moved = xp.where((of_data > least)[None, :], studentized, 0.0)
+            studentized = xp.sqrt(1 - share)[None, :] * moved + normal * xp.sqrt(share)[None, :]
         return dataclasses.replace(
             every,
             studentized=studentized,
@@ -141,10 +140,7 @@ class AbstractIntervals(eqx.Module):
         """Covariance of the estimates, and what intervals need besides."""
 
     def drawn(self, records: int) -> "AbstractIntervals":
-        """The same for so many records, with what it draws at random drawn.
-
-        What is compiled then holds no draws, and serves every seed.
-        """
+        """The same for so many records, with what it draws at random drawn."""
         return self
 
 
@@ -181,7 +177,7 @@ class BlockBootstrap(AbstractIntervals):
         return with_few_blocks(
             statistics,
             jackknife_covariance(statistics),
-            studentized_replicates(statistics, jnp.asarray(drawn.draws)),
+            studentized_replicates(statistics, drawn.draws),
             f"studentized block bootstrap, {self.replicates} replicates",
         )
 
@@ -213,9 +209,9 @@ class Naive(AbstractIntervals):
         return Uncertainty(
             naive_covariance(statistics),
             None,
-            jnp.full(count, 1e9),
-            jnp.zeros(count, bool),
-            jnp.ones(count),
+            np.full(count, 1e9),
+            np.zeros(count, bool),
+            np.ones(count),
             "least squares as if all windows were independent (far too narrow)",
         )
 
@@ -257,23 +253,23 @@ def with_few_blocks(
     # Bell and McCaffrey's variance and degrees of freedom hold for few blocks, under a working
     # model; so it stands in where blocks are few, and beside it shows where the bootstrap went off.
     small = few_blocks_sandwich(statistics)
-    few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM) | (jnp.sum(statistics.used) <= FEW)
-    variance, other = jnp.diagonal(covariance), jnp.diagonal(small.covariance)
-    times = jnp.ones_like(variance)
+    few = ~(small.degrees_of_freedom >= ENOUGH_FREEDOM) | (xp.sum(statistics.used) <= FEW)
+    variance, other = xp.diagonal(covariance), xp.diagonal(small.covariance)
+    times = xp.ones_like(variance)
     if studentized is not None:
-        reach = jnp.nanquantile(jnp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
-        times = reach * jnp.sqrt(variance / jnp.where(other > 0, other, 1.0))
+        reach = xp.nanquantile(xp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
+        times = reach * xp.sqrt(variance / xp.where(other > 0, other, 1.0))
         few = few | (times > FARTHEST) | (times < NEAREST)
     # Of what only a bound or a prior tells, no block moves anything.
-    few = few & (variance > jnp.finfo(variance.dtype).eps * other)
+    few = few & (variance > xp.finfo(variance.dtype).eps * other)
     # Correlations are taken from one of the two, lest a mixture be no covariance at all.
-    error = jnp.sqrt(jnp.where(few, other, variance))
-    scale = jnp.where(other > 0, error / jnp.sqrt(jnp.where(other > 0, other, 1.0)), 0.0)
+    error = xp.sqrt(xp.where(few, other, variance))
+    scale = xp.where(other > 0, error / xp.sqrt(xp.where(other > 0, other, 1.0)), 0.0)
     mixed = small.covariance * scale[:, None] * scale[None, :]
     return Uncertainty(
-        jnp.where(jnp.any(few), mixed, covariance),
+        xp.where(xp.any(few), mixed, covariance),
         studentized,
-        jnp.where(few, small.degrees_of_freedom, effective_freedom(statistics)),
+        xp.where(few, small.degrees_of_freedom, effective_freedom(statistics)),
         few,
         times,
         method,
@@ -299,7 +295,7 @@ def estimate_uncertainty(
     """
     statistics = block_statistics(stages, known, values, short, longest_window)
     per_record = statistics.influence.reshape(short.number.shape[0], MOST_BLOCKS, -1)
-    inflation = jnp.where(shared, record_inflation(per_record, statistics.used), 1.0)
+    inflation = xp.where(shared, record_inflation(per_record, statistics.used), 1.0)
     uncertainty = intervals.uncertainty(statistics)
     covariance = uncertainty.covariance * inflation[:, None] * inflation[None, :]
     return dataclasses.replace(uncertainty, covariance=covariance), inflation, statistics
