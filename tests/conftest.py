@@ -27,7 +27,7 @@ if not PRODUCTION:
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {split}".strip()
     # Which line each operation comes from, no test asks.
     os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
-start_jax(once=not PRODUCTION)
+start_jax()
 
 import hypothesis  # noqa: E402
 import jax  # noqa: E402

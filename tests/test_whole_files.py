@@ -10,7 +10,7 @@ import riecjax as rx
 from riecjax.cli.command import read_job
 from riecjax.errors import DataError
 from riecjax.reporting.output import require_folder
-from riecjax.whole_files import Store, is_stamped, stamp, sweep, temporary, write_whole
+from riecjax.whole_files import is_stamped, stamp, sweep, temporary, write_whole
 
 CONTENT = bytes(range(256)) * 3
 LEFT = f".riecjax-{'0' * 32}"
@@ -71,17 +71,6 @@ def test_a_folder_that_cannot_be_is_refused_before_the_work(tmp_path, name):
         require_folder(tmp_path / name)
     require_folder(tmp_path / "new")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_a_store_forgets_what_was_not_used_for_longest(tmp_path):
-    store = Store(tmp_path, "-cache", 3 * len(CONTENT))
-    for age, key in enumerate("abc"):
-        store.put(key, CONTENT)
-        os.utime(tmp_path / f"{key}-cache", (1000 + age, 1000 + age))
-    assert store.get("a") == CONTENT  # used now
-    store.put("d", CONTENT)
-    assert [key for key in "abcd" if store.get(key) is None] == ["b"]
-    Store(tmp_path / "absent", "", 10**6).put("a", CONTENT)
 
 
 def test_a_stamp_tells_a_file_from_a_copy_of_it_by_its_ends(tmp_path, monkeypatch):

@@ -103,7 +103,7 @@ def _serve(pipe: Any, function: Callable[..., Any], folder: str) -> None:
         # As the command line has it, but for how fast what it compiles is: thousands of cases
         # compile, and few run it twice. The next process finds what this one has compiled.
         os.environ["XDG_CACHE_HOME"] = folder
-        start_jax(once=True, keep_compiled=True)
+        start_jax(keep_compiled=True)
         peaks()
         pipe.send("ready")
         while True:

@@ -15,7 +15,7 @@ from benchmarks.recorded import FOLDER, filled_in, run_part, table, write_json
 from riecjax.runtime import start_jax
 
 SUITE = ("all_windows", "simulation", "estimation")
-PARTS = ("cold_start", "compilation", "growth", "instant")
+PARTS = ("instant", "growth")
 PAGE = FOLDER.parent / "docs" / "speed.md"
 BEGIN = "<!-- measured: make bench -->"
 

@@ -124,7 +124,10 @@ CASES = {
 
 
 def response(
-    force: Callable[[np.ndarray], np.ndarray], seconds: float, rate: float, constants: Sequence[float]
+    force: Callable[[np.ndarray], np.ndarray],
+    seconds: float,
+    rate: float,
+    constants: Sequence[float],
 ) -> dict[str, np.ndarray]:
     """An oscillator's motion under a force, by twenty steps of Runge and Kutta a sample."""
     mass, damping, stiffness = constants
@@ -220,7 +223,8 @@ def times_of(checkout: Path, folder: Path, cases: Sequence[str]) -> dict[str, di
 def medians(turns: Sequence[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
     return {
         name: {
-            what: round(statistics.median(turn[name][what] for turn in turns), 3) for what in figures
+            what: round(statistics.median(turn[name][what] for turn in turns), 3)
+            for what in figures
         }
         for name, figures in turns[0].items()
     }

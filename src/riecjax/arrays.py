@@ -55,12 +55,10 @@ class _Functions:
         else:
 
             def found(*args: Any, **kwargs: Any) -> Any:
-                if any(map(is_traced, args)) or (
-                    kwargs and any(map(is_traced, kwargs.values()))
-                ):
-                    assert traced is not None
+                if any(map(is_traced, args)) or (kwargs and any(map(is_traced, kwargs.values()))):
                     return traced(*args, **kwargs)
-                return host(*args, **kwargs)
+                # NumPy leaves an array of JAX's to that array's own methods.
+                return host(*map(on_host, args), **kwargs)
 
             found.__name__ = name
         setattr(self, name, found)
@@ -79,8 +77,22 @@ def __getattr__(name: str) -> Any:
 
 
 def on_host(value: Any) -> Any:
-    """An array as NumPy's, unless it is traced."""
-    return value if is_traced(value) else np.asarray(value)
+    """An array of JAX's as NumPy's, unless it is traced; anything else as it is."""
+    return np.asarray(value) if isinstance(value, jax.Array) and not is_traced(value) else value
+
+
+def hosted(tree: Tree) -> Tree:
+    """A pytree with NumPy's arrays in double precision in place of JAX's that are known."""
+
+    def moved(leaf: Any) -> Any:
+        if not isinstance(leaf, jax.Array) or is_traced(leaf):
+            return leaf
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            return leaf
+        return np.asarray(leaf, float if leaf.dtype == np.float32 else None)
+
+    is_there = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(tree))
+    return jax.tree.map(moved, tree) if is_there else tree
 
 
 def products(left: Any, right: Any) -> Any:
@@ -98,19 +110,34 @@ def fft_size(least: int) -> int:
     return min(one * 2 ** math.ceil(math.log2(max(least / one, 1))) for one in odd)
 
 
-def by_jax(function: Callable[..., Tree], *arrays: Any) -> Tree:
-    """What a function of JAX's makes of arrays: of known ones in double precision, and NumPy's."""
-    if are_traced(arrays):
-        return function(*arrays)
+def in_double(function: Callable[..., Tree], *given: Any) -> Tree:
+    """What a function that may be of JAX's makes of arrays: of known ones in double precision, and
+    NumPy's."""
+    if are_traced(given):
+        return function(*given)
     with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, function(*map(jnp.asarray, arrays)))
+        return jax.tree.map(on_host, function(*given))
+
+
+def jacobian(function: Callable[[Any], Any], at: dict[str, Any]) -> dict[str, Any]:
+    """Derivatives of an array by each of some numbers.
+
+    Of known numbers by a step into the imaginary, which is exact to rounding (Squire and Trapp,
+    1998): the function must be analytic, and of this module's functions.
+    """
+    if are_traced(at, function(at)):
+        return jax.jacfwd(function)(at)
+    step = 1e-30
+    return {
+        name: np.imag(function({**at, name: value + 1j * step * max(abs(value), 1e-200)}))
+        / (step * max(abs(value), 1e-200))
+        for name, value in at.items()
+    }
 
 
 def stop_gradient(tree: Tree) -> Tree:
     """The tree with no derivative by its arrays."""
-    return jax.tree.map(
-        lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf, tree
-    )
+    return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf, tree)
 
 
 def each(
@@ -124,9 +151,7 @@ def each(
     if are_traced(items, beside):
         return jax.lax.map(function, items, batch_size=batch)
     count = jax.tree.leaves(items)[0].shape[0]
-    parts = [
-        function(jax.tree.map(lambda leaf, at=at: leaf[at], items)) for at in range(count)
-    ]
+    parts = [function(jax.tree.map(lambda leaf, at=at: leaf[at], items)) for at in range(count)]
     if any(map(is_traced, jax.tree.leaves(parts))):
         return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
     return jax.tree.map(lambda *leaves: np.stack(leaves), *parts)
@@ -186,11 +211,11 @@ def cut(values: Any, first: Any, count: int) -> Any:
     return values[..., first : first + count]
 
 
-def take(values: Any, places: Any) -> Any:
-    """Entries along the last axis, by whole numbers."""
+def take(values: Any, places: Any, axis: int = -1) -> Any:
+    """Entries along an axis, by whole numbers that lie in it."""
     if are_traced((values, places)):
-        return jnp.asarray(values)[..., places]
-    return values[..., places]
+        return jnp.take(values, places, axis=axis, mode="clip")
+    return np.take(on_host(values), on_host(places), axis=axis)
 
 
 def with_entries(array: Any, index: Any, values: Any) -> Any:
@@ -211,9 +236,7 @@ def with_added(array: Any, index: Any, values: Any) -> Any:
     return changed
 
 
-def repeated(
-    step: Callable[[Any], Tree], start: Tree, times: int, *, beside: Any = ()
-) -> Tree:
+def repeated(step: Callable[[Any], Tree], start: Tree, times: int, *, beside: Any = ()) -> Tree:
     """What a step makes of a start, over and over."""
     if are_traced(start, beside):
         return jax.lax.fori_loop(0, times, lambda _, state: step(state), start)

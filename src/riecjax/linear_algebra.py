@@ -51,6 +51,7 @@ def solve_scaled(
     scaled, scale = unit_diagonal(matrix)
     if ridge:
         scaled = scaled + ridge * np.eye(scaled.shape[-1], dtype=scaled.dtype)
+    right = xp.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
     return scale[..., :, None] * eliminate(scaled, scale[..., :, None] * right)
 
 

@@ -16,7 +16,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 from riecjax.errors import DataError
 
@@ -180,33 +179,3 @@ def is_stamped(file: Path) -> bool:
             stream.seek(max(file.stat().st_size - MOST_SEARCHED, 0))
             return stamp(file).encode() in ends + b"\0" + stream.read(MOST_SEARCHED)
     return False
-
-
-class Store(NamedTuple):
-    """Files by key in a folder; beyond `most` bytes, those go that were not used for longest."""
-
-    folder: Path
-    suffix: str
-    most: int
-
-    def get(self, key: str) -> bytes | None:
-        """What is kept under a key; `None` for nothing."""
-        file = self._file(key)
-        with contextlib.suppress(OSError):
-            os.utime(file)
-            return file.read_bytes()
-        return None
-
-    def put(self, key: str, content: bytes) -> None:
-        """Keep it, where it can be."""
-        with contextlib.suppress(OSError):
-            kept = [(file.stat(), file) for file in self.folder.glob(f"[!.]*{self.suffix}")]
-            excess = sum(told.st_size for told, _ in kept) + len(content) - self.most
-            for told, file in sorted(kept, key=lambda each: each[0].st_mtime):
-                if excess > 0:
-                    file.unlink(missing_ok=True)
-                    excess -= told.st_size
-            write_whole(self._file(key), content)
-
-    def _file(self, key: str) -> Path:
-        return self.folder / (key + self.suffix)

@@ -1,9 +1,8 @@
-import jax.numpy as jnp
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from riecjax.criteria.all_windows import Runs, window_moments
+from riecjax.criteria.all_windows import Runs, moments_in_runs
 from riecjax.criteria.windows import LagBins
 
 
@@ -49,10 +48,10 @@ def test_all_windows_are_the_sum_over_every_single_one(
     # Bins of lags that count alike, some of them empty.
     held, weight = (np.array(values) for values in zip(*steps))
     last = shortest + np.cumsum(held) - 1
-    bins = LagBins(jnp.asarray(last - held + 1), jnp.asarray(last), jnp.asarray(weight))
+    bins = LagBins(last - held + 1, last, weight)
     every = np.repeat(weight, held)
     expected, count = brute_force(phi, present, first, stop, shortest, every, hat)
-    runs = Runs.of(jnp.asarray(present), jnp.asarray(first), jnp.asarray(stop - first))
-    found, number = window_moments(jnp.asarray(phi), runs, bins, 2 if hat else 1)
+    runs = Runs.of(present[None], first, stop - first)
+    (found,), (number,) = moments_in_runs(phi[None], runs, bins, 2 if hat else 1)
     np.testing.assert_allclose(number, count, rtol=1e-12)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * max(np.abs(expected).max(), 1))

@@ -155,7 +155,7 @@ def test_other_calls(case):
 
 def test_a_term_with_its_names_swapped_says_what_the_record_has():
     swapped = rx.Equation(rx.Term("x", "m", derivative=1), -rx.Term(1.0, "F"))
-    with pytest.raises(rx.DataError, match=r"^the record has no signal 'm'; it has: F, x\."):
+    with pytest.raises(rx.DataError, match=r"^the record has no signal 'm'; it has: x, F\."):
         rx.identify(swapped, RECORD, rx.DOLS())
 
 

@@ -1,6 +1,5 @@
 """Output-error refinement: against SciPy, over windows of any length, and what it says of it."""
 
-from pathlib import Path
 from typing import ClassVar
 
 import equinox as eqx
@@ -20,7 +19,6 @@ from tests.machines import drag_record as record
 from tests.machines import drag_signals as signals
 
 from nightly import nightly
-from riecjax import compilation, runtime
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import equation_system, simultaneous
 from riecjax.equations.term import Term
@@ -372,17 +370,6 @@ def test_a_shared_length_is_a_quarter_longer_at_most():
     assert np.all(shared <= 1.25 * every + 1)
     assert np.all(np.diff(shared) >= 0)
     assert len(set(shared[every > 1024])) <= 10
-
-
-def test_another_length_compiles_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(compilation, "_programs", {})
-    monkeypatch.setattr(runtime, "_programs_folder", tmp_path)
-    whole = record(seed=0, count=1000)
-    refine(oscillator(), whole, START)
-    kept = sorted(path.name for path in tmp_path.iterdir())
-    assert kept
-    refine(oscillator(), whole.part(0, 930), START)
-    assert sorted(path.name for path in tmp_path.iterdir()) == kept
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_a_record_in_chunks_adds_up_to_the_same_in_one_piece(count, test_functio
     criterion = rx.RIEC(BOXCAR.windows, test_function)
     (one,) = (r.record for r in ready(rx.staged(EQUATION), record(count, gaps=(300, 301)), STD))
     lags = criterion.law(one)
-    blocks = StartBlocks(0, count, 1, count)
+    blocks = StartBlocks(0, count, 1)
     noisy = criterion.noisy_columns(EQUATION, one)
 
     def products(columns):

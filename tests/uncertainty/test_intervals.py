@@ -199,7 +199,7 @@ def test_replicates_are_refits_of_drawn_blocks_divided_by_their_sandwich():
     found = studentized_replicates(statistics, draws)
     middle = np.asarray(statistics.estimate)
     for one, t in zip(draws, found):
-        drawn = np.asarray(drawn_counts(one, statistics.used)).astype(float)[0]
+        drawn = np.asarray(drawn_counts(one[None], statistics.used)).astype(float)[0, 0]
         assert drawn.sum() == 20
         assert not drawn[20:].any()
         first, second = (np.asarray(stage.moments) for stage in statistics.blocks)

@@ -11,12 +11,12 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.compilation import kept_jit
 from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import (
@@ -477,7 +477,7 @@ def _channels(system: AbstractSystem, records: "list[Record]") -> tuple[str, ...
     return (*states, *(name for name in outputs if not np.any(np.asarray(direct[name]))))
 
 
-@kept_jit
+@eqx.filter_jit
 def _through(system: AbstractSystem, states: np.ndarray, levels: np.ndarray) -> dict:
     return dict(jax.vmap(jax.jacfwd(system.output, argnums=1))(states, levels))
 

@@ -25,10 +25,8 @@ def command(given: Given) -> None:
     The exit status is 1 if some parameter cannot be found.
     """
     asked = given.take(settings.Check)
-    start_jax(once=given.is_small, keep_compiled=True)
-    from riecjax.compilation import load_ahead
+    start_jax(keep_compiled=True)
 
-    load_ahead("check", given.model_name)
     import jax
 
     from riecjax.assessment.assess import check_answering

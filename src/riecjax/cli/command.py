@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from riecjax.equations.model import Model
     from riecjax.records.recording import Recording
 
-SMALL_FILES = 2**24
-"""Bytes of all recordings below which compiling code takes longer than running it."""
 
 Kind = TypeVar("Kind", bound=Settings)
 
@@ -115,11 +113,6 @@ class Given:
         if not self.allow_duplicates:
             refuse_duplicates(recordings)
         return recordings
-
-    @property
-    def is_small(self) -> bool:
-        """Whether recordings are so short that what works on them runs in no time."""
-        return sum(map(os.path.getsize, filter(os.path.isfile, self.inputs()))) < SMALL_FILES
 
     def shown(self, folder: Path | None = None) -> dict[str, Any]:
         """All that is set, with defaults, by the keys of a job file and as one holds it.

@@ -22,7 +22,7 @@ def command(given: Given) -> None:
     """
     asked = given.take(settings.Discover)
     given.changed_files()
-    start_jax(once=given.is_small, keep_compiled=True)
+    start_jax(keep_compiled=True)
     from riecjax.discovery.candidate import as_candidates
     from riecjax.discovery.discover import discover, model_source
     from riecjax.models.catalogue import object_of_file

@@ -25,11 +25,8 @@ def command(given: Given) -> None:
     --map says which column is which signal, --unit in which unit it is where the file states none.
     """
     asked = given.take(settings.Assess)
-    start_jax(once=given.is_small, keep_compiled=True)
-    from riecjax.compilation import load_ahead
-
+    start_jax(keep_compiled=True)
     changed = given.changed_files()
-    load_ahead("identify", given.model_name)
     import jax
 
     from riecjax.assessment.assess import assess

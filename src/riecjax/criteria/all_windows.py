@@ -72,10 +72,10 @@ therefore left out of the running integral and added in closed form: the s-th di
 c t^s / s! over steps of length L is c L^s exactly.
 """
 
+import dataclasses
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -166,7 +166,9 @@ def interval_weights(order: int, interval: int) -> Float[np.ndarray, " order"]:
     return np.linalg.solve(np.vander(nodes, increasing=True).T, integrals)
 
 
-class Primitives(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Primitives:
     """For each column of an equation, the function whose s-th differences are its integrals.
 
     **Fields:**
@@ -183,7 +185,7 @@ class Primitives(eqx.Module):
     mean: Float[Array, " columns"]
     bend: Float[Array, "columns n-1"]
     present: Bool[Array, " n"] | None
-    difference: int = eqx.field(static=True)
+    difference: int = dataclasses.field(metadata={"static": True})
 
     def differences(self, start: Array, stop: Array) -> Float[Array, "columns windows"]:
         """Integral of every column over every window, of integer or (for s = 1) real ends."""
@@ -222,14 +224,17 @@ class Runs(NamedTuple):
     stop: Int[Array, ""] | int
 
     @classmethod
-    def of(
-        cls, valid: Bool[Array, "*blocks n"], first: Int[Array, ""] | int, count: int
-    ) -> "Runs":
+    def of(cls, valid: Bool[Array, "*blocks n"], first: Int[Array, ""] | int, count: int) -> "Runs":
         """Of a mask, and so many starts from the `first` on."""
-        at = np.arange(valid.shape[-1])
+        at = _places(valid)
         gap_before = xp.running_max(xp.where(valid, -1, at))
         gap_after = xp.running_min(xp.where(valid, at.size, at), reverse=True)
         return cls(xp.maximum(gap_before + 1, first), gap_after - 1, first + count - 1)
+
+
+def _places(like: Array) -> Int[np.ndarray, "*blocks n"]:
+    """The number of each sample, along the last axis of as many as those of an array."""
+    return np.arange(like.shape[-1]).reshape((1,) * (like.ndim - 1) + (-1,))
 
 
 class Points(NamedTuple):
@@ -244,7 +249,7 @@ class Points(NamedTuple):
     def of_bin(cls, bin_: LagBins, runs: Runs, pieces: int) -> "Points":
         """How many windows of a bin's lengths, `pieces` lags each, have their ends at each sample;
         without weights."""
-        at, shortest, longest = np.arange(runs.last.shape[-1]), bin_.first, bin_.last
+        at, shortest, longest = _places(runs.last), bin_.first, bin_.last
         first, last, stop = runs
 
         def counted(low: Leaf, high: Array) -> Array:
@@ -254,7 +259,7 @@ class Points(NamedTuple):
         start = counted(shortest, xp.minimum(longest, (last - at) // pieces))
         least = xp.maximum(shortest, -((stop - at) // pieces))
         end = counted(least, xp.minimum(longest, (at - first) // pieces))
-        middle = by_half = np.zeros(1)
+        middle = by_half = np.zeros((1,) * last.ndim)
         if pieces == 2:
             low = xp.maximum(shortest, at - stop)
             high = xp.minimum(longest, xp.minimum(at - first, last - at))
@@ -301,7 +306,7 @@ def moments_in_blocks(
     def of_law(law: LagBins) -> Moments:
         if order == 1 and not broken:
             return _unbroken_boxcars(phi, valid, blocks.size, law)
-        return _of_runs(phi, Runs.of(valid, 0, blocks.size), law, order)
+        return moments_in_runs(phi, Runs.of(valid, 0, blocks.size), law, order)
 
     moments, number = each_bin(of_law, lags, beside=phi)
     if parts == 1:
@@ -324,9 +329,9 @@ def _referred(
     n, width = values.shape[1], blocks.size + reach
     place = np.arange(width) - (width - 1) / 2
     left = n - blocks.first - blocks.size * np.arange(blocks.number)
-    inside = np.arange(width) < left[:, None]
-    place, inside = place.astype(values.dtype), inside[:, None, :]
-    phi = blocks.cut(values, width) + primitives.mean[:, None] * (place**order / order)
+    inside = np.arange(width)[None] < left[:, None]
+    place, inside = place.astype(values.dtype)[None, None], inside[:, None, :]
+    phi = blocks.cut(values, width) + primitives.mean[None, :, None] * (place**order / order)
     count = xp.maximum(inside.sum(axis=-1, keepdims=True), 1)
 
     def mean(of: Array) -> Array:
@@ -363,7 +368,7 @@ def _unbroken_boxcars(
     """Moments of all boxcar rows where no sample is missing: every sum is a running sum, shifted by
     one offset for all samples, in place of one looked up at limits that differ."""
     running = xp.pad(running_sum(phi), ((0, 0), (0, 0), (1, 0)))
-    start, end = np.arange(size), np.arange(phi.shape[-1])
+    start, end = np.arange(size)[None], np.arange(phi.shape[-1])[None]
     left = valid.sum(axis=-1)[:, None]
 
     def of_bin(bin_: LagBins) -> _Sums:
@@ -379,12 +384,12 @@ def _unbroken_boxcars(
     return _moments(phi, size, total.inner, None, total.squares), total.number
 
 
-def _of_runs(
+def moments_in_runs(
     phi: Float[Array, "blocks columns n"], runs: Runs, law: LagBins, difference: int
 ) -> Moments:
     """Moments of all boxcars (a first difference of phi) or hats (a second one) within runs of
     valid samples."""
-    size, at = int(runs.stop) + 1, np.arange(phi.shape[-1])
+    size, at = int(runs.stop) + 1, np.arange(phi.shape[-1])[None]
     once = xp.pad(running_sum(phi), ((0, 0), (0, 0), (1, 0)))
     twice = once
     if difference == 2:  # S[i] = phi[i - 2] + phi[i - 4] + ...
@@ -405,7 +410,7 @@ def _of_runs(
         shortest, longest = bin_.first, bin_.last
         points = Points.of_bin(bin_, runs, difference)
         # From the start t: k up to the longest, with the end inside the run.
-        start, last = at[:size], runs.last[:, :size]
+        start, last = at[:, :size], runs.last[:, :size]
         most = xp.minimum(longest, (last - start) // difference)
         there = (points.start[:, :size] > 0)[:, None]
         inner, around = -between(once, start + shortest, start + most, 1), np.zeros(1)

@@ -41,7 +41,9 @@ SHORT_BLOCKS_OF_ROWS = 512
 """Short blocks of start times to a record where single rows are put into them."""
 
 
-class Rows(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rows:
     """Regression rows: target (first) and regressors of every residual of a criterion.
 
     **Fields:**
@@ -55,7 +57,7 @@ class Rows(eqx.Module):
 
     columns: Float[Array, "columns rows"]
     position: Int[Array, " rows"] | Float[Array, " rows"]
-    parameters: tuple[str, ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     valid: Bool[Array, " rows"] | None = None
 
     @property

@@ -25,29 +25,33 @@ A sample's noise is counted where the sample lies, a window's row where the wind
 both add up to the same.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from itertools import combinations_with_replacement
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
 from riecjax import arrays as xp
 from riecjax.criteria.all_windows import Points, Runs, interval_weights
-from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet, each_bin, sum_over_bins
+from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet, sum_over_bins
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
 
-NoiseWeights = Float[Array, "orders orders n"]
+NoiseWeights = Float[Array, "*bins orders orders n"]
 """W_kl at every sample, for derivatives k and l that a test function takes off."""
 
 
 def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, pieces: int) -> Points:
-    """Where all windows of a law that start in some blocks have their ends, `pieces` lags long."""
+    """Where all windows of a law that start in some blocks have their ends, `pieces` lags long; of
+    a law in bins, of each bin along a leading axis."""
     valid = np.ones(columns.sample_count, bool) if columns.present is None else columns.present
+    # All bins side by side.
+    side_by_side = LagBins(*(xp.moveaxis(leaf, -1, 0)[..., None] for leaf in lags))
+    valid = valid.reshape((1,) * (lags.first.ndim - 1) + (-1,))
     runs = Runs.of(valid, blocks.first, blocks.size * blocks.number)
-    return sum_over_bins(lags, lambda bin_: Points.of_bin(bin_, runs, pieces), beside=runs)
+    return sum_over_bins(side_by_side, lambda of: Points.of_bin(of, runs, pieces), beside=runs)
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:
@@ -55,7 +59,7 @@ def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWe
     start, end = points.start, points.end
     inside = _covered(start, end) + _at_ends(start, end, _end_squares(quadrature))
     mixed = 0.5 * step * (end - start)
-    return xp.stack([xp.stack([step**2 * inside, mixed]), xp.stack([mixed, start + end])])
+    return _square(((step**2 * inside, mixed), (mixed, start + end)))
 
 
 def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:
@@ -77,7 +81,7 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
     twice = {j - first: float(p) for j, p in enumerate(np.asarray(quotient))}
     ends = {j: (max(j, 0) + twice.get(j, 0.0), once[j]) for j in once}
     triangle = _square_ramp(start) - 4 * _ramp(by_half) - _square_ramp(end)
-    ramp = 2 * (xp.cumsum(by_half) - 0.5 * by_half) - _ramp(start) + _ramp(end)
+    ramp = 2 * (xp.cumsum(by_half, axis=-1) - 0.5 * by_half) - _ramp(start) + _ramp(end)
     flat = _covered(start, end) - middle
     triangle = triangle + _at_ends(
         start, end, {j: w**2 - max(j, 0) ** 2 for j, (w, _) in ends.items()}
@@ -93,33 +97,48 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
         flat = flat + (turn**2 - abs(sign)) * own
     knots = twice[0] * (start + end + 4 * middle) - 2 * by_half
     turn = 0.5 * step * (end - start)
-    rows = (
-        (step**4 * triangle, step**3 * ramp, step**2 * knots),
-        (step**3 * ramp, step**2 * flat, turn),
-        (step**2 * knots, turn, start + 4 * middle + end),
+    return _square(
+        (
+            (step**4 * triangle, step**3 * ramp, step**2 * knots),
+            (step**3 * ramp, step**2 * flat, turn),
+            (step**2 * knots, turn, start + 4 * middle + end),
+        )
     )
-    return xp.stack([xp.stack(row) for row in rows])
+
+
+def _square(rows: Sequence[Sequence[Float[Array, "*bins n"]]]) -> NoiseWeights:
+    return xp.stack([xp.stack(row, axis=-2) for row in rows], axis=-3)
 
 
 def _covered(start: Array, end: Array) -> Array:
     """Windows whose first and last sample a sample lies between, these included."""
-    return xp.cumsum(start) - xp.cumsum(end) + end
+    return xp.cumsum(start, axis=-1) - xp.cumsum(end, axis=-1) + end
 
 
 def _ramp(points: Array) -> Array:
     """Sum of points[u] (v - u) over u < v."""
-    return _shifted(xp.cumsum(xp.cumsum(points)), 1)
+    return _shifted(_sums(points, 2), 1)
 
 
 def _square_ramp(points: Array) -> Array:
     """Sum of points[u] (v - u)^2 over u < v: (v - u)^2 is twice C(v - u + 1, 2) less v - u."""
-    return 2 * _shifted(xp.cumsum(xp.cumsum(xp.cumsum(points))), 1) - _ramp(points)
+    return 2 * _shifted(_sums(points, 3), 1) - _ramp(points)
+
+
+def _sums(values: Array, times: int) -> Array:
+    """Running sums of running sums, so many of them."""
+    for _ in range(times):
+        values = xp.cumsum(values, axis=-1)
+    return values
 
 
 def _shifted(values: Array, by: int) -> Array:
     """values[u - by], zero beyond the ends."""
-    n = values.shape[0]
-    return xp.pad(values, (max(by, 0), max(-by, 0)))[max(-by, 0) : max(-by, 0) + n]
+    if not by:
+        return values
+    nothing = xp.zeros_like(values[..., : abs(by)])
+    parts = (nothing, values[..., :-by]) if by > 0 else (values[..., -by:], nothing)
+    return xp.concatenate(parts, axis=-1)
 
 
 def _at_ends(start: Array, end: Array, weights: dict[int, float]) -> Array:
@@ -212,21 +231,12 @@ def noise_moments(
 
     # What is white, and at last what is added where columns are curved.
     squares = [*((1.0, movement) for movement in noisy.white.values()), *noisy.curved]
-
-    def in_closed_form(law: LagBins | WindowSet) -> list[Array] | None:
-        if (weights := weights_of(law)) is None:
-            return None
-        return [times * _weighted(movement, weights, blocks, width) for times, movement in squares]
-
-    added = None
-    if squares:
-        if isinstance(windows, LagBins):
-            added = each_bin(in_closed_form, windows, beside=(columns, squares))
-        else:
-            added = in_closed_form(windows)
-    if added is None:
+    weights = weights_of(windows) if squares else None
+    if weights is None:
         unit = np.ones(1)
         added = [times * _probed([(m, unit)], columns, products) for times, m in squares]
+    else:
+        added = [times * _weighted(m, weights, blocks, width) for times, m in squares]
     found = dict(zip(noisy.white, added))
     curved = sum(added[len(found) :], start=np.zeros(()))
     # Kernels of the signals' coloured noise, which has unit size in each.
@@ -248,23 +258,35 @@ def noise_moments(
 
 def _weighted(
     movement: Movement, weights: NoiseWeights, blocks: StartBlocks, size: int
-) -> Float[Array, "blocks columns columns"]:
+) -> Float[Array, "*bins blocks columns columns"]:
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
-    n, total = weights.shape[-1], np.zeros((blocks.number, size, size), weights.dtype)
+    *bins, _, _, n = weights.shape
+    total = np.zeros((*bins, blocks.number, size, size), weights.dtype)
     unit = np.ones((1, n), weights.dtype)
+
+    def products(left: Array, right: Array) -> Array:
+        """By blocks, all bins side by side."""
+        rows = left.shape[-2]
+        part = blocks.products(left.reshape(-1, n), right)
+        part = part.reshape(blocks.number, *bins, rows, right.shape[0])
+        return xp.moveaxis(part, 0, -3)
+
     for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
-        rows, columns = np.array(movement.rows[k]), np.array(movement.rows[m])
-        weight = weights[k, m][None]
+        one, other = np.array(movement.rows[k]), np.array(movement.rows[m])
+        weight = weights[..., k, m, None, :]
         if left.shape[1] == right.shape[1] == 1:
             # What is the same at every sample stands before the sum.
-            part = blocks.products(weight, unit) * (left @ right.T)[None]
+            part = products(weight, unit) * (left @ right.T).reshape(
+                (1,) * (len(bins) + 1) + (len(one), len(other))
+            )
         else:
-            part = blocks.products(weight * left, right * unit)
-        one, other = rows[:, None], columns[None, :]
-        total = xp.with_added(total, (slice(None), one, other), part)
+            left = left.reshape((1,) * len(bins) + left.shape)
+            part = products(weight * left, right * unit)
+        place = (..., one[:, None], other[None, :])
+        total = xp.with_entries(total, place, total[place] + part)
         if k != m:
-            turned = xp.swapaxes(part, 1, 2)
-            total = xp.with_added(total, (slice(None), other.T, one.T), turned)
+            place = (..., other[:, None], one[None, :])
+            total = xp.with_entries(total, place, total[place] + xp.swapaxes(part, -1, -2))
     return total
 
 
@@ -288,7 +310,7 @@ def _probed(
             first = reach + taps.shape[-1] // 2
             noise = xp.fft.irfft(white * xp.fft.rfft(taps, size), size)[first : first + n]
             values = values + movement.times(noise, like)
-        return products(eqx.tree_at(lambda columns: columns.values, like, values))
+        return products(dataclasses.replace(like, values=values))
 
     place = np.arange(n + 2 * reach) % SIGNS.shape[1]
     return xp.each(once, SIGNS[:, place], beside=(parts, like)).mean(axis=0)

@@ -10,9 +10,9 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from riecjax import arrays as xp
 from riecjax.criteria.criterion import DOLS, RIEC, AbstractCriterion
 from riecjax.criteria.test_functions import TEST_FUNCTIONS, AbstractTestFunction, Bump, GradedBump
 from riecjax.criteria.windows import DEFAULT_BAND, AllWindows, RandomWindows
@@ -20,7 +20,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import MissingSignalError, require
-from riecjax.leaves import is_concrete, namespace
+from riecjax.leaves import is_concrete
 from riecjax.records.preparation.filtering import local_slope
 from riecjax.records.record import Record
 from riecjax.settings import Contradiction, Fit
@@ -115,7 +115,6 @@ def suited(model: Model, band: tuple[float, float] | None, records: Sequence[Rec
     bump = RIEC.of_band(band or DEFAULT_BAND, Bump(lengths=LENGTHS))
     alpha, beta = bump.windows.alpha, bump.windows.beta
     steps = [record.time_step for record in records]
-    xp = namespace(alpha, beta, steps)
     shortest = bump.test_function.fewest_samples * functools.reduce(xp.maximum, steps)
     longest = functools.reduce(xp.minimum, [LONGEST * record.duration for record in records])
     beta = xp.maximum(xp.minimum(beta, longest), 2 * shortest)
@@ -192,7 +191,6 @@ def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) 
     windows, noise = criterion.windows, record.noise
     if windows is None or criterion.test_function.smoothness != 1:
         return model
-    xp = namespace(windows, record)
     length = 0.5 * (xp.asarray(windows.alpha) + xp.asarray(windows.beta))
 
     def read(term: AbstractTerm) -> list[AbstractTerm]:
@@ -215,7 +213,7 @@ def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) 
         integrated = term.with_fields(of=velocity, derivative=0, measured=tuple(measured))
         if is_concrete(chosen):
             return [integrated if chosen else term]
-        share, factor = jnp.asarray(chosen, float), jnp.asarray(term.factor)
+        share, factor = xp.asarray(chosen, float), term.factor
         return [
             term.with_fields(factor=factor * (1 - share)),
             integrated.with_fields(factor=factor * share),

@@ -162,7 +162,8 @@ class AbstractTestFunction(eqx.Module):
 
         `None` where no closed form is known.
 
-        **Arguments:** `windows`, the law of all windows that start in the blocks, or windows drawn.
+        **Arguments:** `windows`, the law of all windows that start in the blocks, which in bins has
+        weights for each of them; or windows drawn.
         """
         return None
 
@@ -445,7 +446,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         nodes, weights = _nodes()
         found = np.zeros((frequency.size, length.size))
         for place, seconds in enumerate(length):
-            phi = weights * self.derivatives(nodes, seconds, 0)[0]
+            phi = weights * self.by_tau(nodes, seconds, 0)[0]
             z = np.pi * frequency * seconds
             seen = z < NODES
             phase = np.outer(z[seen], nodes)
@@ -509,8 +510,11 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             at = self._whole(columns, bin_.first, blocks).astype(columns.values.dtype)
             return at, self._weights(bin_.first, columns)
 
-        orders = self.smoothness + 1
-        return noise_weights_of_lengths(of_length, windows, orders, beside=columns)
+        def of_law(law: LagBins) -> NoiseWeights:
+            orders = self.smoothness + 1
+            return noise_weights_of_lengths(of_length, law, orders, beside=columns)
+
+        return each_bin(of_law, windows, beside=columns)
 
     def _whole(self, columns: Columns, length: Leaf, blocks: StartBlocks) -> Bool[Array, " n"]:
         """Where a window of this length may start: in a block, with no sample missing."""
@@ -574,12 +578,12 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         inside = (sample > 0) & (sample < length)
         tau = xp.where(inside, 2 * sample / length - 1, 0.0).astype(columns.values.dtype)
         seconds = length * columns.time_step
-        along = self.derivatives(tau, seconds, self.smoothness)
+        along = self.by_tau(tau, seconds, self.smoothness)
         rows = [(-2 / seconds) ** order * of for order, of in enumerate(along)]  # d tau / dt
         weights = xp.where(inside[None, :], xp.stack(rows), 0.0) * columns.time_step
         return xp.pad(weights, ((0, 0), (0, n - count)))
 
-    def derivatives(
+    def by_tau(
         self, tau: Float[Array, " n"], length: Float[Array, ""], most: int
     ) -> list[Float[Array, " n"]]:
         """phi and its derivatives by tau up to `most`, at tau from -1 to 1: JAX's, unless a class
@@ -597,7 +601,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
                 found.append(along(found[-1]))
             return [of(at) for of in found]
 
-        return xp.by_jax(every, tau)
+        return xp.in_double(every, tau)
 
 
 def _again(lengths: Int[Array, " lengths"]) -> Bool[Array, " lengths"]:
@@ -629,7 +633,7 @@ class Bump(AbstractSmoothTestFunction):
         """(1 - tau^2)^p."""
         return (1 - tau**2) ** self.p
 
-    def derivatives(
+    def by_tau(
         self, tau: Float[Array, " n"], length: Float[Array, ""], most: int
     ) -> list[Float[Array, " n"]]:
         """(1 - tau^2)^(p - k) times a polynomial q_k for the k-th derivative, which differentiates
@@ -640,7 +644,9 @@ class Bump(AbstractSmoothTestFunction):
             of = sum((c * tau**i for i, c in enumerate(polynomial.coef.tolist())), 0.0 * tau)
             found.append(rest ** (self.p - order) * of)
             slope = np.polynomial.Polynomial([0.0, -2.0 * (self.p - order)])
-            polynomial = polynomial.deriv() * np.polynomial.Polynomial([1, 0, -1]) + slope * polynomial
+            polynomial = (
+                polynomial.deriv() * np.polynomial.Polynomial([1, 0, -1]) + slope * polynomial
+            )
         return found
 
     def gain(self, frequency: Frequencies, length: Lengths) -> Gains:

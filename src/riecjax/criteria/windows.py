@@ -488,7 +488,7 @@ def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums], *, beside: A
     if not xp.are_traced(bins, beside):
         total = counted(first)
         for bin_ in map(LagBins._make, zip(*(leaf[1:] for leaf in bins))):
-            if bin_.first <= bin_.last:
+            if np.any(bin_.first <= bin_.last):
                 total = jax.tree.map(np.add, total, counted(bin_))
         return total
     if bins.first.shape[0] == 1:
@@ -497,7 +497,8 @@ def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums], *, beside: A
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
     def add(total: Sums, bin_: LagBins) -> tuple[Sums, None]:
-        added = jax.lax.cond(bin_.first <= bin_.last, counted, lambda _: nothing, bin_)
+        some = jnp.any(bin_.first <= bin_.last)
+        added = jax.lax.cond(some, counted, lambda _: nothing, bin_)
         return jax.tree.map(jnp.add, total, added), None
 
     # In reverse mode each bin is computed again: storing all would take bins x columns x samples.

@@ -179,9 +179,7 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
     return [label for label, good in zip(labels, alone) if not good]
 
 
-def _each_by_itself(
-    functions: tuple[Expression | AbstractTerm, ...], record: Record
-) -> list[bool]:
+def _each_by_itself(functions: tuple[Expression | AbstractTerm, ...], record: Record) -> list[bool]:
     half = PROBE // 2
     parts = [record, record.part(0, half), record.part(half, PROBE)]
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Array
 
@@ -25,10 +24,10 @@ Expression = str | Callable[[Signals], Array]
 """A signal's name, or a function of the signals such as `lambda s: s["x3"] - s["x4"]`.
 
 A function returns one number for each sample, which depends on that sample alone (long records are
-worked through in chunks), or one for all if it reads no signal. Of operators and `rx`'s functions it
-runs eagerly on NumPy and traced on JAX alike. Functions of `jax.numpy` do so too, eagerly in double
-precision, and compile for each new number of samples; those of `numpy` run eagerly alone, so that
-such a model is identified and not refined.
+worked through in chunks), or one for all if it reads no signal. Made of operators and of riecjax's
+functions it runs eagerly on NumPy and traced on JAX alike. Functions of `jax.numpy` do so too,
+eagerly in double precision, and compile for each new number of samples; those of `numpy` run
+eagerly alone, so that such a model is identified and not refined.
 Write functions once, at module level: a new function object each time compiles anew.
 """
 
@@ -68,10 +67,8 @@ def called(function: Callable[[Signals], Any], signals: Signals) -> Array:
 
     One of known signals that is of JAX runs in double precision, and comes back as NumPy's.
     """
-    if any(map(xp.is_traced, signals.data.values())):
-        return jax.numpy.asarray(function(signals))
-    with jax.enable_x64(True):
-        return xp.on_host(function(signals))
+    samples = xp.in_double(lambda *_: function(signals), *signals.data.values())
+    return samples if xp.is_traced(samples) else xp.asarray(samples)
 
 
 def read_expression(expression: Expression, signals: Signals) -> None:

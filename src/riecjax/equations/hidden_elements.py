@@ -34,15 +34,15 @@ linear in K.
 """
 
 import functools
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax import arrays as xp
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import (
@@ -55,7 +55,7 @@ from riecjax.equations.expressions import (
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, Column, Term
 from riecjax.errors import ModelError, require, users_code
-from riecjax.leaves import Leaf, is_number, namespace
+from riecjax.leaves import Leaf, is_number
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 
@@ -77,26 +77,26 @@ class Shape(NamedTuple):
     **Fields:** `numerator`, filled up with zeros to the length of the `denominator`.
     """
 
-    numerator: Float[Array, " powers"]
-    denominator: Float[Array, " powers"]
+    numerator: Float[Array, "*shapes powers"]
+    denominator: Float[Array, "*shapes powers"]
 
     @classmethod
     def of_mode(cls, p: Array, q: Array) -> "Shape":
         """1 + q s and 1 + q s + p s^2: p = M / K in s^2, q = B / K in s."""
-        one = jnp.ones_like(p)
-        return cls(jnp.stack([one, q, jnp.zeros_like(p)]), jnp.stack([one, q, p]))
+        one, none = xp.ones_like(p), xp.zeros_like(p)
+        return cls(*(xp.stack([one, q, last], axis=-1) for last in (none, p)))
 
     @classmethod
     def of_lag(cls, tau: Array) -> "Shape":
         """1 and 1 + tau s of an element that follows late, by tau = c / K in s."""
-        one = jnp.ones_like(tau)
-        return cls(jnp.stack([one, jnp.zeros_like(tau)]), jnp.stack([one, tau]))
+        one, none = xp.ones_like(tau), xp.zeros_like(tau)
+        return cls(*(xp.stack([one, last], axis=-1) for last in (none, tau)))
 
     @property
     def decay(self) -> Array:
         """Seconds in which what is free falls to 1 / e, by exp(-t / tau) or exp(-q t / (2 p))."""
         _, q, *p = self.denominator
-        return jnp.where(q > 0, 2 * p[0] / jnp.where(q > 0, q, 1.0), jnp.inf) if p else q
+        return xp.where(q > 0, 2 * p[0] / xp.where(q > 0, q, 1.0), xp.inf) if p else q
 
 
 class SeriesSpring(eqx.Module):
@@ -151,8 +151,8 @@ class SeriesSpring(eqx.Module):
 
         From tau = c / K follows d tau = -tau dK / K.
         """
-        lag = jnp.abs(values[self.of] / values[self.stiffness])
-        return jnp.stack([values[self.stiffness] / (lag * jnp.asarray(band[1]))])
+        lag = xp.abs(values[self.of] / values[self.stiffness])
+        return xp.stack([values[self.stiffness] / (lag * band[1])])
 
     def shape(self, values: Values) -> Shape:
         """The lag with these values."""
@@ -161,12 +161,12 @@ class SeriesSpring(eqx.Module):
     @staticmethod
     def shape_at(at: Float[Array, "1"] | None) -> Shape:
         """Of the logarithm of the corner 1 / (2 pi tau) in hertz; `None`: rigid."""
-        tau = jnp.zeros(()) if at is None else jnp.exp(-at[0]) / (2 * jnp.pi)
+        tau = np.zeros(()) if at is None else xp.exp(-at[..., 0]) / (2 * np.pi)
         return Shape.of_lag(tau)
 
     def values_at(self, at: Float[Array, "1"], values: Values) -> dict[str, Array]:
         """The stiffness of the lag there, the coefficient being among the values."""
-        return {self.stiffness: values[self.of] / self.shape_at(at).denominator[1]}
+        return {self.stiffness: values[self.of] / self.shape_at(at).denominator[..., 1]}
 
     def term_in(self, equation: Equation) -> AbstractTerm | None:
         """The element's term in an equation, if it has one."""
@@ -284,7 +284,7 @@ class SpringElement(eqx.Module):
             return {}
         with users_code(f"the expression {label_of(of)}"):
             across = signals[of] if isinstance(of, str) else of(Signals(dict(signals)))
-        velocity, (points, forces) = jnp.asarray(across), self._law(values)
+        velocity, (points, forces) = xp.asarray(across), self._law(values)
         if points is None:
             return {self.state.name: forces[0] * velocity}
         return {self.state.name: RoofFunctions(points).interpolate(forces, velocity)}
@@ -294,14 +294,14 @@ class SpringElement(eqx.Module):
     ) -> tuple[Float[Array, " points"] | None, Float[Array, " points"]]:
         """Break points of the element's law and forces there; of a linear one, `None` and its
         coefficient. Where the map does not rise it has a least slope."""
-        basis, forces = self.element.basis, jnp.stack([values[n] for n in self.element.parameters])
+        basis, forces = self.element.basis, xp.stack([values[n] for n in self.element.parameters])
         if not isinstance(basis, RoofFunctions):
             return None, forces
         at = basis.points
-        mean = jnp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
-        least = LEAST_SLOPE * jnp.where(mean > 0, mean, 1.0) * jnp.diff(at)
-        rises = jnp.maximum(jnp.diff(forces), least)
-        return at, forces[0] + jnp.concatenate([jnp.zeros(1, forces.dtype), jnp.cumsum(rises)])
+        mean = xp.abs((forces[-1] - forces[0]) / (at[-1] - at[0]))
+        least = LEAST_SLOPE * xp.where(mean > 0, mean, 1.0) * xp.diff(at)
+        rises = xp.maximum(xp.diff(forces), least)
+        return at, forces[0] + xp.concatenate([np.zeros(1, forces.dtype), xp.cumsum(rises)])
 
 
 TARGET = "target"
@@ -374,7 +374,7 @@ class HiddenMode(eqx.Module):
 
     def doubted(self, values: Values, band: tuple[Leaf, Leaf]) -> Float[Array, "2"]:
         """Errors of what is judged that count as one: its values."""
-        return jnp.stack([values[name] for name in self.judged])
+        return xp.stack([values[name] for name in self.judged])
 
     def shape(self, values: Values) -> Shape:
         """Of p and q with these values."""
@@ -385,13 +385,13 @@ class HiddenMode(eqx.Module):
     def shape_at(at: Float[Array, "2"] | None) -> Shape:
         """Of the logarithm of the frequency in hertz and the damping ratio; `None`: rigid."""
         if at is None:
-            return Shape.of_mode(jnp.zeros(()), jnp.zeros(()))
-        rate = 2 * jnp.pi * jnp.exp(at[0])
-        return Shape.of_mode(1 / rate**2, 2 * at[1] / rate)
+            return Shape.of_mode(np.zeros(()), np.zeros(()))
+        rate = 2 * np.pi * xp.exp(at[..., 0])
+        return Shape.of_mode(1 / rate**2, 2 * at[..., 1] / rate)
 
     def values_at(self, at: Float[Array, "2"], values: Values) -> dict[str, Array]:
         """Stiffness and damping of the shape there, the mass being among the values."""
-        _, q, p = self.shape_at(at).denominator
+        _, q, p = xp.moveaxis(self.shape_at(at).denominator, -1, 0)
         mass, stiffness, damping = self.parameters
         found = values[mass] / p
         return {stiffness: found, damping: found * q}
@@ -500,25 +500,26 @@ class Expanded(eqx.Module):
         hidden = (name for element, _ in self.elements for name in element.parameters)
         return tuple(dict.fromkeys((*self.parameters, *hidden)))
 
-    def residual(self, values: Values, shapes: Sequence[Shape]) -> Float[Array, " columns"]:
+    def residual(self, values: Values, shapes: Sequence[Shape]) -> Float[Array, "*batch columns"]:
         """The residual as a combination of the linear equation's columns, the target first.
 
         It is affine in the coefficients and in the modes' masses, for elements of given shapes.
 
         **Arguments:** `values` of the equation's coefficients and of the modes' masses, zero where
-        there is none.
+        there is none; both with any axes in front.
         """
         each = [shape.denominator for shape in shapes]
-        whole = _product(each)
+        whole = _product(each) if each else 1.0
         # What a spring is in series with does not act by itself.
         own = {TARGET: 1.0} | {c: 0.0 for element, c in self.elements if element.linear == c}
         weights = [own[n] if n in own else -values.get(n, 0.0) for n in self.columns]
-        powers = jnp.stack([jnp.asarray(w, whole.dtype) for w in weights])[:, None] * whole[None, :]
+        powers = [xp.asarray(weight)[..., None] * whole for weight in weights]
         for i, (element, column) in enumerate(self.elements):
             filtered = _product([shapes[i].numerator, *each[:i], *each[i + 1 :]])
-            size = values.get(element.linear, 0.0)
-            powers = powers.at[self.columns.index(column)].add(-size * filtered)
-        return jnp.asarray(self._places) @ powers.ravel()
+            size = xp.asarray(values.get(element.linear, 0.0))
+            place = self.columns.index(column)
+            powers[place] = powers[place] - size[..., None] * filtered
+        return xp.concatenate(xp.broadcast_arrays(*powers), axis=-1) @ self._places.T
 
     @property
     def _places(self) -> Float[np.ndarray, "linear_columns columns_and_orders"]:
@@ -542,25 +543,35 @@ class Expanded(eqx.Module):
         equation.
         """
         names = self.all_parameters
-        at = {name: jnp.asarray(values[name], jnp.result_type(float)) for name in names}
+        at = {name: xp.asarray(values[name], float) for name in names}
 
         def residual(values: Values) -> Array:
             return self.residual(values, [element.shape(values) for element, _ in self.elements])
 
-        slopes = jax.jacfwd(residual)(at)
+        slopes = xp.jacobian(residual, at)
         target = residual(at) - sum(at[name] * slopes[name] for name in names)
-        return jnp.stack([target, *(-slopes[name] for name in names)])
+        return xp.stack([target, *(-slopes[name] for name in names)])
 
 
-def _product(polynomials: Sequence[Float[Array, " powers"]]) -> Float[Array, " powers"]:
-    """Coefficients of a product of polynomials; 1 of none."""
-    return functools.reduce(jnp.convolve, polynomials) if polynomials else jnp.ones(1)
+def _product(polynomials: Sequence[Float[Array, "*batch p"]]) -> Float[Array, "*batch powers"]:
+    """Coefficients of a product of polynomials."""
+
+    def times(one: Array, other: Array) -> Array:
+        room = other.shape[-1] - 1
+        padded = xp.pad(one, [(0, 0)] * (one.ndim - 1) + [(room, room)])
+        size = one.shape[-1] + room
+        parts = (
+            other[..., k, None] * padded[..., room - k : room - k + size] for k in range(room + 1)
+        )
+        return functools.reduce(operator.add, parts)
+
+    return functools.reduce(times, polynomials)
 
 
 def mode_frequency(values: Values, mode: HiddenMode) -> tuple[Array, Array]:
     """Natural frequency in hertz and damping ratio of a mode on a body at rest."""
     mass, stiffness, damping = (values[name] for name in mode.parameters)
-    root = jnp.sqrt(jnp.abs(stiffness / mass))
+    root = xp.sqrt(xp.abs(stiffness / mass))
     return root / (2 * np.pi), damping / (2 * mass * root)
 
 
@@ -573,7 +584,7 @@ def accelerated(equation: Equation) -> tuple[str, ...]:
 def inertia_sign(inertia: AbstractTerm) -> Leaf:
     """What a mode's mass is multiplied by beside this inertia."""
     factor = inertia.factor
-    return factor if inertia.parameters else namespace(factor).sign(factor)
+    return factor if inertia.parameters else xp.sign(factor)
 
 
 class Differentiated(AbstractTerm):

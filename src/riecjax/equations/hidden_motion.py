@@ -8,11 +8,10 @@ what passes 1 / (1 + tau s). So whatever reads an equation sample by sample need
 
 from collections.abc import Mapping
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax import arrays as xp
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
 from riecjax.equations.hidden_elements import HiddenMode, Shape, inertia_sign
@@ -89,18 +88,18 @@ def filtered(signal: Signal, step: Float[Array, ""], shape: Shape) -> Signal:
     By the discrete Fourier transform, exact for motion below half the sampling rate. The record is
     continued at both ends by its mirror image through the end point, which has the same slope.
     """
-    samples = jnp.asarray(signal.values)
+    samples = signal.values
     count = samples.shape[-1]
-    place = jnp.arange(count)
-    there = jnp.ones(count, bool) if signal.present is None else signal.present
+    place = np.arange(count)
+    there = np.ones(count, bool) if signal.present is None else signal.present
     # The last sample that was there stands for those that are not.
-    before = jax.lax.cummax(jnp.where(there, place, 0))
+    before = xp.running_max(xp.where(there, place, 0))
     x = samples[before]
-    around = jnp.concatenate([2 * x[0] - x[:0:-1], x, 2 * x[-1] - x[-2::-1]])
-    rate = 2j * np.pi * jnp.fft.rfftfreq(around.shape[-1]) / step
-    gain = jnp.polyval(shape.numerator[::-1], rate) / jnp.polyval(shape.denominator[::-1], rate)
-    moved = jnp.fft.irfft(jnp.fft.rfft(around) * gain, around.shape[-1])[count - 1 : 2 * count - 1]
-    since = (place - jax.lax.cummax(jnp.where(there, -1, place))) * step
+    around = xp.concatenate([2 * x[0] - x[:0:-1], x, 2 * x[-1] - x[-2::-1]])
+    rate = 2j * np.pi * xp.fft.rfftfreq(around.shape[-1]) / step
+    gain = xp.polyval(shape.numerator[::-1], rate) / xp.polyval(shape.denominator[::-1], rate)
+    moved = xp.fft.irfft(xp.fft.rfft(around) * gain, around.shape[-1])[count - 1 : 2 * count - 1]
+    since = (place - xp.running_max(xp.where(there, -1, place))) * step
     longest = LONGEST_START * count * step
-    start = jnp.minimum(-np.log(FORGOTTEN) * shape.decay, longest)
+    start = xp.minimum(-np.log(FORGOTTEN) * shape.decay, longest)
     return Signal(moved.astype(samples.dtype), there & (since > start))

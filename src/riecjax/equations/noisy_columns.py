@@ -30,11 +30,11 @@ r with each source, and what is left at one sample is a sum of three squares,
 (squares for products of two columns), all of them zero where a column is straight.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
-import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -63,7 +63,9 @@ def _rows(parts: Iterable[_Part], parameters: tuple[str, ...]) -> dict[int, dict
     return found
 
 
-class Columns(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Columns:
     """Samples of the target and of every regressor, by the derivative still in front of them.
 
     The column of a coefficient is `sum_k d^k/dt^k values[k]`: what a test function of smoothness s
@@ -81,7 +83,7 @@ class Columns(eqx.Module):
     values: Float[Array, "orders columns n"]
     present: Bool[Array, " n"] | None
     time_step: Float[Array, ""]
-    parameters: tuple[str, ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = dataclasses.field(metadata={"static": True})
 
     @property
     def sample_count(self) -> int:
@@ -149,7 +151,9 @@ SHARES: tuple[float, float] = tuple(
 """c_1 and c_2."""
 
 
-class Movement(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Movement:
     """How an equation's columns move, by the derivative still in front of them.
 
     **Fields:** `values`, of each order the moving rows, shape `(rows, n)`, or `(rows, 1)` where
@@ -157,21 +161,26 @@ class Movement(eqx.Module):
     """
 
     values: dict[int, Float[Array, "rows samples"]]
-    rows: dict[int, tuple[int, ...]] = eqx.field(static=True)
+    rows: dict[int, tuple[int, ...]] = dataclasses.field(metadata={"static": True})
 
-    def __init__(self, parts: Iterable[_Part], parameters: tuple[str, ...]):
+    @classmethod
+    def of(cls, parts: Iterable[_Part], parameters: tuple[str, ...]) -> "Movement":
+        """What the movements of several terms add up to."""
         found = _rows(parts, parameters)
-        self.rows = {order: tuple(sorted(rows)) for order, rows in found.items()}
-        self.values = {
-            order: xp.stack(xp.broadcast_arrays(*(rows[row] for row in self.rows[order])))
+        moving = {order: tuple(sorted(rows)) for order, rows in found.items()}
+        values = {
+            order: xp.stack(xp.broadcast_arrays(*(rows[row] for row in moving[order])))
             for order, rows in found.items()
         }
+        return cls(values, moving)
 
     def times(self, noise: Float[Array, " n"], like: Columns) -> Float[Array, "orders columns n"]:
         """Values of columns that move by this much at each sample, zero where nothing moves."""
         values = xp.zeros_like(like.values)
         for order, rows in self.values.items():
-            values = xp.with_entries(values, (order, np.array(self.rows[order])), rows * noise[None, :])
+            values = xp.with_entries(
+                values, (order, np.array(self.rows[order])), rows * noise[None, :]
+            )
         return values
 
 
@@ -232,13 +241,13 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
             bends.setdefault(keys, []).append(tuple((term, order, v) for v in squares))
         clean.append(sampled)
     names = equation.parameters
-    movements = {key: Movement(parts, names) for key, parts in moves.items() if parts}
+    movements = {key: Movement.of(parts, names) for key, parts in moves.items() if parts}
     return NoisyColumns(
         columns_of_terms(equation, record, smoothness, clean),
         {name: m for (kind, name), m in movements.items() if kind == "white"},
         {name: m for (kind, name), m in movements.items() if kind == "coloured"},
         tuple(
-            (weight, Movement(parts, names))
+            (weight, Movement.of(parts, names))
             for of_terms in bends.values()
             for weight, parts in zip(weights, zip(*of_terms))
         ),
@@ -285,7 +294,9 @@ def _term_noise(
         spread = xp.sqrt(sum(slope**2 for slope in slopes.values()))
         size = xp.where(spread > 0, spread, 1.0)
         factor = term.factor
-        found = _curved(values, lambda step: factor * term.functions(at + step * spread))
+        found = _curved(
+            values, lambda step: factor * xp.in_double(term.functions, at + step * spread)
+        )
         rises = {key: found.rise * (own / size)[None, :] for key, own in slopes.items()}
         return rises, {tuple(touching): found}
     if term.is_linear and isinstance(expression, str):
@@ -294,7 +305,7 @@ def _term_noise(
     found = {
         (key,): _curved(
             values,
-            lambda step, d=d: term.samples(_moved(record, d, step), order).values,
+            lambda step, d=d: samples_of(term, _moved(record, d, step), order).values,
         )
         for key, d in touching.items()
     }
@@ -325,5 +336,8 @@ def _curved(
 def _moved(record: Record, direction: Direction, step: float) -> Record:
     signals = {name: record.signal(name) for name in direction}
     return record.with_signals(
-        {n: replace(s, values=s.values + step * direction[n]) for n, s in signals.items()}
+        {
+            name: dataclasses.replace(signal, values=signal.values + step * direction[name])
+            for name, signal in signals.items()
+        }
     )

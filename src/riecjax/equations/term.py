@@ -14,6 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax import arrays as xp
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.expressions import Expression, called, combined, evaluate, source_of
 from riecjax.errors import DataError, ModelError, require, users_code
@@ -224,7 +225,12 @@ def samples_of(term: AbstractTerm, record: Record, order: int) -> Signal:
 
     **Raises:** as that and as [`made_by`][] do.
     """
-    return made_by(term, lambda: term.samples(record, order), record.sample_count)
+    arrays = record.arrays.values()
+
+    def make() -> Signal:
+        return xp.in_double(lambda *_: term.samples(record, order), *arrays)
+
+    return made_by(term, make, record.sample_count)
 
 
 class Term(AbstractTerm):

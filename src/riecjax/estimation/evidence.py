@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from riecjax.compilation import kept_jit
+from riecjax import arrays as xp
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import Expanded, HiddenMode, mode_frequency
 from riecjax.equations.model import Model, as_model
@@ -31,7 +29,7 @@ from riecjax.estimation.hidden_modes import (
     search_band,
 )
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, finite, on_host, told
+from riecjax.leaves import Leaf, finite, told
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import NormalEquations
 
@@ -191,7 +189,7 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
     if summary is None or not model.modes:
         raise ModelError("evidence is of an estimate, made outside jax.jit, of hidden modes.")
     values = estimate.values
-    given = {name: jnp.asarray(value) for name, value in estimate.known.items()}
+    given = {name: np.asarray(value) for name, value in estimate.known.items()}
     found = find_modes(model, summary, given)
     evidence, known = [], dict(given)
     for i, equations in enumerate(model.expanded):
@@ -209,7 +207,7 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
             low, high = search_band(summary, last)
             for at in (at for names, _, at in strays if names == last.parameters):
                 low, high = np.minimum(low, at / NEAR), np.maximum(high, at * NEAR)
-            raw = on_host(_evidence(equations, sums, known, found.at[i], (low, high)))
+            raw = _evidence(equations, sums, known, found.at[i], (low, high))
             mass, stiffness, damping = size = [float(values[name]) for name in last.parameters]
             # Frequency and damping ratio, with errors by their logarithms' slopes:
             # log f = (log K - log M) / 2 + ..., log zeta = log B - (log K + log M) / 2 + ...
@@ -232,11 +230,10 @@ def mode_evidence(model: Equation | Model, estimate: Estimate) -> list[ModeEvide
                     tuple(strays),
                 )
             )
-        known |= {n: jnp.asarray(values[n]) for e in equations for n in e.all_parameters}
+        known |= {n: np.asarray(values[n]) for e in equations for n in e.all_parameters}
     return evidence
 
 
-@kept_jit
 def _evidence(
     equations: tuple[Expanded, ...],
     sums: list[NormalEquations],
@@ -249,28 +246,28 @@ def _evidence(
     # than by blocks, some of which only fill the array up.
     folds = []
     for flat in (one.flattened() for one in sums):
-        before = jnp.cumsum(flat.count) - 0.5 * flat.count
-        place = jnp.clip(FOLDS * before / jnp.sum(flat.count), 0, FOLDS - 1).astype(int)
-        folds.append(jax.ops.segment_sum(flat.clean, place, num_segments=FOLDS))
+        before = np.cumsum(flat.count) - 0.5 * flat.count
+        place = np.clip(FOLDS * before / np.sum(flat.count), 0, FOLDS - 1).astype(int)
+        folds.append(xp.sum_by_block(flat.clean, place, FOLDS))
 
-    def of_fold(number: Array) -> tuple[Array, Array]:
+    def of_fold(number: int) -> tuple[Array, Array]:
         others = [whole - fold[number] for whole, fold in zip(stage.moments, folds)]
         train = stage._replace(moments=others)
         there = polished(train, at)
         fit = train.projected(there)
         own = [fold[number] for fold in folds]
         target = stage._replace(moments=own).projected(there).target
-        share = jnp.where(target > 0, target, jnp.inf)
+        share = np.where(target > 0, target, np.inf)
         left = stage.energy(own, there, fit.theta) / share
         return left, stage.energy(own, there, fit.without_last().theta) / share
 
     fit = stage.projected(at)
     totals = [one.flattened().total() for one in sums]
-    added = [jnp.zeros_like(t.moments) if t.noise is None else t.noise for t in totals]
-    noise = stage.energy(added, at, fit.theta) / jnp.where(fit.target > 0, fit.target, jnp.inf)
-    left, without = jax.vmap(of_fold)(jnp.arange(FOLDS))
+    added = [np.zeros_like(t.moments) if t.noise is None else t.noise for t in totals]
+    noise = stage.energy(added, at, fit.theta) / np.where(fit.target > 0, fit.target, np.inf)
+    left, without = np.array([of_fold(number) for number in range(FOLDS)]).T
     gain = without - left
-    error = jnp.std(gain, ddof=1) / np.sqrt(FOLDS)
+    error = np.std(gain, ddof=1) / np.sqrt(FOLDS)
     parts = stage.by_element(at)
     mode = [element for element in parts if isinstance(element, HiddenMode)][-1]
     others = {element: part for element, part in parts.items() if element != mode}
@@ -278,11 +275,11 @@ def _evidence(
         mode_map(
             stage._replace(sought=(*others, mode)),
             band,
-            jnp.concatenate([jnp.zeros(0), *others.values()]),
+            np.concatenate([np.zeros(0), *others.values()]),
         ),
-        jnp.mean(left),
-        jnp.mean(without),
+        np.mean(left),
+        np.mean(without),
         noise,
-        jnp.mean(gain),
+        np.mean(gain),
         error,
     )

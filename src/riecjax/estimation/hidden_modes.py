@@ -18,15 +18,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.compilation import kept_jit
+from riecjax import arrays as xp
 from riecjax.equations.hidden_elements import Expanded, HiddenElement, HiddenMode, SeriesSpring
 from riecjax.equations.model import Model
 from riecjax.errors import IdentifiabilityError, ModelError
-from riecjax.leaves import Leaf, held_still, is_concrete, is_under_trace, on_host
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import (
     EquationSums,
@@ -65,7 +64,7 @@ class ModeStage(NamedTuple):
     """
 
     equations: tuple[Expanded, ...]
-    moments: list[Float[Array, "columns columns"]]
+    moments: list[Float[Array, "*batch columns columns"]]
     unknown: tuple[str, ...]
     sought: tuple[HiddenElement, ...]
     given: dict[str, Array]
@@ -91,32 +90,48 @@ class ModeStage(NamedTuple):
         hidden = (of.linear for of in self.sought if of.linear not in self.given)
         return tuple(dict.fromkeys((*self.unknown, *hidden)))
 
-    def by_element(self, at: Float[Array, " shapes"]) -> dict[HiddenElement, Array]:
+    def by_element(self, at: Float[Array, "*batch shapes"]) -> dict[HiddenElement, Array]:
         """The part of each element that is sought."""
         ends = np.cumsum([element.order for element in self.sought], dtype=int).tolist()
-        return {one: at[end - one.order : end] for one, end in zip(self.sought, ends)}
+        return {one: at[..., end - one.order : end] for one, end in zip(self.sought, ends)}
 
-    def projected(self, at: Float[Array, " shapes"]) -> "Projected":
+    def projected(self, at: Float[Array, "*batch shapes"]) -> "Projected":
         """The best fit with elements of these shapes."""
-        count = len(self.linear)
-        places = jnp.concatenate([jnp.zeros((1, count)), jnp.eye(count)]).astype(at.dtype)
-        gram = jnp.zeros((1 + count,) * 2, at.dtype)
-        every = jax.vmap(lambda theta: self.residuals(at, theta))(places)
-        for table, moments in zip(every, self.moments):
-            # The residual is affine in theta: its value at zero is the target's, and a regressor is
-            # by how much a coefficient of one makes it less.
-            mix = jnp.concatenate([table[:1], table[:1] - table[1:]])
-            gram = gram + mix @ moments @ mix.T
-        return Projected.of(gram)
+        return Projected.of(
+            sum(
+                mix @ moments @ xp.swapaxes(mix, -1, -2)
+                for mix, moments in zip(self.mixes(at), self.moments)
+            )
+        )
 
-    def shares(self, at: Float[Array, " shapes"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def mixes(self, at: Float[Array, "*batch shapes"]) -> list[Float[Array, "*batch 1+linear c"]]:
+        """Target and regressors of each equation, as combinations of its columns.
+
+        The residual is affine in theta: its value at zero is the target's, and a regressor is by
+        how much a coefficient of one makes it less.
+        """
+        count = len(self.linear)
+        places = np.concatenate([np.zeros((1, count)), np.eye(count)]).astype(at.dtype)
+        places = places.reshape((1,) * (at.ndim - 1) + places.shape)
+        every = (
+            xp.broadcast_to(table, (*at.shape[:-1], 1 + count, table.shape[-1]))
+            for table in self.residuals(at[..., None, :], places)
+        )
+        return [
+            xp.concatenate([table[..., :1, :], table[..., :1, :] - table[..., 1:, :]], axis=-2)
+            for table in every
+        ]
+
+    def shares(
+        self, at: Float[Array, "*batch shapes"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """What elements of these shapes leave of the target D y, infinite where no mode of positive
         mass fits, and what is left without the last mode."""
         fit = self.projected(at)
-        masses = fit.theta[len(self.unknown) :]
-        good = jnp.all(masses > 0) & (fit.target > 0)
-        target = jnp.where(fit.target > 0, fit.target, 1.0)
-        return jnp.where(good, fit.energy / target, jnp.inf), fit.without_last().energy / target
+        masses = fit.theta[..., len(self.unknown) :]
+        good = xp.all(masses > 0, axis=-1) & (fit.target > 0)
+        target = xp.where(fit.target > 0, fit.target, 1.0)
+        return xp.where(good, fit.energy / target, xp.inf), fit.without_last().energy / target
 
     def slope_and_bend(
         self, at: Float[Array, " shapes"]
@@ -127,30 +142,62 @@ class ModeStage(NamedTuple):
         F_xx - F_xt F_tt^-1 F_tx.
         """
 
-        def energy(x: Array, theta: Array) -> Array:
-            return self.energy(self.moments, x, theta)
+        # Derivatives of the combinations by x are central differences, which no moment enters: the
+        # slope's own derivative by the moments, which the implicit function theorem asks for, is
+        # exact.
+        size = at.shape[-1]
+        step = float(np.finfo(at.dtype).eps) ** 0.25
+        unit = step * np.eye(size, dtype=at.dtype)
+        both = unit[:, None] + unit
+        apart = unit[:, None] - unit
 
-        theta = self.projected(at).theta
-        (own, mixed), (_, inner) = jax.hessian(energy, argnums=(0, 1))(at, theta)
-        return jax.grad(energy)(at, theta), own - mixed @ solve_scaled(inner, mixed.T)
+        def around(offsets: Float[np.ndarray, "*some shapes"]) -> list[Array]:
+            return self.mixes(at[..., *(None,) * (offsets.ndim - 1), :] + offsets)
+
+        fit = self.projected(at)
+        theta = xp.concatenate([np.ones_like(fit.theta[..., :1]), -fit.theta], axis=-1)
+        slope = own = mixed = inner = 0.0
+        here, above, below = self.mixes(at), around(unit), around(-unit)
+        corners = around(both), around(apart), around(-apart), around(-both)
+        for parts in zip(self.moments, here, above, below, *corners):
+            moments, mix, up, down, *corner = parts
+            first = (up - down) / (2 * step)
+            one, two, three, four = (
+                xp.einsum("...t,...tc->...c", theta[..., None, None, :], c) for c in corner
+            )
+            second = (one - two - three + four) / (4 * step**2)
+            residual = xp.einsum("...t,...tc->...c", theta, mix)
+            moved = xp.einsum("...t,...stc->...sc", theta, first)
+            left = xp.einsum("...cd,...d->...c", moments, residual)
+            rows = -mix[..., 1:, :]
+            slope = slope + 2 * xp.einsum("...sc,...c->...s", moved, left)
+            own = own + 2 * (
+                moved @ moments @ xp.swapaxes(moved, -1, -2)
+                + xp.einsum("...stc,...c->...st", second, left)
+            )
+            turned = -xp.einsum("...stc,...c->...st", first[..., 1:, :], left)
+            mixed = mixed + 2 * (moved @ moments @ xp.swapaxes(rows, -1, -2) + turned)
+            inner = inner + 2 * rows @ moments @ xp.swapaxes(rows, -1, -2)
+        return slope, own - mixed @ solve_scaled(inner, xp.swapaxes(mixed, -1, -2))
 
     def energy(
         self,
-        moments: list[Float[Array, "columns columns"]],
-        at: Float[Array, " shapes"],
-        theta: Float[Array, " linear"],
-    ) -> Float[Array, ""]:
+        moments: list[Float[Array, "*batch columns columns"]],
+        at: Float[Array, "*batch shapes"],
+        theta: Float[Array, "*batch linear"],
+    ) -> Float[Array, "*batch"]:
         """What elements of these shapes and coefficients leave of some moments."""
+        every = zip(self.residuals(at, theta), moments)
         return sum(
-            (r @ m @ r for r, m in zip(self.residuals(at, theta), moments)), start=jnp.zeros(())
+            (xp.einsum("...i,...ij,...j->...", r, m, r) for r, m in every), start=np.zeros(())
         )
 
     def residuals(
-        self, at: Float[Array, " shapes"], theta: Float[Array, " linear"]
-    ) -> list[Float[Array, " columns"]]:
+        self, at: Float[Array, "*batch shapes"], theta: Float[Array, "*batch linear"]
+    ) -> list[Float[Array, "*batch columns"]]:
         """Of each equation, as combinations of its columns."""
         sought = self.by_element(at)
-        values = {**self.given, **dict(zip(self.linear, theta))}
+        values = {**self.given, **dict(zip(self.linear, xp.moveaxis(theta, -1, 0)))}
 
         def shape(element: HiddenElement):
             known = element not in sought and element.stiffness in self.given
@@ -169,24 +216,26 @@ class ModeStage(NamedTuple):
 class Projected(NamedTuple):
     """A least-squares fit: `theta`, the `energy` of what it leaves, that of the `target`."""
 
-    theta: Float[Array, " linear"]
-    energy: Float[Array, ""]
-    target: Float[Array, ""]
-    gram: Float[Array, "1+linear 1+linear"]
+    theta: Float[Array, "*batch linear"]
+    energy: Float[Array, "*batch"]
+    target: Float[Array, "*batch"]
+    gram: Float[Array, "*batch 1+linear 1+linear"]
 
     @classmethod
-    def of(cls, gram: Float[Array, "1+linear 1+linear"]) -> "Projected":
+    def of(cls, gram: Float[Array, "*batch 1+linear 1+linear"]) -> "Projected":
         """Of the Gram matrix of target and regressors."""
-        target, moment = gram[0, 0], gram[1:, 0]
-        theta = solve_scaled(gram[1:, 1:], moment[:, None])[:, 0]
-        return cls(theta, target - moment @ theta, target, gram)
+        target, moment = gram[..., 0, 0], gram[..., 1:, 0]
+        theta = solve_scaled(gram[..., 1:, 1:], moment[..., None])[..., 0]
+        return cls(theta, target - (moment * theta).sum(axis=-1), target, gram)
 
     def without_last(self) -> "Projected":
         """The fit without the mass of the last mode, which is then zero."""
-        if self.gram.shape[0] <= 2:
-            return self._replace(theta=jnp.zeros_like(self.theta), energy=self.target)
-        fit = Projected.of(self.gram[:-1, :-1])
-        return self._replace(theta=jnp.append(fit.theta, 0.0), energy=fit.energy)
+        if self.gram.shape[-1] <= 2:
+            return self._replace(theta=xp.zeros_like(self.theta), energy=self.target)
+        fit = Projected.of(self.gram[..., :-1, :-1])
+        nothing = xp.zeros_like(fit.theta[..., :1])
+        theta = xp.concatenate([fit.theta, nothing], axis=-1)
+        return self._replace(theta=theta, energy=fit.energy)
 
 
 class ModeMap(NamedTuple):
@@ -204,8 +253,7 @@ class ModeMap(NamedTuple):
 
 def frequencies(band: tuple[Leaf, Leaf]) -> Float[Array, " frequencies"]:
     """Logarithms of those of the grid, between two in hertz."""
-    low, high = (jnp.log(jnp.asarray(f)) for f in band)
-    return jnp.linspace(low, high, FREQUENCIES)
+    return xp.linspace(*(xp.log(f) for f in band), FREQUENCIES)
 
 
 def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " shapes"]) -> ModeMap:
@@ -215,26 +263,31 @@ def mode_map(stage: ModeStage, band: tuple[Leaf, Leaf], others: Float[Array, " s
     best of them changes: the map zooms in.
     """
 
-    def row(log: Array) -> tuple[Array, Array, Array]:
-        def best(dampings: Array) -> tuple[Array, Array, Array]:
-            shapes = jax.vmap(lambda z: jnp.concatenate([others, jnp.stack([log, z])]))(dampings)
-            left, without = jax.vmap(stage.shares)(shapes)
-            at = jnp.argmin(left)
-            return left[at], without[at], dampings[at]
+    logs = frequencies(band)
+    count, middle = len(DAMPINGS), len(DAMPINGS) // 2
 
-        def closer(_: int, state: tuple[tuple[Array, Array, Array], Array]):
-            found, width = state
-            damping = found[-1]
-            around = damping * jnp.exp(width * jnp.linspace(-1.0, 1.0, len(DAMPINGS)))
-            # The middle is the best so far, up to rounding, so that none is lost.
-            around = jnp.clip(around, DAMPINGS[0], DAMPINGS[-1]).at[len(DAMPINGS) // 2].set(damping)
-            return best(around), width / 2
+    def best(dampings: Float[Array, "frequencies dampings"]) -> tuple[Array, Array, Array]:
+        shapes = [*others, xp.broadcast_to(logs[:, None], dampings.shape), dampings]
+        left, without = stage.shares(xp.stack(xp.broadcast_arrays(*shapes), axis=-1))
+        at = xp.argmin(left, axis=-1)[:, None]
+        return tuple(
+            xp.take_along_axis(each, at, axis=-1)[:, 0] for each in (left, without, dampings)
+        )
 
-        widest = jnp.log(jnp.max(dampings[1:] / dampings[:-1])) / 2
-        return jax.lax.fori_loop(0, ZOOMS, closer, (best(dampings), widest))[0]
+    def closer(state: tuple[tuple[Array, Array, Array], Array]):
+        found, width = state
+        damping = found[-1][:, None]
+        steps = np.linspace(-1.0, 1.0, count)[None]
+        around = xp.clip(damping * xp.exp(width * steps), DAMPINGS[0], DAMPINGS[-1])
+        # The middle is the best so far, up to rounding, so that none is lost.
+        around = xp.where(np.arange(count)[None] == middle, damping, around)
+        return best(around), width / 2
 
-    dampings, logs = jnp.asarray(DAMPINGS), frequencies(band)
-    return ModeMap(jnp.exp(logs), *jax.vmap(row)(logs))
+    dampings = np.array(DAMPINGS)
+    widest = np.log(np.max(dampings[1:] / dampings[:-1])) / 2
+    first = best(xp.broadcast_to(dampings[None], (FREQUENCIES, count)))
+    found = xp.repeated(closer, (first, widest), ZOOMS, beside=(stage.moments, stage.given))[0]
+    return ModeMap(xp.exp(logs), *found)
 
 
 def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array, " shapes"]:
@@ -244,14 +297,14 @@ def search(stage: ModeStage, bands: Sequence[tuple[Leaf, Leaf]]) -> Float[Array,
 
     **Arguments:** `bands` in hertz in which to look for each.
     """
-    at = jnp.zeros(0)
+    at = np.zeros(0, stage.moments[0].dtype)
     for number, (element, band) in enumerate(zip(stage.sought, bands), start=1):
         part = stage._replace(sought=stage.sought[:number])
-        axes = (frequencies(band), jnp.asarray(DAMPINGS))[: element.order]
-        grid = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, element.order)
-        shapes = jnp.concatenate([jnp.tile(at, (len(grid), 1)), grid], axis=1)
-        left, _ = jax.vmap(part.shares)(shapes)
-        at = polished(part, shapes[jnp.argmin(left)])
+        axes = (frequencies(band), np.array(DAMPINGS))[: element.order]
+        grid = xp.stack(xp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, element.order)
+        shapes = xp.concatenate([xp.tile(at, (len(grid), 1)), grid.astype(at.dtype)], axis=1)
+        left, _ = part.shares(shapes)
+        at = polished(part, xp.take(shapes, xp.argmin(left), axis=0))
     return at
 
 
@@ -266,26 +319,30 @@ def as_asked(
         place = [i for i, mode in enumerate(modes) if mode.on == on]
         orders = np.array(list(itertools.permutations(place)))
         logs = np.log([np.nan if (hz := modes[i].hz) is None else hz for i in place])
-        far = jnp.nansum(jnp.abs(rows[orders, 0] - jnp.asarray(logs, at.dtype)[None, :]), axis=1)
-        rows = rows.at[np.array(place)].set(rows[jnp.asarray(orders)[jnp.argmin(far)]])
-    return jnp.concatenate([rows.ravel(), at[2 * len(modes) :]])
+        far = xp.nansum(xp.abs(rows[orders, 0] - logs.astype(at.dtype)[None, :]), axis=1)
+        nearest = xp.take(orders, xp.argmin(far), axis=0)
+        rows = xp.with_entries(rows, np.array(place), xp.take(rows, nearest, axis=0))
+    return xp.concatenate([rows.ravel(), at[2 * len(modes) :]])
 
 
 def polished(stage: ModeStage, start: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
     """The least energy near a start, by Newton's steps, shortened where they lead up."""
+    shares = np.array(SHORTENED, start.dtype)[:, None]
 
-    def step(_: int, at: Array) -> Array:
+    def step(at: Array) -> Array:
         slope, bend = stage.slope_and_bend(at)
-        values, vectors = symmetric_eigen(bend)
+        values, vectors = symmetric_eigen(xp.where(xp.isfinite(bend), bend, 0.0))
         # With the bend's eigenvalues made positive every step leads down.
-        size = jnp.maximum(jnp.abs(values), 1e-9 * jnp.max(jnp.abs(values)))
-        downhill = -vectors @ ((vectors.T @ slope) / jnp.where(size > 0, size, 1.0))
-        downhill = downhill * jnp.minimum(1.0, FARTHEST / jnp.max(jnp.abs(downhill)))
-        tried = at[None, :] + jnp.asarray(SHORTENED)[:, None] * downhill[None, :]
-        energies = jax.vmap(lambda x: stage.projected(x).energy)(tried)
-        return tried[jnp.argmin(jnp.where(jnp.isfinite(energies), energies, jnp.inf))]
+        size = xp.maximum(xp.abs(values), 1e-9 * xp.max(xp.abs(values)))
+        downhill = -vectors @ ((vectors.T @ slope) / xp.where(size > 0, size, 1.0))
+        farthest = xp.max(xp.abs(downhill))
+        downhill = downhill * xp.minimum(1.0, FARTHEST / xp.where(farthest > 0, farthest, 1.0))
+        tried = at[None, :] + shares * downhill[None, :]
+        energies = stage.projected(tried).energy
+        best = xp.argmin(xp.where(xp.isfinite(energies), energies, np.inf))
+        return xp.take(tried, best, axis=0)
 
-    return jax.lax.fori_loop(0, STEPS, step, start)
+    return xp.repeated(step, start, STEPS, beside=(stage.moments, stage.given))
 
 
 # Hidden elements in the windows that tell most of them, and the sums linearised about them.
@@ -336,20 +393,20 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
                 f"of a spring in series {element.stiffness} is known only where {element.of} is; "
                 f"leave it out, or give both."
             )
-    known = {name: jnp.asarray(value) for name, value in given.items()}
-    found, shown = [], jnp.array(True)
+    known = {name: xp.asarray(value) for name, value in given.items()}
+    found, shown = [], np.array(True)
     equations = summary.equations()
-    looked_at = is_concrete(equations, known) and not is_under_trace()
+    looked_at = is_concrete(equations, known)
     for i, expanded in enumerate(model.expanded):
         stage = ModeStage.of(expanded, equations[i], known)
-        used, at, band = equations[i], jnp.zeros(0), None
+        used, at, band = equations[i], np.zeros(0), None
         if stage.sought:
             where = tuple(search_band(summary, element) for element in stage.sought)
             # The sums over the windows that tell most of the stage's elements.
             first, last = summary.band
             options = [(b, b + 1) for b in range(first, last)] if summary.bins else [summary.band]
             every = [summary.equations(option)[i] for option in options]
-            stacked: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *every)
+            stacked: Any = xp.stacked(every)
             best, at, there = _searched(expanded, stacked, known, where, np.asarray(rank))
             if is_concrete(best):
                 used = every[int(best)]
@@ -379,7 +436,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
     return FoundModes(equations, mixes, shapes, bands, shown)
 
 
-@kept_jit
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _searched(
     expanded: tuple[Expanded, ...],
     options: list[NormalEquations],
@@ -397,7 +454,7 @@ def _searched(
     **Arguments:** `options`, sums with a leading axis of window lengths.
     """
     # The search is not differentiated: what it finds has the minimum's own derivative.
-    options, known, bands = held_still((options, dict(known), bands))
+    options, known, bands = xp.stop_gradient((options, dict(known), bands))
 
     def tried(sums: list[NormalEquations]) -> tuple[Array, Array]:
         stage = ModeStage.of(expanded, sums, known)
@@ -408,23 +465,22 @@ def _searched(
         influence = block_influence([sum_of_equations(own, names).flattened()], known, values)
         found = [name for name in names if name not in known]
         sought = [name for of in stage.sought for name in of.judged]
-        size = jnp.stack([values[name] for name in sought])
-        place = jnp.array([found.index(name) for name in sought])
-        share = jnp.concatenate([of.doubted(values, band) for of, band in zip(stage.sought, bands)])
-        doubt = jnp.sum(jnp.sum(influence**2, axis=0)[place] / share**2)
+        size = xp.stack([values[name] for name in sought])
+        place = np.array([found.index(name) for name in sought])
+        share = xp.concatenate([of.doubted(values, band) for of, band in zip(stage.sought, bands)])
+        doubt = xp.sum(xp.sum(influence**2, axis=0)[place] / share**2)
         target = stage.projected(at).target
-        good = jnp.all(size > 0) & jnp.isfinite(doubt) & (target > 0)
+        good = xp.all(size > 0) & xp.isfinite(doubt) & (target > 0)
         for element, part in stage.by_element(at).items():
             if isinstance(element, HiddenMode):
                 good = good & (part[1] > 0)
-        return jnp.where(good, doubt, jnp.inf), at
+        return xp.where(good, doubt, xp.inf), at
 
-    doubt, at = jax.lax.map(tried, options)
-    chosen = jnp.argsort(doubt)[jnp.minimum(rank, doubt.shape[0] - 1)]
-    return chosen, at[chosen], jnp.isfinite(doubt[chosen])
+    doubt, at = xp.each(tried, options, beside=(known, bands))
+    chosen = xp.argsort(doubt, stable=True)[np.minimum(rank, doubt.shape[0] - 1)]
+    return chosen, xp.take(at, chosen, axis=0), xp.isfinite(xp.take(doubt, chosen))
 
 
-@kept_jit
 def _contracted(
     expanded: tuple[Expanded, ...],
     sums: list[NormalEquations],
@@ -442,13 +498,13 @@ def _contracted(
     if stage.sought and moves:
         # One more Newton step. At the minimum it is zero, and by the implicit function theorem its
         # derivative is that of the minimum, the bend being held still: only derivatives come of it.
-        at = jax.lax.stop_gradient(at)
+        at = xp.stop_gradient(at)
         slope, bend = stage.slope_and_bend(at)
-        step = solve_scaled(jax.lax.stop_gradient(bend), slope[:, None])[:, 0]
-        at = at - (step - jax.lax.stop_gradient(step))
+        step = solve_scaled(xp.stop_gradient(bend), slope[:, None])[:, 0]
+        at = at - (step - xp.stop_gradient(step))
     values = stage.values(at) if stage.linear else stage.given
     mixes = [
-        e.linearised(values) if e.elements else jnp.eye(1 + len(e.parameters)) for e in expanded
+        e.linearised(values) if e.elements else np.eye(1 + len(e.parameters)) for e in expanded
     ]
     return [_mixed(*each) for each in zip(expanded, mixes, sums)], mixes, values
 
@@ -505,7 +561,7 @@ def linearised(model: Model, summary: Summary, known: Values) -> Summary:
     if not model.has_hidden or summary.outline.is_of(outline):
         return summary
     found = find_modes(model, summary, known)
-    mixes = on_host(found.mixes)
+    mixes = found.mixes
     recordings = [
         dataclasses.replace(
             one,

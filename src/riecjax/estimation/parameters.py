@@ -13,7 +13,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -237,7 +236,10 @@ def plan_parameters(
     require_numbers(known or {})
     # Values held fixed: the equations' own and the user's.
     held = {**table.values(model.known), **table.values(known or {})}
-    numbers = {name: jnp.asarray(value, jnp.result_type(float)) for name, value in held.items()}
+    numbers = {
+        name: np.asarray(value, float) if is_concrete(value) else value
+        for name, value in held.items()
+    }
     settled = {row.local for row in table.rows} - {*table.holding(held).free_somewhere}
     # A stage finds what no recording has been given, and no earlier stage has found.
     stages = tuple(

@@ -5,7 +5,6 @@ import operator
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -32,7 +31,9 @@ from riecjax.summaries.normal_equations import (
 from riecjax.uncertainty.covariances import BlockStatistics, scores, slope
 
 
-class Solution(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Solution:
     """A least-squares solution.
 
     **Fields:**
@@ -118,7 +119,9 @@ def _solution(
 # Normal equations of stages over records, solved in turn, and what is left of every equation.
 
 
-class EquationFit(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class EquationFit:
     """What is left of one equation, in a stage that may have several.
 
     **Fields:** `relative_rms` of the residual against the equation's target, or against its largest
@@ -133,7 +136,7 @@ class EquationFit(eqx.Module):
     noise_rms: Float[Array, ""]
     count: Float[Array, ""]
     shrinkage: Float[Array, ""]
-    parameters: tuple[str, ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = dataclasses.field(metadata={"static": True})
 
     @property
     def model_rms(self) -> Float[Array, ""]:
@@ -141,7 +144,9 @@ class EquationFit(eqx.Module):
         return xp.sqrt(xp.maximum(xp.square(self.relative_rms) - xp.square(self.noise_rms), 0.0))
 
 
-class StageSolution(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class StageSolution:
     """What one stage found.
 
     **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
@@ -159,8 +164,8 @@ class StageSolution(eqx.Module):
     equations: tuple[EquationFit, ...]
     prior_curvature: Float[Array, " p"]
     at_bound: Bool[Array, " p"]
-    parameters: tuple[str, ...] = eqx.field(static=True)
-    stage: int = eqx.field(static=True)
+    parameters: tuple[str, ...] = dataclasses.field(metadata={"static": True})
+    stage: int = dataclasses.field(metadata={"static": True})
 
     def constrain(
         self, blocks: NormalEquations, values: Mapping[str, Array], constraints: Constraints

@@ -113,7 +113,7 @@ def as_recordings(records: Records) -> list[Recording]:
     """
     given: Sequence[Any] = records if isinstance(records, list | tuple) else [records]
     return [
-        one
+        replace(one, record=record)
         if isinstance(one, Recording)
         else Recording(record, f"record {i + 1}" if len(given) > 1 else "")
         for i, (one, record) in enumerate(zip(given, as_records(records), strict=True))

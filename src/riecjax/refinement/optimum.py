@@ -115,7 +115,6 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from riecjax.compilation import kept_jit
 from riecjax.estimation.constraints import (
     Constraints,
     constrained_blocks,
@@ -363,7 +362,7 @@ class Place(NamedTuple):
         return cls(*at, search.cost, search.rms, search.status, search.steps)
 
 
-@kept_jit
+@eqx.filter_jit
 def begun(residuals: AbstractResiduals, initial: Initial) -> Place:
     """The start, with what it leaves at the initial states that suit it best.
 
@@ -496,7 +495,7 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     return point, unravel(-(inverse @ pushed))
 
 
-@kept_jit
+@eqx.filter_jit
 def search(
     residuals: AbstractResiduals,
     constraints: Constraints,

@@ -40,7 +40,6 @@ import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
@@ -269,7 +268,7 @@ def _filled(record: Record) -> Record:
     return Record(signals, filled.time_step)
 
 
-@kept_jit
+@eqx.filter_jit
 def _cut(
     system: AbstractSystem,
     record: Record,
@@ -404,14 +403,14 @@ class OutputResiduals(AbstractResiduals):
         zero = jnp.zeros(len(self.labels), theta.dtype)
         return Expansion(list(pieces), sum((jnp.sum(s, axis=0) for s in squares), start=zero))
 
-    @kept_jit
+    @eqx.filter_jit
     def values(
         self, theta: Theta, initial: Initial
     ) -> list[Float[Array, "windows compared channels"]]:
         """Simulated minus recorded in units of sigma; 0 where nothing is compared."""
         return self._by_window(partial(self._error, theta), initial)
 
-    @kept_jit
+    @eqx.filter_jit
     def slopes_by_initial(
         self, theta: Theta, initial: Initial
     ) -> list[Float[Array, "windows compared channels s"]]:
@@ -681,7 +680,7 @@ def _steps(
     )
 
 
-@kept_jit
+@eqx.filter_jit
 def _trajectories(
     system: AbstractSystem, recorded: Sequence[Recorded], method: AbstractMethod
 ) -> tuple[list[Float[Array, "windows longest states"]], list[Bool[Array, ""]]]:
@@ -693,7 +692,7 @@ def _trajectories(
     return [states for states, _ in runs], [jnp.all(kept) for _, kept in runs]
 
 
-@kept_jit
+@eqx.filter_jit
 def _scales(
     recorded: Sequence[Recorded],
     sigma: dict[str, Any],

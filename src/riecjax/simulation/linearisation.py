@@ -28,13 +28,13 @@ for moments, and no difference grows for long.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Complex, Float, Int
 
-from riecjax.compilation import kept_jit
 from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.simulation.system import (
@@ -85,7 +85,7 @@ def spread_points(count: int) -> Int[np.ndarray, " points"]:
     return np.unique(np.linspace(0, count - 1, min(POINTS, count)).astype(int))
 
 
-@kept_jit
+@eqx.filter_jit
 def jacobians(
     system: AbstractSystem, states: Leaf, inputs: Leaf
 ) -> Float[Array, "n states states"]:
@@ -93,7 +93,7 @@ def jacobians(
     return jax.vmap(jax.jacfwd(system.derivative))(states, inputs)
 
 
-@kept_jit
+@eqx.filter_jit
 def linearise(
     system: AbstractSystem, state: State | None = None, inputs: Inputs | None = None
 ) -> tuple[Float[Array, "states states"], Float[Array, "states inputs"]]:

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from riecjax.compilation import kept_jit
 from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
@@ -99,7 +98,7 @@ def simulate(
     return _simulate(system, levels, inputs, first, method, smooth)
 
 
-@kept_jit
+@eqx.filter_jit
 def _simulate(
     system: AbstractSystem,
     levels: Float[Array, "n inputs"],

@@ -30,7 +30,10 @@ MOST_BLOCKS = 64
 that stay correlated for long."""
 
 
-class NormalEquations(eqx.Module):
+# Thousands of them are made and taken apart, which Equinox's modules are slow at.
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class NormalEquations:
     """Gram matrix of target and regressors, with the number of rows behind it.
 
     Additive over windows, records, blocks of time and machines: adding two gives what their rows
@@ -49,7 +52,7 @@ class NormalEquations(eqx.Module):
 
     moments: Float[Array, "*blocks columns columns"]
     count: Float[Array, "*blocks"]
-    parameters: tuple[str, ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     noise: Float[Array, "*blocks columns columns"] | None = None
     noise_of_source: Float[Array, "records sources columns columns"] | None = None
 
@@ -134,6 +137,7 @@ class NormalEquations(eqx.Module):
         # Behind the columns stands one of zeros, which is taken where a parameter does not occur.
         place = {name: 1 + j for j, name in enumerate(self.parameters)}
         index = np.array([0, *(place.get(name, 1 + len(place)) for name in parameters)])
+
         def embedded(matrix: Array) -> Array:
             beside = [(0, 0)] * (matrix.ndim - 2) + [(0, 1), (0, 1)]
             return xp.pad(matrix, beside)[..., index[:, None], index[None, :]]
@@ -285,7 +289,9 @@ def short_blocks(records: Sequence[Record], criterion: AbstractCriterion) -> Sho
 # What one recording says of each equation, kept as sums.
 
 
-class Survey(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Survey:
     """What only a check and figures ask for.
 
     **Fields:**
@@ -306,6 +312,8 @@ class Survey(eqx.Module):
     reach: dict[str, Float[Leaf, "2"]]
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class EquationSums(NormalEquations):
     """Normal equations of one equation on one recording, over windows by bins of their lengths.
 
@@ -344,7 +352,9 @@ class EquationSums(NormalEquations):
         return self.each(together, noise_of_source=together)
 
 
-class RecordingSums(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class RecordingSums:
     """Sums of all equations on one recording.
 
     **Fields:**
@@ -365,7 +375,7 @@ class RecordingSums(eqx.Module):
     samples: Int[Leaf, ""]
     time_step: Float[Leaf, ""]
     digest: UInt32[Leaf, "8"]
-    noise: Noise = eqx.field(default_factory=Noise)
+    noise: Noise = dataclasses.field(default_factory=Noise)
 
     def of_blocks(self, index: Int[np.ndarray, " blocks"]) -> "RecordingSums":
         """The sums of some of the blocks (not under jit)."""

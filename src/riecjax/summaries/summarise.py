@@ -34,8 +34,8 @@ def summarise(
 ) -> Summary:
     """Sum up what one or several recordings say to a model: all that [`estimate`][] needs.
 
-    Each recording is read once, chunk by chunk, and nothing is compiled. Under `jax.jit`, `jax.vmap` and `jax.grad` shapes are those of the records, and only moments are
-    summed.
+    Each recording is read once, chunk by chunk, and nothing is compiled. Under `jax.jit`,
+    `jax.vmap` and `jax.grad` only moments are summed.
 
     **Arguments:** `model`, `record`, `criterion`, `key`, `noise` and `at_rest` as for
     [`identify`][];

@@ -9,7 +9,6 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -249,13 +248,12 @@ def scores(
         own = np.array([blocks.parameters.index(name) for name in names])
         at = xp.stack([values[name] for name in blocks.parameters], axis=-1)
         clean = blocks.clean[..., 1 + own, :]
+        clean = clean.reshape((1,) * (at.ndim + 2 - clean.ndim) + clean.shape)
         parts.append(clean[..., 0] - xp.einsum("...bij,...j->...bi", clean[..., 1:], at))
     return xp.concatenate(parts, axis=-1)
 
 
-def slope(
-    totals: Sequence[NormalEquations], unknowns: Unknowns
-) -> Float[Array, "*batch p p"]:
+def slope(totals: Sequence[NormalEquations], unknowns: Unknowns) -> Float[Array, "*batch p p"]:
     """Derivative of the scores' sum with respect to all unknowns, negated."""
     names = [name for _, found in unknowns for name in found]
     rows = []
@@ -317,12 +315,12 @@ def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     # Solved for the change itself: without the block, the scores at the estimate sum to minus its
     # own, and nothing is lost by subtracting two estimates that agree in most of their digits.
     block_scores = scores(statistics.blocks, unknowns, statistics.values)
-    left = slope(totals, unknowns) - slope(statistics.blocks, unknowns)
-    matrices = left * scale[:, None] * scale[None, :]
-    change, pivots = eliminate_with_pivots(matrices, -(block_scores * scale)[..., None])
+    left = slope(totals, unknowns)[None] - slope(statistics.blocks, unknowns)
+    matrices = left * (scale[:, None] * scale[None, :])[None]
+    change, pivots = eliminate_with_pivots(matrices, -(block_scores * scale[None])[..., None])
     # Where only this block tells of a parameter, nothing is known without it.
     known = pivots.min(axis=-1, keepdims=True) > least
-    moved = xp.where(known, change[..., 0] * scale, -found)
+    moved = xp.where(known, change[..., 0] * scale[None], -found[None])
     factor = xp.repeat((used - 1) / used, MOST_BLOCKS)
     place = np.tile(np.arange(MOST_BLOCKS), used.shape[0])
     moved = xp.where((place < xp.repeat(used, MOST_BLOCKS))[:, None], moved, 0.0)
@@ -533,7 +531,7 @@ def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
     rows = inverse / xp.sqrt(should)[:, None]
 
     def expected(row: Float[Array, " p"]) -> tuple[Array, Array]:
-        own = ((working @ row) * row).sum(axis=-1)
+        own = (working @ row) @ row
         both = near @ row
         follows = xp.einsum("i,bij->bj", row, each) @ inverse
         covariance = xp.diag(own) + OVERLAP / 2 * beside * (own[:, None] + own[None, :])
@@ -610,7 +608,7 @@ def studentized_replicates(
         squares = xp.einsum("krb,krbp->krp", count, score**2)
         mean = total**2 / count.sum(axis=-1)[..., None]
         error = xp.sqrt(xp.maximum(squares - mean, 0.0).sum(axis=1))
-        moved = as_vector(unknowns, again) - found
+        moved = as_vector(unknowns, again) - found[None]
         usable = (error > 0) & xp.isfinite(error) & xp.isfinite(moved)
         return xp.where(usable, moved / xp.where(usable, error, 1.0), np.nan)
 
@@ -636,13 +634,14 @@ def drawn_counts(
 ) -> Int[Array, "some records blocks_of_record"]:
     """How often each block is drawn, with as many draws from each record as it has blocks."""
     # In double precision one product may round to another block than in single.
-    block = xp.minimum((drawn * used[:, None].astype(drawn.dtype)).astype(np.int32), used[:, None] - 1)
-    place = np.arange(MOST_BLOCKS)
+    number = used[None, :, None]
+    block = xp.minimum((drawn * number.astype(drawn.dtype)).astype(np.int32), number - 1)
+    place = np.arange(MOST_BLOCKS)[None, None]
     if not xp.are_traced((drawn, used)):
         row = np.arange(block[..., 0].size).reshape(*block.shape[:-1], 1)
-        every = (row * MOST_BLOCKS + block)[np.broadcast_to(place < used[:, None], block.shape)]
+        every = (row * MOST_BLOCKS + block)[np.broadcast_to(place < number, block.shape)]
         return np.bincount(every, minlength=block.size).reshape(block.shape)
     # Eight bits hold them all, and four times as many are compared at once.
-    asked = xp.where(place[None, :] < used[:, None], block, -1).astype(np.int8)
-    same = asked[..., :, None] == place.astype(np.int8)
+    asked = xp.where(place < number, block, -1).astype(np.int8)
+    same = asked[..., None] == place.astype(np.int8)[..., None, :]
     return same.sum(axis=-2, dtype=np.int8).astype(np.int32)

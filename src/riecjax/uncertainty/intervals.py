@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -42,7 +43,9 @@ NEAREST = 1 / 3
 SMALL_SAMPLE = "small-sample sandwich with Student's t"
 
 
-class Uncertainty(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Uncertainty:
     """Uncertainty of all parameters of all stages.
 
     **Fields:**
@@ -64,7 +67,7 @@ class Uncertainty(eqx.Module):
     degrees_of_freedom: Float[Array, " p"]
     few_blocks: Bool[Array, " p"]
     times_sandwich: Float[Array, " p"]
-    method: str = eqx.field(static=True)
+    method: str = dataclasses.field(metadata={"static": True})
     prior_share: Float[Array, " p"] | None = None
 
     @property
@@ -257,7 +260,10 @@ def with_few_blocks(
     variance, other = xp.diagonal(covariance), xp.diagonal(small.covariance)
     times = xp.ones_like(variance)
     if studentized is not None:
-        reach = xp.nanquantile(xp.abs(studentized), 0.95, axis=0) / tails.normal(0.025)
+        sizes = xp.abs(studentized)
+        some = xp.any(xp.isfinite(sizes), axis=0)
+        reach = xp.nanquantile(xp.where(some[None, :], sizes, 0.0), 0.95, axis=0)
+        reach = xp.where(some, reach, np.nan) / tails.normal(0.025)
         times = reach * xp.sqrt(variance / xp.where(other > 0, other, 1.0))
         few = few | (times > FARTHEST) | (times < NEAREST)
     # Of what only a bound or a prior tells, no block moves anything.

@@ -16,11 +16,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from riecjax.compilation import kept_jit
+from riecjax import arrays as xp
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.dry_friction import in_motion
@@ -30,13 +29,13 @@ from riecjax.equations.model import Model, as_model
 from riecjax.equations.noisy_columns import sampled_columns
 from riecjax.errors import DataError, ModelError
 from riecjax.estimation.parameters import values_in_recording
-from riecjax.leaves import Leaf, namespace
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record, runs
 
 
 def share_of(part: Any, whole: Any) -> Any:
     """part / whole, and zero, derivatives too, where the whole is none."""
-    xp, there = namespace(part, whole), whole > 0
+    there = whole > 0
     return xp.where(there, part / xp.where(there, whole, 1.0), 0.0)
 
 
@@ -94,13 +93,12 @@ class EquationError(eqx.Module):
     @property
     def relative_rms(self) -> Float[Array, ""]:
         """Root mean square of the error relative to the target's; zero of a silent target."""
-        xp = namespace(self.error, self.explained)
         squares = (xp.sum(xp.square(values)) for values in (self.error, self.target))
         return xp.sqrt(share_of(*squares))
 
     def centred(self, samples: Float[Leaf, " n"]) -> Float[Leaf, " values"]:
         """A signal at the middle of each window, from its samples."""
-        samples = namespace(samples).asarray(samples)
+        samples = xp.asarray(samples)
         return 0.5 * (samples[1:] + samples[:-1]) if self.span == 1 else samples[1:-1]
 
 
@@ -121,7 +119,8 @@ def equation_error(
     model = as_model(model)
     if missing := [name for name in model.parameter_names if name not in values]:
         raise ModelError(f"the equation error needs a value of '{missing[0]}'.")
-    given = {name: jnp.asarray(values[name]) for name in model.parameter_names}
+    record, values = xp.hosted((record, dict(values)))
+    given = {name: xp.asarray(values[name]) for name in model.parameter_names}
     if model.has_hidden:
         from riecjax.equations.hidden_motion import with_hidden_motion
 
@@ -141,18 +140,18 @@ def equation_error(
                 f"{equation.name}: a record of {record.sample_count} samples has no equation error "
                 f"over time."
             )
-        start = jnp.arange(record.sample_count - span)
+        start = np.arange(record.sample_count - span)
         sampled = sampled_columns(equation, record, weight.smoothness)
         columns, whole = weight.finest().integrals(sampled, WindowSet(start, start + span))
-        present = jnp.ones(start.shape, bool) if whole is None else whole
-        target, *regressors = jnp.where(present[None, :], columns / step**span, 0.0)
+        present = np.ones(start.shape, bool) if whole is None else whole
+        target, *regressors = xp.where(present[None, :], columns / step**span, 0.0)
         parts = {
             name: given[name] * column
             for name, column in zip(equation.parameters, regressors, strict=True)
         }
         if not equation.has_target:
             target = -parts.pop(equation.parameters[0])
-        explained = sum(parts.values(), start=jnp.zeros_like(target))
+        explained = sum(parts.values(), start=xp.zeros_like(target))
         times = 0.5 * (record.elapsed[span:] + record.elapsed[:-span])
         error = EquationError(
             target - explained, explained, present, step, span, equation.name, equation.unit, times
@@ -181,10 +180,8 @@ def errors_over_records(
     records = [with_memories(record, model.memories) for record in records]
     parts = []
     for index, record in enumerate(records):
-        # Only what the equations read: other names would compile them anew.
         own = values_in_recording(model.parameter_names, values, index)
-        own = {name: jnp.asarray(value) for name, value in own.items()}
-        parts.append(_compiled(in_motion(model, record), record, own))
+        parts.append(equation_error(in_motion(model, record), record, own))
     return [list(of_equation) for of_equation in zip(*parts)]
 
 
@@ -219,6 +216,3 @@ def with_pads(
     """Arrays one after the other with a value `pad` times between them."""
     between = np.full(pad, value, parts[0].dtype)
     return np.concatenate([piece for part in parts for piece in (between, part)][1:])
-
-
-_compiled = kept_jit(equation_error)

@@ -108,15 +108,11 @@ class Search:
     def sums(self, count: int) -> Stages:
         """Of the records with so much undone."""
         if count not in self.kept:
-            # By the functions that were compiled for the estimate's own Summary.
-            made, criterion = self.estimate.summary, self.estimate.criterion
-            assert made is not None
-            bins = None if made.edges is None else np.asarray(made.edges)
+            criterion = self.estimate.criterion
             samples = count * self.unit / self.step
             records = [self.undo(each, self.signals, samples, self.reach) for each in self.records]
             task = Task(self.model, records, criterion, record_keys(None, len(records)))
-            surveyed = made.recordings[0].stages[0][0].survey is not None
-            stages = summed(task, bins=bins, survey=surveyed).equations()
+            stages = summed(task).equations()
             self.kept[count] = [sum_of_equations(stage).flattened() for stage in stages]
         return self.kept[count]
 

@@ -10,12 +10,11 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from riecjax import arrays as xp
 from riecjax import tails
-from riecjax.compilation import kept_jit
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
@@ -23,7 +22,7 @@ from riecjax.errors import DataError, require
 from riecjax.estimation.parameters import ParameterTable, plan_parameters
 from riecjax.estimation.stages import solve_stages, stages_over_records
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, finite, namespace, told
+from riecjax.leaves import Leaf, finite, told
 from riecjax.records.record import Record, Records
 from riecjax.shows import Drawn
 from riecjax.summaries.normal_equations import (
@@ -93,11 +92,10 @@ class WindowSweep(Drawn, eqx.Module):
     @property
     def standard_errors(self) -> Float[Array, "bands p"]:
         """Standard error of each estimate."""
-        return self._scatter(namespace(self.influence).moveaxis(self.influence, 1, -1))
+        return self._scatter(xp.moveaxis(self.influence, 1, -1))
 
     def _scatter(self, influence: Float[Leaf, "*n blocks"]) -> Float[Array, "*n"]:
         """Standard deviation of what blocks move by so much each."""
-        xp = namespace(influence, self.block_count)
         factor = xp.divide(self.block_count, xp.maximum(self.block_count - 1, 1))
         return xp.sqrt(factor * xp.sum(xp.square(influence), axis=-1))
 
@@ -331,7 +329,7 @@ def sweep_of_sums(
         ends[:, 0],
         ends[:, 1],
         *_estimates(equations, table, short, used),
-        block_count=namespace(used).sum(used),
+        block_count=xp.sum(used),
         table=table,
         stage_names=tuple(label for label, names in table.stages if names),
     )
@@ -389,7 +387,7 @@ def _reach(
     return low, high
 
 
-@kept_jit
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _estimates(
     equations: list[list[NormalEquations]],
     table: ParameterTable,
@@ -403,13 +401,13 @@ def _estimates(
         stages = [stage.merged(short, used) for stage in shared]
         solutions, values = solve_stages(stages, table.known)
         return (
-            jnp.concatenate([stage.solution.theta for stage in solutions]),
+            xp.concatenate([stage.solution.theta for stage in solutions]),
             block_influence(stages, table.known, values),
-            jnp.stack([stage.relative_rms for stage in solutions]),
-            jnp.stack([stage.equations[0].noise_rms for stage in solutions]),
-            jnp.min(jnp.stack([jnp.sum(stage.count > 0) for stage in stages])),
+            xp.stack([stage.relative_rms for stage in solutions]),
+            xp.stack([stage.equations[0].noise_rms for stage in solutions]),
+            xp.min(xp.stack([xp.sum(stage.count > 0) for stage in stages])),
         )
 
-    *found, held = jax.lax.map(at_length, equations)
-    known = (held >= SHARE_OF_BLOCKS * jnp.max(held)) & (held > 0)
-    return tuple(jnp.where(known.reshape(-1, *(1,) * (of.ndim - 1)), of, jnp.nan) for of in found)
+    *found, held = xp.each(at_length, equations)
+    known = (held >= SHARE_OF_BLOCKS * xp.max(held)) & (held > 0)
+    return tuple(xp.where(known.reshape(-1, *(1,) * (of.ndim - 1)), of, xp.nan) for of in found)
