@@ -97,11 +97,11 @@ def hosted(tree: Tree) -> Tree:
 
 def products(left: Any, right: Any) -> Any:
     """Sums of left right^T over the last axis, shapes `(..., a, n)` and `(..., b, n)`."""
-    right = _of_arrays.swapaxes(right, -1, -2)
     if are_traced((left, right)):
         # Accelerators would otherwise multiply 32-bit numbers with ten bits.
-        return jnp.matmul(left, right, precision=jax.lax.Precision.HIGHEST)
-    return np.matmul(left, right)
+        highest = jax.lax.Precision.HIGHEST
+        return jnp.einsum("...an,...bn->...ab", left, right, precision=highest)
+    return np.matmul(left, np.swapaxes(right, -1, -2))
 
 
 def fft_size(least: int) -> int:

@@ -273,13 +273,13 @@ class _Sums(NamedTuple):
 
     **Fields:** `inner`, the sum of phi that multiplies phi at each start; `around`, that which
     multiplies phi at each middle, of hats; `squares`, the weight of phi phi^T at each sample;
-    `number` of windows in each block.
+    `number` of windows, in each block or from each start.
     """
 
     inner: Float[Array, "blocks columns starts"]
     around: Float[Array, "blocks columns n"]
     squares: Float[Array, "#blocks n"]
-    number: Float[Array, " blocks"]
+    number: Float[Array, "blocks *starts"]
 
 
 Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
@@ -294,26 +294,12 @@ def moments_in_blocks(
     **Arguments:** `primitives`, whose differences are the rows; `lags` with two axes give moments
     for each of the first, along a leading axis; `reach`: no window is longer, in samples.
     """
-    # Shorter blocks lose fewer digits. At four times the reach, the samples beyond a block, which
-    # two blocks work through, are still few.
-    parts, size = 1, blocks.size
-    while size % (2 * parts) == 0 and size // (2 * parts) >= 4 * reach:
-        parts *= 2
-    blocks = blocks._replace(size=size // parts, number=blocks.number * parts)
+    order = primitives.difference
+    if order == 1 and primitives.present is None and reach <= blocks.size:
+        return _unbroken_boxcars(primitives, lags, blocks, reach)
     phi, valid = _referred(primitives, blocks, reach)
-    order, broken = primitives.difference, primitives.present is not None or reach > blocks.size
-
-    def of_law(law: LagBins) -> Moments:
-        if order == 1 and not broken:
-            return _unbroken_boxcars(phi, valid, blocks.size, law)
-        return moments_in_runs(phi, Runs.of(valid, 0, blocks.size), law, order)
-
-    moments, number = each_bin(of_law, lags, beside=phi)
-    if parts == 1:
-        return moments, number
-    apart = (*number.shape[:-1], number.shape[-1] // parts, parts)
-    moments = moments.reshape(*apart, *moments.shape[-2:])
-    return moments.sum(axis=-3), number.reshape(apart).sum(axis=-1)
+    runs = Runs.of(valid, 0, blocks.size)
+    return each_bin(lambda law: moments_in_runs(phi, runs, law, order), lags, beside=phi)
 
 
 def _referred(
@@ -348,40 +334,57 @@ def _referred(
     return xp.where(inside, phi, 0.0), valid
 
 
-def _moments(
-    phi: Array, starts: int, inner: Array, around: Array | None, squares: Array
-) -> Float[Array, "blocks columns columns"]:
-    """M = Z + Z^T with Z = sum_u phi[u] (squares[u] / 2 phi[u] + inner[u] + around[u])^T: M is
-    symmetric, so that half of it is formed."""
-    half = 0.5 * squares[..., None, :]
-    own, beyond = phi[..., :starts], phi[..., starts:]
-    z = xp.products(own, half[..., :starts] * own + inner)
-    z = z + xp.products(beyond, half[..., starts:] * beyond)
-    if around is not None:
-        z = z + xp.products(phi, around)
-    return z + xp.swapaxes(z, -1, -2)
-
-
 def _unbroken_boxcars(
-    phi: Float[Array, "blocks columns n"], valid: Bool[Array, "blocks n"], size: int, law: LagBins
+    primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: int
 ) -> Moments:
-    """Moments of all boxcar rows where no sample is missing: every sum is a running sum, shifted by
-    one offset for all samples, in place of one looked up at limits that differ."""
-    running = xp.pad(running_sum(phi), ((0, 0), (0, 0), (1, 0)))
-    start, end = np.arange(size)[None], np.arange(phi.shape[-1])[None]
-    left = valid.sum(axis=-1)[:, None]
+    """Moments of all boxcar rows where no sample is missing.
+
+    Every sum is a running sum, shifted by one offset for all samples, in place of one looked up at
+    limits that differ. Running sums go over pieces of four times the reach: what two of them work
+    through is little then, and they lose few digits. M is symmetric, so half of it is formed: M =
+    Z + Z^T with Z = sum_u phi[u] ((s[u] + e[u]) / 2 phi[u] - c[u])^T, one product over a block's
+    starts, and one over the samples beyond it, where s and c are zero.
+    """
+    size, number = blocks.size, blocks.number
+    # Blocks to a piece, or pieces to a block.
+    several, parts = 1, 1
+    while several * size < 4 * reach and several < number:
+        several *= 2
+    while size % (2 * parts) == 0 and size // (2 * parts) >= 4 * reach:
+        parts *= 2
+    size, count = size // parts, -(-number * parts // several)
+    pieces = StartBlocks(blocks.first, several * size, count)
+    phi, valid = _referred(primitives, pieces, reach)
+    columns, starts, end = phi.shape[1], several * size, np.arange(size + reach)[None]
+    running = running_sum(phi)
+    left = valid.sum(axis=-1)[:, None] - np.arange(starts)[None]
+
+    def by_block(values: Array) -> Array:
+        return values.reshape(count, -1, several, size)
+
+    own = by_block(phi[..., :starts])
+    beyond = [phi[..., at : at + reach] for at in range(size, starts + 1, size)]
+    beyond = xp.stack(beyond, axis=1)
 
     def of_bin(bin_: LagBins) -> _Sums:
-        number = xp.clip(left - start - bin_.first, 0, bin_.last - bin_.first + 1)
-        inner = xp.cut(running, bin_.first, size) - xp.cut(running, bin_.last + 1, size)
+        inner = xp.cut(running, bin_.first - 1, starts) - xp.cut(running, bin_.last, starts)
+        starting = xp.clip(left - bin_.first, 0, bin_.last - bin_.first + 1).astype(phi.dtype)
         latest = xp.minimum(end - bin_.first, size - 1)
-        ending = xp.maximum(latest - xp.maximum(end - bin_.last, 0) + 1, 0)
-        starting = xp.pad(number, ((0, 0), (0, end.size - size)))
-        squares = (starting + ending).astype(phi.dtype)
-        return _Sums(inner, np.zeros(1), squares, number.sum(axis=-1).astype(phi.dtype))
+        ending = xp.maximum(latest - xp.maximum(end - bin_.last, 0) + 1, 0).astype(phi.dtype)
+        return _Sums(inner, np.zeros(1), ending, starting)
 
-    total = sum_over_bins(law, of_bin, beside=phi)
-    return _moments(phi, size, total.inner, None, total.squares), total.number
+    def of_law(law: LagBins) -> Moments:
+        total = sum_over_bins(law, of_bin, beside=phi)
+        half, starting = 0.5 * total.squares[:, None, None], by_block(total.number)
+        here = (0.5 * starting + half[..., :size]) * own + by_block(total.inner)
+        z = xp.products(xp.swapaxes(own, 1, 2), xp.swapaxes(here, 1, 2))
+        z = z + xp.products(beyond, half[..., size:] * beyond)
+        z = z.reshape(-1, columns, columns)[: number * parts]
+        moments = (z + xp.swapaxes(z, 1, 2)).reshape(number, parts, columns, columns)
+        each = starting.sum(axis=(1, 3)).ravel()[: number * parts].reshape(number, parts)
+        return moments.sum(axis=1), each.sum(axis=1)
+
+    return each_bin(of_law, lags, beside=phi)
 
 
 def moments_in_runs(
@@ -429,5 +432,8 @@ def moments_in_runs(
         return _Sums(xp.where(there, inner, 0.0), around, squares.astype(phi.dtype), number)
 
     total = sum_over_bins(law, of_bin, beside=phi)
-    around = total.around if difference == 2 else None
-    return _moments(phi, size, total.inner, around, total.squares), total.number
+    z = xp.products(phi, 0.5 * total.squares[:, None] * phi)
+    z = z + xp.products(phi[..., :size], total.inner)
+    if difference == 2:
+        z = z + xp.products(phi, total.around)
+    return z + xp.swapaxes(z, 1, 2), total.number

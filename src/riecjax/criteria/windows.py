@@ -409,7 +409,7 @@ class StartBlocks(NamedTuple):
     def cut(self, values: Float[Array, "columns n"], width: int) -> Float[Array, "b columns w"]:
         """Each block and what follows it, so many samples from its first one on; zero beyond the
         last sample."""
-        columns, size, number = values.shape[0], self.size, self.number
+        size, number = self.size, self.number
         room = max(number * size, (number - 1) * size + width)
         if not xp.are_traced(values, self.first):
             part = values[:, self.first : self.first + room]
@@ -417,12 +417,10 @@ class StartBlocks(NamedTuple):
             every = np.lib.stride_tricks.sliding_window_view(part, width, axis=1)
             return np.swapaxes(every[:, : number * size : size], 0, 1)
         # Room behind, so that no slice would begin earlier than asked for.
-        part = xp.cut(jnp.pad(values, ((0, 0), (0, room))), self.first, room)
-        if width > 2 * size:
-            return jnp.stack([part[:, at : at + width] for at in range(0, number * size, size)])
-        part = jnp.pad(part, ((0, 0), (0, (number + 1) * size - room)))
-        blocks = jnp.swapaxes(part.reshape(columns, number + 1, size), 0, 1)
-        return jnp.concatenate([blocks[:-1], blocks[1:, :, : width - size]], axis=2)
+        padded = jnp.pad(values, ((0, 0), (0, room)))
+        return jax.vmap(lambda at: xp.cut(padded, at, width))(
+            self.first + size * np.arange(number)
+        )
 
     def products(
         self, left: Float[Array, "a n"], right: Float[Array, "b n"]

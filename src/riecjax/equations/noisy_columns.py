@@ -117,11 +117,10 @@ def columns_of_terms(
 ) -> Columns:
     """The columns that samples of each of an equation's terms add up to."""
     names = equation.parameters
-    zero = np.zeros(record.sample_count, record.time_step.dtype)
-
     def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
         orders = (min(term.derivative, smoothness) for term in equation.terms)
         rows = _rows(zip(equation.terms, orders, each), names)
+        zero = xp.zeros_like(next(iter(next(iter(rows.values())).values())))
         return xp.stack(
             [
                 xp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
