@@ -17,7 +17,6 @@ import dataclasses
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -134,7 +133,9 @@ class SignalNoise:
         return SignalNoise(kernels, freedom)
 
 
-class Noise(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(init=False, eq=False)
+class Noise:
     """What is known of the noise on a record's signals; see the module for how it is made up.
 
     **Fields:**

@@ -121,10 +121,11 @@ class NormalEquations:
     ) -> "NormalEquations":
         """Those of longer blocks, of short ones with leading axes `(records, short blocks)`.
 
-        **Arguments:** `used`, into how many each record's are added up.
+        **Arguments:** `used`, into how many each record's are added up, `most` at most.
 
-        **Returns:** normal equations with one leading axis: `most` blocks of each record, of which
-        those beyond `used` are empty. No block holds anything of two records.
+        **Returns:** normal equations with one leading axis: as many blocks of each record, see
+        [`most_used`][], of which those beyond `used` are empty. No block holds anything of two
+        records.
         """
         return self.in_blocks(lambda values: sum_blocks(values, short, used, most))
 
@@ -261,6 +262,11 @@ def blocks_in_use(short: ShortBlocks, length: Float[Leaf, ""]) -> Int[Array, " r
     return xp.clip(short.number // each, 2, most).astype(np.int32)
 
 
+def most_used(used: Int[Array, " records"], most: int = MOST_BLOCKS) -> int:
+    """Room for blocks of each record: for as many as any uses, if that is known."""
+    return most if xp.is_traced(used) else int(np.max(used))
+
+
 def sum_blocks(
     values: Float[Array, "records short *shape"],
     short: ShortBlocks,
@@ -268,7 +274,7 @@ def sum_blocks(
     most: int = MOST_BLOCKS,
 ) -> Float[Array, "blocks *shape"]:
     """Sums over longer blocks of what is known of short ones; see [`NormalEquations.merged`][]."""
-    number = short.number[:, None]
+    number, most = short.number[:, None], most_used(used, most)
     place = np.arange(values.shape[1])[None, :]
     # What is left over is spread, so that no last block is shorter than the others.
     group = xp.where(place < number, place * used[:, None] // number, most)

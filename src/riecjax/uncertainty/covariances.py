@@ -27,6 +27,7 @@ from riecjax.summaries.normal_equations import (
     NormalEquations,
     ShortBlocks,
     blocks_in_use,
+    most_used,
     sum_blocks,
 )
 
@@ -152,7 +153,7 @@ class BlockStatistics(NamedTuple):
 
     - `unknowns`, `known`, `values`: what each stage finds, what is given, everything by name.
     - `length`: seconds to a block; `used`, how many blocks each record is cut into.
-    - `blocks`: normal equations of each stage, `MOST_BLOCKS` blocks of each record along the
+    - `blocks`: normal equations of each stage, as many blocks of each record along the
       leading axis, of which those beyond `used` are empty; `influence` of each.
     - `short`: the short blocks of time that these are made of; `short_blocks`, their normal
       equations, leading axes `(records, short blocks)`, and `short_influence`.
@@ -321,9 +322,10 @@ def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     # Where only this block tells of a parameter, nothing is known without it.
     known = pivots.min(axis=-1, keepdims=True) > least
     moved = xp.where(known, change[..., 0] * scale[None], -found[None])
-    factor = xp.repeat((used - 1) / used, MOST_BLOCKS)
-    place = np.tile(np.arange(MOST_BLOCKS), used.shape[0])
-    moved = xp.where((place < xp.repeat(used, MOST_BLOCKS))[:, None], moved, 0.0)
+    most = most_used(used)
+    factor = xp.repeat((used - 1) / used, most)
+    place = np.tile(np.arange(most), used.shape[0])
+    moved = xp.where((place < xp.repeat(used, most))[:, None], moved, 0.0)
     return (factor[:, None] * moved).T @ moved
 
 
@@ -498,6 +500,7 @@ def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
     most = max(MOST_HALVES // records, 2)
     halves = xp.minimum(2 * used, xp.minimum(short.number, most))
     stages = [stage.merged(short, halves, most) for stage in statistics.short_blocks]
+    most = most_used(halves, most)
     totals = [stage.total() for stage in stages]
     whole, scale = unit_diagonal(slope(totals, unknowns))
     inverse = eliminate(whole, np.eye(scale.shape[0], dtype=whole.dtype))
@@ -634,12 +637,12 @@ def drawn_counts(
 ) -> Int[Array, "some records blocks_of_record"]:
     """How often each block is drawn, with as many draws from each record as it has blocks."""
     # In double precision one product may round to another block than in single.
-    number = used[None, :, None]
+    number, most = used[None, :, None], most_used(used)
+    drawn, place = drawn[..., :most], np.arange(most)[None, None]
     block = xp.minimum((drawn * number.astype(drawn.dtype)).astype(np.int32), number - 1)
-    place = np.arange(MOST_BLOCKS)[None, None]
     if not xp.are_traced((drawn, used)):
         row = np.arange(block[..., 0].size).reshape(*block.shape[:-1], 1)
-        every = (row * MOST_BLOCKS + block)[np.broadcast_to(place < number, block.shape)]
+        every = (row * most + block)[np.broadcast_to(place < number, block.shape)]
         return np.bincount(every, minlength=block.size).reshape(block.shape)
     # Eight bits hold them all, and four times as many are compared at once.
     asked = xp.where(place < number, block, -1).astype(np.int8)

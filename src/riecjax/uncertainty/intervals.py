@@ -17,7 +17,7 @@ from riecjax import arrays as xp
 from riecjax import tails
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
-from riecjax.summaries.normal_equations import MOST_BLOCKS, NormalEquations, ShortBlocks
+from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.covariances import (
     BlockStatistics,
     block_statistics,
@@ -300,7 +300,7 @@ def estimate_uncertainty(
     errors; and the block statistics that it rests on.
     """
     statistics = block_statistics(stages, known, values, short, longest_window)
-    per_record = statistics.influence.reshape(short.number.shape[0], MOST_BLOCKS, -1)
+    per_record = statistics.influence.reshape(short.number.shape[0], -1, len(statistics.estimate))
     inflation = xp.where(shared, record_inflation(per_record, statistics.used), 1.0)
     uncertainty = intervals.uncertainty(statistics)
     covariance = uncertainty.covariance * inflation[:, None] * inflation[None, :]
