@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,6 +49,13 @@ def riec():
     return rx.RIEC(SameWindows(np.array(0.05), np.array(0.5), 8000, between_samples=False))
 
 
+def identified(equation, record, criterion, key):
+    return rx.identify(equation, record, criterion, key=key, intervals=rx.Naive())
+
+
+traced = eqx.filter_jit(identified)
+
+
 @pytest.mark.raises_finding("single_precision")
 @pytest.mark.parametrize("criterion", [riec, *nightly([rx.DOLS])])
 def test_32_bit_is_close_to_64_bit_and_says_that_it_is_32_bit(criterion):
@@ -55,10 +63,13 @@ def test_32_bit_is_close_to_64_bit_and_says_that_it_is_32_bit(criterion):
     for bits in (64, 32):
         with jax.enable_x64(bits == 64):
             record = rx.Record.from_samples(shaken_under_weight(), time_step=STEP)
-            fit = rx.identify(
-                weight_equation(), record, criterion(), key=jax.random.key(1), intervals=rx.Naive()
-            )
+            asked = (weight_equation(), record, criterion(), jax.random.key(1))
+            fit = traced(*asked)
+            # Eagerly everything is in double precision.
+            eager = identified(*asked)
         assert fit.theta.dtype == np.dtype(f"float{bits}")
+        assert eager.theta.dtype == np.float64
+        assert "single_precision" not in [finding.code for finding in eager.findings()]
         found[bits] = np.asarray(fit.theta, float)
         codes[bits] = [finding.code for finding in fit.findings()]
     # 32-bit holds u to 5e-4 beside 1e4, which is 2.5e-5 of the spring's force of 20, times a
