@@ -52,6 +52,7 @@ bench: .venv/bench
 # With `make -j 2` what uses one core beside each other; all windows, which use both, alone after it.
 bench-check: bench-check-motion bench-check-estimates
 	$(BIN)/python -m benchmarks.speed --small --check --only all_windows
+	$(BIN)/python -m benchmarks.speed instant --check
 
 bench-check-motion: .venv/bench
 	$(BIN)/python -m benchmarks.speed --small --check --only simulation

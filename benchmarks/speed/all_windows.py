@@ -44,6 +44,7 @@ def long_record(size: Size) -> Comparison:
     columns = np.random.default_rng(0).normal(size=(size.long_samples, 6))
     names = [f"s{i}" for i in range(6)]
     record = rx.Record({name: columns[:, i].copy() for i, name in enumerate(names)}, 1e-3)
+    record = jax.device_put(record)
     equation = rx.Equation(*(rx.Term(f"p{i}", f"s{i}") for i in range(5)), -rx.Term(1.0, "s5"))
     criterion = rx.RIEC(rx.AllWindows(0.05, 0.5)).fitted([record])
     part = rx.Record({name: record[name][:3000] for name in names}, 1e-3)
@@ -94,7 +95,7 @@ def over_seeds(record: rx.Record, keys: Array) -> Float[Array, "seeds 5"]:
 def run(size: Size) -> Iterator[Comparison]:
     yield long_record(size)
     full = identification_record(quarter_car_source(), jax.random.key(0)).record
-    record = full.select(*SIGNALS)
+    record = jax.device_put(full.select(*SIGNALS))
     signals = {name: np.asarray(record[name]) for name in SIGNALS}
     step = float(record.time_step)
     every = rx.RIEC(rx.AllWindows(0.05, 0.5)).fitted([record])

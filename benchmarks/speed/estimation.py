@@ -35,7 +35,7 @@ def judged(own: rx.Record, criterion: rx.RIEC) -> Uncertainty:
 def bootstrap(size: Size) -> Comparison:
     source = quarter_car_source()
     full = identification_record(source, jax.random.key(0)).record
-    own = full.select("x1", "x2", "x3", "x4", "F_t")
+    own = jax.device_put(full.select("x1", "x2", "x3", "x4", "F_t"))
     signals = {name: np.asarray(own[name]) for name in own.arrays}
     step = float(own.time_step)
     criterion = rx.RIEC(rx.AllWindows(0.05, 0.5)).fitted([own])

@@ -1,6 +1,7 @@
 """What users wait for: whole processes, and the first and the next call in one.
 
     python -m benchmarks.speed instant [--against DIR] [--only CASE ...] [--repeats 3]
+    python -m benchmarks.speed instant --check
 
 Each command runs in a process of its own, `first` in a home where nothing was kept, `again` in the
 same one; calls of the library are timed inside a process that has imported JAX. Beside the seconds
@@ -8,7 +9,8 @@ stand ratios to a bare import of jax and diffrax in the same run, what is asked,
 programs were compiled until the linear answer. Written to benchmarks/instant.json.
 
 `--against` names a checkout of another commit, whose commands run in turn with ours; its seconds
-are kept beside ours.
+are kept beside ours. `--check` writes nothing: it fails where a case takes twice as many bare
+imports as is recorded, or where a call of the linear answer compiles a program.
 """
 
 import json
@@ -258,14 +260,46 @@ def page(measured: dict[str, dict[str, dict[str, float]]]) -> str:
     return table(("", "first / again", "asked", "before"), rows)
 
 
+CHECKED = ("identify", "rx.identify", "rx.assess", "emps")
+
+
+def slower(found: dict[str, dict[str, float]], recorded: dict[str, dict[str, float]]) -> list[str]:
+    """What takes twice as many bare imports as is recorded, or compiles."""
+    bare, before = found[BARE]["first"], recorded[BARE]["first"]
+    ratios = {
+        f"{name}, {when}": (figures[when] / bare, recorded[name][when] / before)
+        for name, figures in found.items()
+        for when in ("first", "again")
+        if name != BARE
+    }
+    told = [
+        f"{name}: {now:.2f} imports, recorded {then:.2f}"
+        for name, (now, then) in ratios.items()
+        if now > 2 * then
+    ]
+    compiled = [name for name, figures in found.items() if figures.get("programs")]
+    return [*told, *(f"{name} compiles {found[name]['programs']:g} programs" for name in compiled)]
+
+
 def main(
-    against: Path | None = None, only: tuple[str, ...] = tuple(CASES), repeats: int = 3
+    against: Path | None = None,
+    only: tuple[str, ...] = tuple(CASES),
+    repeats: int = 3,
+    check: bool = False,
 ) -> None:
-    checkouts = {"ours": HERE} | ({"before": against.absolute()} if against else {})
-    turns: dict[str, list[dict[str, dict[str, float]]]] = {name: [] for name in checkouts}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_recordings(folder)
+        if check:
+            cases = [case for case in CHECKED if case != "emps" or MEASURED.exists()]
+            recorded = json.loads(FILE.read_text())["ours"]
+            # Another program on the machine slows one run: what is really slower stays so.
+            for _ in range(2):
+                if not (told := slower(times_of(HERE, folder, cases), recorded)):
+                    return
+            sys.exit("\n".join(told))
+        checkouts = {"ours": HERE} | ({"before": against.absolute()} if against else {})
+        turns: dict[str, list[dict[str, dict[str, float]]]] = {which: [] for which in checkouts}
         for turn in range(repeats):
             # Each goes first as often as the other: a machine's load drifts.
             for which in sorted(checkouts, reverse=bool(turn % 2)):

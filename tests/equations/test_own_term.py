@@ -115,7 +115,7 @@ def test_functions_of_numpy_are_identified_and_not_simulated():
         rx.identify(OURS, RECORD).theta,
         rtol=1e-9,
     )
-    with pytest.raises(rx.ModelError, match="OfNumPy .*Use functions of jax.numpy"):
+    with pytest.raises(rx.ModelError, match=r"OfNumPy .*Use functions of jax\.numpy"):
         rx.equation_system(equation(own("r2", of="dx")), DRAG_TRUTH)
 
 

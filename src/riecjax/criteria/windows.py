@@ -418,9 +418,7 @@ class StartBlocks(NamedTuple):
             return np.swapaxes(every[:, : number * size : size], 0, 1)
         # Room behind, so that no slice would begin earlier than asked for.
         padded = jnp.pad(values, ((0, 0), (0, room)))
-        return jax.vmap(lambda at: xp.cut(padded, at, width))(
-            self.first + size * np.arange(number)
-        )
+        return jax.vmap(lambda at: xp.cut(padded, at, width))(self.first + size * np.arange(number))
 
     def products(
         self, left: Float[Array, "a n"], right: Float[Array, "b n"]

@@ -117,6 +117,7 @@ def columns_of_terms(
 ) -> Columns:
     """The columns that samples of each of an equation's terms add up to."""
     names = equation.parameters
+
     def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
         orders = (min(term.derivative, smoothness) for term in equation.terms)
         rows = _rows(zip(equation.terms, orders, each), names)
