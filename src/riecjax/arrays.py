@@ -15,13 +15,18 @@ loop that was begun by NumPy.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+# Of arithmetic between the two, the types that either library declares do not know of the other.
+if TYPE_CHECKING:
+    Array: TypeAlias = Any
+else:
+    Array = jax.Array | np.ndarray
 Tree = TypeVar("Tree")
 
 
@@ -49,7 +54,8 @@ class _Functions:
         self._host, self._traced = host, traced
 
     def __getattr__(self, name: str) -> Any:
-        host, traced = getattr(self._host, name), getattr(self._traced, name, None)
+        host = getattr(self._host, name)
+        traced: Any = getattr(self._traced, name, None)
         if not callable(host) or isinstance(host, type):
             found = host
         else:

@@ -17,9 +17,10 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.leaves import Leaf
 
 

@@ -47,7 +47,7 @@ def start_jax(*, keep_compiled: bool = False, devices: int = 1) -> None:
     if lacking or devices > 1:
         try:
             # JAX refuses this once it has started.
-            most = max(devices, jax.config.jax_num_cpu_devices)
+            most = max(devices, jax.config.values["jax_num_cpu_devices"])
             jax.config.update("jax_num_cpu_devices", most)
         except RuntimeError:
             if lacking:

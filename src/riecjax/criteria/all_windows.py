@@ -78,9 +78,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.windows import LagBins, StartBlocks, each_bin, sum_over_bins
 from riecjax.leaves import Leaf
 

@@ -17,9 +17,10 @@ from typing import ClassVar, Self
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Bool, Float, Int, Key
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.noise_moments import noise_moments
 from riecjax.criteria.test_functions import AbstractTestFunction, Boxcar, Dirac
 from riecjax.criteria.windows import (

@@ -31,9 +31,10 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.all_windows import Points, Runs, interval_weights
 from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet, sum_over_bins
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white

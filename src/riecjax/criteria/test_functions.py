@@ -30,9 +30,10 @@ import equinox as eqx
 import jax
 import numpy as np
 import scipy.special
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.all_windows import (
     ORDERS,
     Moments,
@@ -596,7 +597,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             return lambda at: jax.jvp(function, (at,), (jax.numpy.ones_like(at),))[1]
 
         def every(at: Array) -> list[Array]:
-            found = [phi]
+            found: list[Callable[[Array], Array]] = [phi]
             for _ in range(most):
                 found.append(along(found[-1]))
             return [of(at) for of in found]

@@ -33,10 +33,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Float, Int, Key
 from numpy.typing import ArrayLike
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 from riecjax.records.record import Record
@@ -221,7 +222,7 @@ class AllWindows(AbstractWindows):
         alpha: float | Leaf,
         beta: float | Leaf,
         *,
-        law: ArrayLike | Array | None = None,
+        law: ArrayLike | None = None,
         longest_samples: int | None = None,
     ):
         self.alpha, self.beta = _band(alpha, beta)

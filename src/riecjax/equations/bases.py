@@ -10,9 +10,10 @@ from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, as_leaf, is_concrete
 

@@ -194,6 +194,7 @@ def _each_by_itself(functions: tuple[Expression | AbstractTerm, ...], record: Re
         # Of differences of large numbers, compilers may round halves otherwise than the whole.
         size = np.max(np.abs(whole), where=np.isfinite(whole), initial=0.0)
         both = np.concatenate(halves, axis=-1)
-        return np.all(np.isclose(whole, both, rtol=1e-9, atol=1e-9 * size, equal_nan=True))
+        close = np.isclose(whole, both, rtol=1e-9, atol=1e-9 * size, equal_nan=True)
+        return bool(close.all())
 
     return [alone(function) for function in functions]

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.errors import ModelError, users_code
 from riecjax.records.faults.derivative_pairs import Relation
 from riecjax.records.record import Record, Signals

@@ -40,9 +40,10 @@ from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.equations.bases import RoofFunctions
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import (

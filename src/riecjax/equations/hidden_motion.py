@@ -9,9 +9,10 @@ what passes 1 / (1 + tau s). So whatever reads an equation sample by sample need
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import evaluate
 from riecjax.equations.hidden_elements import HiddenMode, Shape, inertia_sign

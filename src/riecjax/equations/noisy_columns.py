@@ -36,9 +36,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import combined, evaluate, read_expression
 from riecjax.equations.term import AbstractTerm, samples_of

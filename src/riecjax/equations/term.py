@@ -12,9 +12,10 @@ from typing import Any, NamedTuple, Self, TypeVar
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.expressions import Expression, called, combined, evaluate, source_of
 from riecjax.errors import DataError, ModelError, require, users_code
@@ -211,7 +212,8 @@ def made_by(term: AbstractTerm, make: Callable[[], Made], samples: int) -> Made:
     kind, rows = type(term).__name__, max(len(term.parameters), 1)
     with users_code(kind):
         made = make()
-    shape = np.shape(made.values if isinstance(made, Signal) else made)
+    values: Any = made.values if isinstance(made, Signal) else made
+    shape = np.shape(values)
     if shape != (rows, samples):
         raise ModelError(
             f"{kind} must make a row for each of {rows} coefficient(s), a column for each sample: "

@@ -50,9 +50,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.errors import ModelError, require
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number

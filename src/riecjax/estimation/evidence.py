@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.equations.equation import Equation
 from riecjax.equations.hidden_elements import Expanded, HiddenMode, mode_frequency
 from riecjax.equations.model import Model, as_model

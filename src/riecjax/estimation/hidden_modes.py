@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.equations.hidden_elements import Expanded, HiddenElement, HiddenMode, SeriesSpring
 from riecjax.equations.model import Model
 from riecjax.errors import IdentifiabilityError, ModelError

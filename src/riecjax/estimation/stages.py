@@ -7,9 +7,10 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.criterion import Rows
 from riecjax.estimation.constraints import (
     NONE,

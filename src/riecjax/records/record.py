@@ -11,10 +11,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.extensions import require_packages
 from riecjax.leaves import Leaf, is_concrete

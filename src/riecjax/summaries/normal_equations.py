@@ -12,9 +12,10 @@ from typing import Any, NamedTuple, Self
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int, Key, UInt32
+from jaxtyping import Float, Int, Key, UInt32
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.criterion import AbstractCriterion, Rows
 from riecjax.criteria.windows import LengthBins
 from riecjax.equations.equation import Equation

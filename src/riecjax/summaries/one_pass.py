@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Bool, Float, Key
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.all_windows import Moments
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.windows import (
@@ -93,13 +94,12 @@ def _equation_sums(
     reach, so that a block shorter than a window costs as much as one as long. Where some lengths
     are longer, neighbouring blocks are summed as one, and the first of them holds the sums.
     """
-    wider, counted = 1, windows
+    wider, narrow = 1, blocks.number
+    counted = windows.lags if isinstance(windows, Lengths) else windows
     if isinstance(windows, Lengths):
-        counted = windows.lags
-        while wider * blocks.size < windows.reach and wider < blocks.number:
+        while wider * blocks.size < windows.reach and wider < narrow:
             wider *= 2
-        number = -(-blocks.number // wider)
-        blocks, narrow = blocks._replace(size=wider * blocks.size, number=number), blocks.number
+        blocks = blocks._replace(size=wider * blocks.size, number=-(-narrow // wider))
 
     def products(columns: Columns) -> Moments:
         if isinstance(windows, Lengths):
@@ -257,7 +257,7 @@ def recording_sums(
     if windows is None:
         every = (criterion.draw(record, key),)
     else:
-        every = _lengths(criterion, windows, record, bins, apart)
+        every = _lengths(criterion, windows, record, None if traced else bins, apart)
         reach = max(of.reach for of in every)
         length = chunk_length(record, size, windows.reach(n))
     if not traced:
@@ -274,7 +274,9 @@ def recording_sums(
             while unit < reach:
                 unit *= 2
             length = -(-max(CHUNK, 4 * reach) // unit) * unit
-    drawn = every[0] if windows is None else _to_survey(criterion, windows, record, blocks)
+    drawn: Any = every[0]
+    if windows is not None and survey and not traced:
+        drawn = _to_survey(criterion, windows, record, blocks)
 
     def of_equation(
         equation: Equation, here: Record, blocks: StartBlocks

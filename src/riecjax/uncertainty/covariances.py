@@ -10,10 +10,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from riecjax import arrays as xp
 from riecjax import tails
+from riecjax.arrays import Array
 from riecjax.linear_algebra import (
     eliminate,
     eliminate_with_pivots,

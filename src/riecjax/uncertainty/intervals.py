@@ -11,10 +11,11 @@ from collections.abc import Mapping, Sequence
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from riecjax import arrays as xp
 from riecjax import tails
+from riecjax.arrays import Array
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_number
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks

@@ -17,9 +17,10 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.test_functions import Boxcar, Hat
 from riecjax.criteria.windows import WindowSet
 from riecjax.equations.dry_friction import in_motion
@@ -151,7 +152,7 @@ def equation_error(
         }
         if not equation.has_target:
             target = -parts.pop(equation.parameters[0])
-        explained = sum(parts.values(), start=xp.zeros_like(target))
+        explained: Any = sum(parts.values(), start=xp.zeros_like(target))
         times = 0.5 * (record.elapsed[span:] + record.elapsed[:-span])
         error = EquationError(
             target - explained, explained, present, step, span, equation.name, equation.unit, times

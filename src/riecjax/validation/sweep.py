@@ -11,10 +11,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Float, Int, Key
 
 from riecjax import arrays as xp
 from riecjax import tails
+from riecjax.arrays import Array
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, as_model
