@@ -32,7 +32,7 @@ MOST_IMPORTS = 12
 MANY_PARAMETERS: dict[str, int] = {}
 MANY_IMPORTS = {
     "riecjax.assessment.assess": 26,
-    "riecjax.assessment.refining": 17,
+    "riecjax.assessment.output_error_search": 15,
     "riecjax.discovery.discover": 22,
     "riecjax.estimation.check": 21,
     "riecjax.estimation.identify": 23,

@@ -18,7 +18,7 @@ from tests.machines import (
 )
 
 import riecjax as rx
-from riecjax.assessment import refining
+from riecjax.assessment import output_error_search as refining
 from riecjax.assessment.assess import check_answering
 from riecjax.records.recording import as_recordings
 from riecjax.reporting.checking import check_document

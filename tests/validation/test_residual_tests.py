@@ -30,6 +30,7 @@ from riecjax.validation.residuals import (
     bartlett_variance,
     cross_correlation,
     error_spectrum,
+    peaks,
     residual_tests,
     window_errors,
 )
@@ -119,6 +120,17 @@ def test_spectrum_is_welchs_and_no_segment_reaches_over_a_gap():
     broken = error_spectrum(series(error, explained, there), parts=16)
     parts = [scipy.signal.welch(v, 1 / STEP, nperseg=249)[1] for v in (error[:2000], error[2001:])]
     np.testing.assert_allclose(broken.error, np.mean(parts, axis=0), rtol=0.02)
+
+
+def test_peaks_and_their_half_heights_are_those_of_scipy():
+    rng = np.random.default_rng(0)
+    for count in range(5, 300, 7):
+        density = np.exp(2 * np.convolve(rng.normal(size=count), np.ones(1 + count % 6), "same"))
+        tops, _ = scipy.signal.find_peaks(np.log(density), prominence=np.log(4))
+        whole = density[tops], 0 * tops, 0 * tops + count - 1
+        _, _, *edges = scipy.signal.peak_widths(density, tops, prominence_data=whole)
+        found = np.reshape(list(peaks(density, 4.0)), (-1, 3))
+        np.testing.assert_allclose(found, np.stack([tops, *edges], axis=1), rtol=1e-9)
 
 
 def test_a_resonance_is_a_peak_with_its_frequency_and_width():

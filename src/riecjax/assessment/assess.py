@@ -15,6 +15,15 @@ from typing import TYPE_CHECKING, Any, Literal
 from jaxtyping import Array, Key
 
 from riecjax.assessment.doubt import Evidence, with_doubts
+from riecjax.assessment.refining import (
+    Problem,
+    Refinement,
+    Track,
+    Validations,
+    against_priors,
+    unwarranted,
+    validated,
+)
 from riecjax.assessment.verdict import Verdict, verdict
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.suited import criterion_for
@@ -49,7 +58,6 @@ from riecjax.validation.sweep import sweep_edges, sweep_of_sums
 from riecjax.validation.tests import own_tests, residuals_tested
 
 if TYPE_CHECKING:
-    from riecjax.assessment.refining import Refinement
     from riecjax.equations.equation import Equation
     from riecjax.records.record import Record, Records
     from riecjax.summaries.summary import Summary
@@ -71,7 +79,7 @@ class Assessment(Evidence, Drawn):
     key: Key[Array, ""] | None = None
 
     @property
-    def refinement(self) -> "Refinement | None":
+    def refinement(self) -> Refinement | None:
         """The refinement, if one was asked for or `refine="auto"` tried one."""
         return self.test("refinement")
 
@@ -131,7 +139,8 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
 
     def concerning(some: Sequence[Recording]) -> list[Recording]:
         """The recordings with what is said of signals that the criterion reads."""
-        return [each.concerning(read_of(model, each, criterion)) for each in some]
+        # The sums raise what an equation refuses.
+        return [each.concerning(read_of(model, each, criterion, summed=True)) for each in some]
 
     fitted, held = concerning(recordings), []
     if settings.hold_out is not None:
@@ -178,10 +187,6 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         if settings.on_estimate is not None and refusal is None:
             settings.on_estimate(estimate)
 
-        # Not earlier: to import all that simulates takes seconds, and a reader at a terminal
-        # should not wait for it.
-        from riecjax.assessment.refining import Problem, Track, against_priors, answered
-
         checked = check_recordings(model, as_recordings(records), table_of_data, linear, of_sums)
         checked = with_doubts(checked, estimate, model, records, again)
         unseen = [*(Track(part, number) for number, part in enumerate(held)), *map(Track, further)]
@@ -216,6 +221,44 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
         failures=[*failures, *own.findings],
         key=settings.key,
     )
+
+
+def answered(
+    problem: Problem, estimate: Estimate, refused: bool
+) -> tuple[Refinement | None, Validations]:
+    """The refinement of an estimate, which may be no more than a start (it was `refused`), if there
+    is one, and the validation of what answers.
+
+    **Raises:** as `refine`, for a refinement that was asked for.
+    """
+    model, settings, start = problem.model, problem.settings, estimate.values
+    none, asked = settings.refine in (None, "none"), settings.refine not in (None, "none", "auto")
+    horizon = None if asked else settings.horizon
+    tracks = [track.within(horizon, model, start) for track in problem.unseen]
+    before = validated(model, start, tracks)
+    if none:
+        return None, before
+    if not asked and (why := "" if refused else unwarranted(estimate)):
+        return Refinement(estimate, declined=why), before
+    # Not earlier: to import all that simulates takes seconds.
+    from riecjax.assessment.output_error_search import search_asked_for, search_by_itself
+
+    refinement = (search_asked_for if asked else search_by_itself)(problem, estimate)
+    if refinement.refined is None:
+        return refinement, before
+    values = refinement.refined.values
+    after = validated(model, values, tracks)
+    refinement = refinement._replace(start=estimate, simulations=after.after(before))
+    if asked and not tracks:
+        seen = [track.within(None, model, start) for track in problem.seen]
+        on_fitted = validated(model, values, seen).after(validated(model, start, seen))
+        refinement = refinement._replace(on_fitted=True, simulations=on_fitted)
+    elif not asked and refinement.chosen and (worse := refinement.worse()):
+        # By itself not where it predicts worse what neither answer was fitted to.
+        name, earlier, later = worse[0]
+        why = f"it predicts {name} worse: a fit of {later:.1f} %, where the linear estimate has"
+        refinement = refinement._replace(declined=f"{why} {earlier:.1f} %")
+    return refinement, after if refinement.chosen else before
 
 
 def _validated_on_fitted(fitted: list[Recording], further: list[Recording]) -> Iterator[Finding]:
@@ -313,9 +356,6 @@ def check_answering(
     checked, summary, table = looked_at(model, recordings, settings)
     if checked.refusal is None or checked.refusal.about.refuses != "windows":
         return checked
-    # Not earlier: to import all that simulates takes seconds.
-    from riecjax.assessment.refining import Problem, answered
-
     problem = Problem(model, recordings, [], Assess(key=settings.key, intervals=Sandwich()))
     with contextlib.suppress(IdentifiabilityError):
         start = on_host(estimated(model, summary, table, Sandwich()))

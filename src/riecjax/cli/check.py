@@ -26,16 +26,13 @@ def command(given: Given) -> None:
     """
     asked = given.take(settings.Check)
     start_jax(keep_compiled=True)
-
-    import jax
-
     from riecjax.assessment.assess import check_answering
     from riecjax.reporting.checking import check_document, print_check
 
     model = given.model()
     with Progress():
         recordings = given.recordings(model)
-        asked = dataclasses.replace(asked, key=jax.random.key(given.seed))
+        asked = dataclasses.replace(asked, key=given.key_of(asked))
         checked = check_answering(model, recordings, asked)
     document = check_document(checked, model.name, recordings)
     reporting.emit(document, as_json=given.as_json, out=None, show=print_check)

@@ -15,11 +15,13 @@ import click
 from click.core import ParameterSource
 
 from riecjax.findings import Finding
-from riecjax.settings import Contradiction, Elements, Option, Reading, Settings
+from riecjax.settings import Contradiction, Elements, Fit, Option, Reading, Settings
 from riecjax.standard_output import keep_for_answers
 from riecjax.whole_files import read_plain, seen_from
 
 if TYPE_CHECKING:
+    from jaxtyping import Array, Key
+
     from riecjax.equations.model import Model
     from riecjax.records.recording import Recording
 
@@ -113,6 +115,15 @@ class Given:
         if not self.allow_duplicates:
             refuse_duplicates(recordings)
         return recordings
+
+    def key_of(self, asked: Fit) -> 'Key[Array, ""] | None':
+        """The key of windows that are drawn at random; `None` where all are summed."""
+        if not isinstance(asked.windows, int):
+            return None
+        # To make one starts JAX, which takes a quarter of a second.
+        import jax
+
+        return jax.random.key(self.seed)
 
     def shown(self, folder: Path | None = None) -> dict[str, Any]:
         """All that is set, with defaults, by the keys of a job file and as one holds it.

@@ -27,8 +27,6 @@ def command(given: Given) -> None:
     asked = given.take(settings.Assess)
     start_jax(keep_compiled=True)
     changed = given.changed_files()
-    import jax
-
     from riecjax.assessment.assess import assess
     from riecjax.uncertainty.intervals import intervals_of
 
@@ -39,7 +37,7 @@ def command(given: Given) -> None:
         recordings = given.recordings(model)
         asked = dataclasses.replace(
             asked,
-            key=jax.random.key(given.seed),
+            key=given.key_of(asked),
             intervals=intervals_of(given.intervals, given.seed),
             validate_on=given.recordings(model, given.validate_on),
             on_estimate=progress.show_estimate,
@@ -56,6 +54,7 @@ def command(given: Given) -> None:
     answer.warnings += [read(WarningPart, finding._asdict()) for finding in changed]
     answer.job, files = given.made_from()
     answer.provenance.files = read(list[FilePart], files)
+    answer.provenance.seed = given.seed
     reporting.emit(
         answer,
         as_json=given.as_json,

@@ -33,9 +33,8 @@ import dataclasses
 import itertools
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -74,9 +73,9 @@ class Solved(NamedTuple):
     """Values of all parameters; energy left beyond noise over the target's, and that of noise;
     and which parameters are `free`."""
 
-    values: dict[str, float]
-    left: float
-    noise: float
+    values: dict[str, Any]
+    left: Any
+    noise: Any
     free: tuple[str, ...] = ()
 
 
@@ -129,10 +128,8 @@ class Search:
         if not np.isfinite(after.left):
             return None
         groups = np.array_split(self.blocks, min(int(self.estimate.block_count), GROUPS))
-        amounts = [
-            self.lowest(middle, np.setdiff1d(self.blocks, group), moved, (FINE, FINE))
-            for group in groups
-        ]
+        without = [np.setdiff1d(self.blocks, group) for group in groups]
+        amounts = self.lowest(middle, without, moved, (FINE, FINE))
         # The jackknife's standard error.
         error = self.unit * float(np.std(amounts) * np.sqrt(len(groups) - 1))
         reach = float(tails.student(level / 2, len(groups) - 1)) * error
@@ -145,63 +142,68 @@ class Search:
         what is found there."""
         moved = float("nan")
         for _ in range(STEPS):
-            moved = self.lowest(middle, self.blocks, 0.0, (1.0, 0.3, FINE))
+            moved = float(self.lowest(middle, [self.blocks], 0.0, (1.0, 0.3, FINE))[0])
             if not np.isfinite(moved) or abs(moved) <= 0.75:
                 break
             middle = round(np.clip(middle + moved, 1 - self.most, self.most - 1))
         moved = moved if abs(moved) <= 1 else float("nan")
         return middle, moved, self.solved(middle, moved)
 
-    def lowest(self, middle: int, blocks: Blocks, at: float, units: Sequence[float]) -> float:
-        """Where blocks leave least, in units from the middle amount, by parabolas so wide; NaN if
-        there is no minimum."""
-        three = self.around(middle, blocks)
+    def lowest(
+        self, middle: int, groups: Sequence[Blocks], start: float, units: Sequence[float]
+    ) -> Float[np.ndarray, " groups"]:
+        """Where each group of blocks leaves least, in units from the middle amount, by parabolas so
+        wide; NaN if there is no minimum."""
+        three, at = self.around(middle, groups), np.full(len(groups), start)
+        far = np.zeros(at.size, bool)
         for h in units:
-            beside = (weighed(three, parabola(at + k * h)) for k in (-1, 0, 1))
+            beside = (mixed(three, parabola(at + k * h)) for k in (-1, 0, 1))
             low, here, high = (self.solve(stages).left for stages in beside)
             bend = low - 2 * here + high
-            if not bend > 0:
-                return float("nan")
-            at = float(np.clip(at + h / 2 * (low - high) / bend, -self.most, self.most))
-            if abs(at) > 1.5:
-                break  # a parabola through the three reaches no further
+            moved = at + h / 2 * (low - high) / np.where(bend > 0, bend, np.nan)
+            at = np.where(far, at, np.clip(moved, -self.most, self.most))
+            far |= np.abs(at) > 1.5  # a parabola through the three reaches no further
         return at
 
     def over(self, count: int, groups: Sequence[Blocks]) -> Stages:
         """Sums over groups of blocks, one after the other, with so much undone."""
-        return [
-            stage.in_blocks(lambda values: np.stack([values[group].sum(0) for group in groups]))
-            for stage in self.sums(count)
-        ]
+        stages = self.sums(count)
+        member = np.zeros((len(groups), stages[0].count.size))
+        for row, group in zip(member, groups):
+            row[group] = 1.0
+        return [stage.in_blocks(lambda v: np.tensordot(member, v, 1)) for stage in stages]
 
-    def around(self, middle: int, blocks: Blocks) -> list[Stages]:
-        """The same of one group at an amount and one unit to either side of it."""
-        return [self.over(middle + k, [blocks]) for k in (-1, 0, 1)]
+    def around(self, middle: int, groups: Sequence[Blocks]) -> list[Stages]:
+        """The same at an amount and one unit to either side of it."""
+        return [self.over(middle + k, groups) for k in (-1, 0, 1)]
 
     def solved(self, middle: int, at: float) -> Solved:
         """Values and what is left over all blocks, as energy that is not below zero."""
-        solved = self.solve(weighed(self.around(middle, self.blocks), parabola(at)))
+        solved = self.solve(weighed(self.around(middle, [self.blocks]), parabola(at)))
         return solved._replace(left=float(np.maximum(solved.left, 0.0)), noise=max(solved.noise, 0))
 
     def solve(self, stages: Stages) -> Solved:
-        """Values of all stages in turn, and what those that the fault reaches leave, as energy."""
+        """Values of all stages in turn, and what those that the fault reaches leave, as energy; of
+        each of some groups of blocks, if sums are of several."""
         known = self.estimate.known
-        values, left, noise = {n: float(v) for n, v in known.items()}, 0.0, 0.0
+        values: dict[str, Any] = {n: float(v) for n, v in known.items()}
+        left, noise = np.zeros(np.shape(stages[0].count)), np.zeros(np.shape(stages[0].count))
         for i, stage in enumerate(stages):
             equations = stage.fix(values)
             clean = np.asarray(equations.clean)
-            if not np.isfinite(clean).all():
-                return Solved(values, float("nan"), 0.0)
-            scaled, scale = unit_diagonal(clean)
-            theta = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-12)[0]
-            theta = theta * scale[1:] / scale[0]
-            values |= dict(zip(equations.parameters, theta.tolist()))
+            finite = np.all(np.isfinite(clean), axis=(-2, -1), keepdims=True)[..., 0]
+            scaled, scale = unit_diagonal(np.where(finite[..., None], clean, 0.0))
+            inverse = np.linalg.pinv(scaled[..., 1:, 1:], 1e-12)
+            theta = np.einsum("...ij,...j->...i", inverse, scaled[..., 1:, 0])
+            theta = np.where(finite, theta * scale[..., 1:] / scale[..., :1], np.nan)
+            values |= dict(zip(equations.parameters, np.moveaxis(theta, -1, 0)))
             if i in self.reading and equations.parameters:
-                row = np.array([1.0, *-theta])
-                target = float(equations.energy) or 1.0
-                left += float(row @ clean @ row) / target
+                row = np.concatenate([np.ones(finite.shape), -theta], axis=-1)
+                target = np.where(equations.energy, equations.energy, 1.0)
+                left = left + np.einsum("...i,...ij,...j->...", row, clean, row) / target
                 if equations.noise is not None:
-                    noise += float(row @ equations.noise @ row) / target
+                    of_noise = np.einsum("...i,...ij,...j->...", row, equations.noise, row)
+                    noise = noise + np.where(finite[..., 0], of_noise / target, 0.0)
         return Solved(values, left, noise, tuple(n for n in values if n not in known))
 
     def energy(self, stages: Stages, values: Mapping[str, float]) -> Float[np.ndarray, " groups"]:
@@ -220,8 +222,27 @@ def parabola(at: float | np.ndarray) -> Float[np.ndarray, "3 *at"]:
 def weighed(sums: Sequence[Stages], weights: Float[np.ndarray, "amounts *groups"]) -> Stages:
     """The sum over amounts and groups of blocks, each of which counts so much."""
     weights = weights.reshape(len(sums), -1)
+    return _combined(sums, lambda values: np.tensordot(weights, values, 2))
+
+
+def mixed(sums: Sequence[Stages], weights: Float[np.ndarray, "amounts groups"]) -> Stages:
+    """The sum over amounts, of each group of blocks by itself."""
+    return _combined(sums, lambda values: np.einsum("ag,ag...->g...", weights, values))
+
+
+def _combined(sums: Sequence[Stages], how: Callable[[np.ndarray], np.ndarray]) -> Stages:
+    """Of each stage what is made of its sums with every amount, which are stacked for that."""
+
+    def made(of: Sequence[Any]) -> Any:
+        return None if of[0] is None else how(np.stack([np.asarray(each) for each in of]))
+
     return [
-        jax.tree.map(lambda *values: np.tensordot(weights, np.stack(values), 2), *stages)
+        NormalEquations(
+            made([each.moments for each in stages]),
+            made([each.count for each in stages]),
+            stages[0].parameters,
+            made([each.noise for each in stages]),
+        )
         for stages in zip(*sums)
     ]
 

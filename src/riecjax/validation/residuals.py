@@ -299,16 +299,11 @@ class ErrorSpectrum(NamedTuple):
         if self.segments < FEWEST_SEGMENTS or not np.any(self.error > 0):
             return None
         smooth = np.convolve(np.pad(self.error, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-        level = np.log(np.maximum(smooth, np.finfo(float).tiny))
-        tops, _ = scipy.signal.find_peaks(level, prominence=np.log(PROMINENCE))
-        # As prominence the whole height, so that half the prominence is half the power.
-        whole_height = smooth[tops], 0 * tops, 0 * tops + smooth.size - 1
-        _, _, *edges = scipy.signal.peak_widths(smooth, tops, prominence_data=whole_height)
         # The mean is no oscillation, so it does not count.
         total = np.sum(self.error, where=(self.frequency > 0) & (self.frequency <= self.band))
         whole, genuine = np.sum(self.target), []
-        for top, *ends in zip(tops.tolist(), *edges):
-            low, high = (float(end) * self.resolution for end in ends)
+        for top, *ends in peaks(np.maximum(smooth, np.finfo(float).tiny), PROMINENCE):
+            low, high = (end * self.resolution for end in ends)
             inside = (self.frequency >= low) & (self.frequency <= high)
             power = np.sum(self.error, where=inside)
             of_band, size = float(share_of(power, total)), float(np.sqrt(share_of(power, whole)))
@@ -317,6 +312,30 @@ class ErrorSpectrum(NamedTuple):
             if narrow and peak.share >= PEAK_SHARE:
                 genuine.append(peak)
         return max(genuine, key=lambda peak: peak.share, default=None)
+
+
+def peaks(density: Float[np.ndarray, " n"], factor: float) -> Iterator[tuple[int, float, float]]:
+    """Highest places that are so many times what lies around them, and where half of each is
+    reached to its left and right, in places.
+
+    What lies around a peak is the higher one of the lowest values to either side, as far as it is
+    the highest itself.
+    """
+    left, inner, right = density[:-2], density[1:-1], density[2:]
+    for top in (1 + np.flatnonzero((inner > left) & (inner >= right))).tolist():
+        height, sides = density[top], (density[top::-1], density[top:])
+        lowest, ends = [], []
+        for side in sides:
+            higher = np.flatnonzero(side > height)
+            lowest.append(np.min(side[: higher[0] if higher.size else side.size]))
+            below = np.flatnonzero(side < height / 2)
+            end = float(side.size - 1)
+            if below.size:
+                inside, outside = side[below[0] - 1], side[below[0]]
+                end = below[0] - (height / 2 - outside) / (inside - outside)
+            ends.append(end)
+        if height >= factor * max(lowest):
+            yield top, top - ends[0], top + ends[1]
 
 
 def error_spectrum(
@@ -336,20 +355,26 @@ def error_spectrum(
         running = np.cumsum(longest_first)
         typical = int(longest_first[np.searchsorted(running, running[-1] / 2)])
         length = max(min(max(int(running[-1]) // parts, SHORTEST_SEGMENT), typical), 2)
-    # Of error, explained part and target with themselves, and of the target with what is explained.
-    one = np.stack([error.error, error.explained, error.target, error.target])
-    other = np.stack([error.error, error.explained, error.target, error.explained])
-    sums = np.zeros((len(one), length // 2 + 1))
-    rate, count = 1 / float(error.time_step), 0
-    how: Any = {"nperseg": length, "detrend": "constant" if detrend else False}
+    series = np.stack([error.error, error.explained, error.target])
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    sums, count = np.zeros((len(ErrorSpectrum._fields) - 2, length // 2 + 1)), 0
     for run in runs:
-        # A longer run of segments counts for more, as in one mean over all of them.
-        segments = max((run.stop - run.start - length) // (length - length // 2) + 1, 0)
-        count += segments
-        if segments:
-            _, density = scipy.signal.csd(one[:, run], other[:, run], rate, **how)
-            sums += segments * np.real(density)
-    return ErrorSpectrum(np.fft.rfftfreq(length, 1 / rate), *(sums / max(count, 1)), segments=count)
+        if run.stop - run.start < length:
+            continue
+        segments = np.lib.stride_tricks.sliding_window_view(series[:, run], length, axis=1)
+        segments = segments[:, :: length - length // 2]
+        if detrend:
+            segments = segments - np.mean(segments, axis=2, keepdims=True)
+        count += segments.shape[1]
+        left, explained, target = np.fft.rfft(segments * window, axis=2)
+        # Of each with itself, and of the target with what is explained.
+        pairs = (left, left), (explained, explained), (target, target), (target, explained)
+        sums += [np.sum(a.real * b.real + a.imag * b.imag, axis=0) for a, b in pairs]
+    step = float(error.time_step)
+    # One-sided: all but the mean, and half the rate itself, stand for two frequencies.
+    sums[:, 1 : (length + 1) // 2] *= 2
+    densities = sums * step / np.sum(window**2) / max(count, 1)
+    return ErrorSpectrum(np.fft.rfftfreq(length, step), *densities, segments=count)
 
 
 # Why eq. (18) allows ordinary least squares. With n windows the errors' covariance is
@@ -616,7 +641,9 @@ def _regressors(
         x = _each(records, motion.position)
     else:
         ways = [np.cumsum(pieces_of_way(motion.velocity, record)) for record in records]
-        x = [scipy.signal.detrend(np.concatenate([[0.0], way])) for way in ways]
+        ways = [np.concatenate([[0.0], way]) for way in ways]
+        places = [np.arange(way.size) for way in ways]
+        x = [w - np.polyval(np.polyfit(at, w, 1), at) for w, at in zip(ways, places)]
     for signals in (v, x):
         every = np.concatenate(signals)
         knots = np.linspace(every.min(), every.max(), KNOTS)

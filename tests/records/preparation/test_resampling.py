@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 import scipy.interpolate
+import scipy.signal
 
 import riecjax as rx
-from riecjax.records.preparation.resampling import on_grid, upsample
+from riecjax.records.preparation.resampling import (
+    ANTI_ALIAS,
+    INTERPOLATION,
+    TRANSITION,
+    on_grid,
+    response,
+    upsample,
+)
 
 UP_REACH = 44
 """Samples of the slower rate that are lost, as the docstrings say."""
@@ -18,6 +26,18 @@ def wave(time, share: float, rate: float = 1.0, phase: float = 0.4) -> np.ndarra
 
 def waves(count: int, share: float, phase: float = 0.4) -> rx.Record:
     return rx.Record({"a": rx.Signal(wave(np.arange(count), share, 1.0, phase), unit="m")}, 1.0)
+
+
+@pytest.mark.parametrize(("spacing", "of"), [(1.0, INTERPOLATION), (3.0, ANTI_ALIAS)])
+def test_windows_are_of_the_order_and_shape_that_scipy_gives_for_their_attenuation(spacing, of):
+    cutoff, attenuation = of
+    taps, shape = scipy.signal.kaiserord(attenuation, TRANSITION)
+    reach = 0.5 * taps * spacing
+    offsets = np.arange(-np.ceil(reach), np.ceil(reach) + 1)
+    inside = np.abs(offsets) < reach
+    window = np.i0(shape * np.sqrt(np.where(inside, 1 - (offsets / reach) ** 2, 0.0))) * inside
+    weights = np.sinc(cutoff / spacing * offsets) * window
+    np.testing.assert_allclose(response(offsets, spacing), weights / weights.sum(), atol=1e-14)
 
 
 @pytest.mark.parametrize("factor", [2, 7, 8])

@@ -43,7 +43,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Bool, Complex, Float, Int
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding, line_taken_off, option_for
@@ -54,7 +54,6 @@ from riecjax.records.preparation.filtering import with_local_derivative
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.reading.units import readings
 from riecjax.records.record import Record, run_lengths, runs
-from riecjax.records.remembered import remembered
 from riecjax.records.signal import Noise, Samples, Taps, noise_level
 from riecjax.records.time_base import PPM, SHORTEST_PAUSE
 
@@ -140,6 +139,8 @@ class _Bins(NamedTuple):
     lowest: Bool[np.ndarray, " bins"]
     shared: float
     """Times by which variances grow as tapers tie neighbouring bins together."""
+    near: Int[np.ndarray, "2 bins"]
+    """First and last neighbour over which each frequency is smoothed."""
 
 
 def fit_pair(
@@ -158,8 +159,7 @@ def fit_pair(
     """
     if not pieces:
         return None
-    levels, rough = _levels(pieces)
-    levels = levels if known is None else known.levels
+    levels, rough = _levels(pieces) if known is None else (known.levels, known.levels)
     even = Left(rough, np.array([0.0, np.pi]), np.ones(2))
     whole, fit = 0, None
     theta = np.array([0.0, 1.0, 0.0, 0.0] if start is None else start[:4])
@@ -167,21 +167,25 @@ def fit_pair(
         # From the peak of the longest piece's correlation; 0 where the correlation there is near
         # the peak: what is so near needs no start nearer.
         longest = max(pieces, key=lambda p: p.x.size)
-        size, bins = longest.x.size, _bins([longest], 0.0, longest.x.size, rough)
+        size = longest.x.size
+        bins = _Steady.of([longest], size).bins(0.0, rough)
         correlation = np.fft.irfft(np.append(bins.rate * bins.motion.conj() / bins.noise, 0.0))
         lags = np.arange(-(size // 8), size // 8 + 1)
         penalised = correlation[lags] * (1 - np.abs(lags) / size)
         if penalised[size // 8] <= NEAR * np.max(penalised):
             whole = int(lags[np.argmax(penalised)])
+    steady, at = None, 0
     for iteration in range(steps):
         first = start is None and known is None and iteration < ROUGH_ITERATIONS
         if abs(theta[0]) > 1 and not lagged:
             whole, theta[0] = whole + round(theta[0]), theta[0] - round(theta[0])
-        moved = [p for p in (_shifted(p, whole) for p in pieces) if p.x.size >= SHORTEST_PIECE]
-        if not moved:
-            return None
+        if steady is None or at != whole:
+            moved = [p for p in (_shifted(p, whole) for p in pieces) if p.x.size >= SHORTEST_PIECE]
+            if not moved:
+                return None
+            steady, at = _Steady.of(moved, count), whole
         expected, noise = (even, rough) if first else (known, levels)
-        bins = _bins(moved, 0.0 if lagged else theta[0], count, noise)
+        bins = steady.bins(0.0 if lagged else theta[0], noise)
         fit = _step(bins, theta, lagged, expected, noise)
         if fit is None:
             return None
@@ -212,20 +216,22 @@ def _step(
     elif lagged:
         motion = motion + theta[0] * slope
     error = rate - theta[1] * motion - zero @ theta[2:]
-    left = np.abs(error) ** 2 / bins.noise
+    left = _power(error) / bins.noise
     smoothed = (
-        _smoothed(bins.omega, left)
+        _smoothed(bins.near, left)
         if known is None
         else np.interp(bins.omega, known.omega, known.smoothed)
     )
-    smoothed = np.maximum(smoothed, 1e-26 * np.max(np.abs(rate) ** 2 / bins.noise))
-    power = _smoothed(bins.omega, np.abs(motion) ** 2 / bins.noise)
+    smoothed = np.maximum(smoothed, 1e-26 * np.max(_power(rate) / bins.noise))
+    power = _smoothed(bins.near, _power(motion) / bins.noise)
     counted = (power > CARRIED * smoothed) | bins.lowest
     # Real and imaginary part have half the power each; at frequency zero all of it is real.
     weight = np.where(counted, np.where(bins.omega > 0, 2, 1) / (smoothed * bins.noise), 0.0)
-    columns = np.column_stack([theta[1] * slope, motion, zero])[counted]
-    weighted = columns.conj().T * weight[counted]
-    normal, right = np.real(weighted @ columns), np.real(weighted @ error[counted])
+    rows = np.array([theta[1] * slope, motion, *zero.T, error])[:, counted]
+    # The real part of what conjugates make is that of real and imaginary parts by themselves.
+    rows = np.concatenate([np.real(rows), np.imag(rows)], axis=1)
+    products = (rows * np.tile(weight[counted], 2)) @ rows.T
+    normal, right = products[:-1, :-1], products[:-1, -1]
     # Of a signal without noise the level expected is that of its own curvature.
     of_noise = float(weight @ np.minimum(bins.noise_of_motion, smoothed * bins.noise))
     scale = np.sqrt(np.diag(normal))
@@ -248,6 +254,10 @@ def _step(
     return PairFit(delay, gain, offset, drift, errors, after, counted, lagged)
 
 
+def _power(values: Complex[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:
+    return np.real(values) ** 2 + np.imag(values) ** 2
+
+
 def _shifted(piece: Piece, whole: int) -> Piece:
     """The same with v so many samples earlier."""
     first, size = max(whole, 0), max(piece.x.size - abs(whole), 0)
@@ -255,61 +265,104 @@ def _shifted(piece: Piece, whole: int) -> Piece:
     return Piece(piece.start + first, x, piece.v[first:][:size], u)
 
 
+RISE = np.polynomial.Polynomial([0, 1, -1]) ** 3
+RISE /= RISE.integ()(1)
+"""The slope of a step from 0 to 1, which is smooth at both ends."""
+
+
 def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
     """A taper `shift` samples on, its slope and its curvature: a step of degree 7 at either end."""
     edge = min(max(n // 8, 16), EDGE)
     at, last = np.arange(n) + shift - MARGIN, n - 1 - 2 * MARGIN
-    u = np.clip(np.minimum(at, last - at) / edge, 0, 1)
-    side = np.where(2 * at < last, 1, -1) / edge
-    slope = np.polynomial.Polynomial([0, 1, -1]) ** 3
-    slope /= slope.integ()(1)
-    return np.array([slope.integ()(u), slope(u) * side, slope.deriv()(u) * side**2])
+    near = np.minimum(at, last - at)
+    taper = np.zeros((3, n))
+    taper[0, near >= edge] = 1.0
+    rising = np.flatnonzero((near > 0) & (near < edge))
+    u, side = near[rising] / edge, np.where(2 * at[rising] < last, 1, -1) / edge
+    taper[:, rising] = RISE.integ()(u), RISE(u) * side, RISE.deriv()(u) * side**2
+    return taper
 
 
-def _bins(pieces: Sequence[Piece], delay: float, count: int, levels: np.ndarray) -> _Bins:
-    parts = []
-    tapers = []
-    for start, x, v, u in pieces:
-        size = int(scipy.fft.next_fast_len(x.size, real=True) or x.size)
-        omega = 2 * np.pi * np.arange(size // 2) / size
-        (w, slope, _), course = _taper(x.size, 0.0), (start + np.arange(x.size)) / count - 0.5
-        moved = _taper(x.size, delay)
-        columns = np.array([*moved * x, *moved[:2] * u, w * v, slope * v, w, w * course])
-        transforms = np.asarray(scipy.fft.rfft(columns, size))[:, : size // 2]
-        whole, sloping, curved, known, knowing, rate, falling, zero, first = transforms
-        turned, i_omega = np.exp(-1j * omega * delay), 1j * omega
-        turning = i_omega * (i_omega * whole - 2 * sloping) + (i_omega * known - knowing)
-        energy = np.sum(w**2)
-        noise = levels[0] ** 2 * (omega**2 * energy + np.sum(slope**2)) + levels[2] ** 2 * energy
-        parts.append(
-            (
-                omega,
-                turned * (i_omega * whole - sloping + known),
-                -turned * (turning + curved),
-                rate,
-                i_omega * rate - falling,
-                np.transpose([zero, first]),
-                noise + (levels[1] ** 2 + 1e-30) * energy,
-                noise,
-                np.full(omega.size, energy),
-                np.arange(omega.size) < LOWEST_BINS,
-            )
-        )
-        tapers.append((size, energy, np.sum(w**4)))
-    joined = [np.concatenate(columns) for columns in zip(*parts)]
-    order = np.argsort(joined[0], kind="stable")
-    total, squares, fourth = map(sum, zip(*tapers))
-    return _Bins._make([*(c[order] for c in joined), float(total * fourth / squares**2)])
+class _Steady(NamedTuple):
+    """What no delay changes of the transforms of pieces, by ascending frequency.
+
+    **Fields:** those of `_Bins` by their names; `sloped`, what a taper's slope adds to its `energy`
+    at each frequency; `order`, frequencies of all pieces one after the other, sorted; and `near`,
+    the first and last neighbour over which each is smoothed.
+    """
+
+    pieces: Sequence[Piece]
+    sizes: list[int]
+    omega: Float[np.ndarray, " bins"]
+    rate: Complex[np.ndarray, " bins"]
+    second: Complex[np.ndarray, " bins"]
+    zero: Complex[np.ndarray, "bins 2"]
+    energy: Float[np.ndarray, " bins"]
+    sloped: Float[np.ndarray, " bins"]
+    lowest: Bool[np.ndarray, " bins"]
+    shared: float
+    order: Int[np.ndarray, " bins"]
+    near: Int[np.ndarray, "2 bins"]
+
+    @classmethod
+    def of(cls, pieces: Sequence[Piece], count: int) -> "_Steady":
+        """Of pieces of a record of so many samples."""
+        parts, tapers, sizes = [], [], []
+        for start, x, v, _ in pieces:
+            size = int(scipy.fft.next_fast_len(x.size, real=True) or x.size)
+            omega = 2 * np.pi * np.arange(size // 2) / size
+            (w, slope, _), course = _taper(x.size, 0.0), (start + np.arange(x.size)) / count - 0.5
+            columns = np.array([w * v, slope * v, w, w * course])
+            rate, falling, zero, first = np.fft.rfft(columns, size)[:, : size // 2]
+            energy, ones = np.sum(w**2), np.ones(omega.size)
+            lowest = np.arange(omega.size) < LOWEST_BINS
+            second, zeros = 1j * omega * rate - falling, np.transpose([zero, first])
+            sloped = np.sum(slope**2) * ones
+            parts.append((omega, rate, second, zeros, energy * ones, sloped, lowest))
+            tapers.append((size, energy, np.sum(w**4)))
+            sizes.append(size)
+        joined = [np.concatenate(columns) for columns in zip(*parts)]
+        order = np.argsort(joined[0], kind="stable")
+        total, squares, fourth = map(sum, zip(*tapers))
+        sorted_columns = [column[order] for column in joined]
+        near = _neighbours(sorted_columns[0])
+        shared = float(total * fourth / squares**2)
+        return cls._make([pieces, sizes, *sorted_columns, shared, order, near])
+
+    def bins(self, delay: float, levels: np.ndarray) -> _Bins:
+        """The transforms with v so late, and noise of these levels."""
+        parts = []
+        for (_, x, _, u), size in zip(self.pieces, self.sizes):
+            moved = _taper(x.size, delay)
+            known = moved[:2] * u if u.any() else np.zeros((0, x.size))
+            transforms = np.fft.rfft(np.concatenate([moved * x, known]), size)[:, : size // 2]
+            omega = 2 * np.pi * np.arange(size // 2) / size
+            turned, i_omega = np.exp(-1j * omega * delay), 1j * omega
+            (whole, sloping, curved), known = np.split(transforms, [len(moved)])
+            motion = i_omega * whole - sloping
+            turning = i_omega * (motion - sloping) + curved
+            if len(known):
+                motion, turning = motion + known[0], turning + i_omega * known[0] - known[1]
+            parts.append((turned * motion, -turned * turning))
+        motion, slope = (np.concatenate(columns)[self.order] for columns in zip(*parts))
+        of_motion = levels[0] ** 2 * (self.omega**2 * self.energy + self.sloped)
+        of_motion += levels[2] ** 2 * self.energy
+        noise = of_motion + (levels[1] ** 2 + 1e-30) * self.energy
+        steady = self.rate, self.second, self.zero, noise, of_motion, self.energy, self.lowest
+        return _Bins(self.omega, motion, slope, *steady, self.shared, self.near)
 
 
-def _smoothed(omega: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Mean over neighbours in frequency."""
+def _neighbours(omega: np.ndarray) -> Int[np.ndarray, "2 bins"]:
+    """The neighbours of each of ascending frequencies over which it is smoothed."""
     at = np.arange(omega.size)
     low = np.minimum(np.searchsorted(omega, omega / RATIO), at - NEIGHBOURS).clip(0)
-    high = np.maximum(np.searchsorted(omega, omega * RATIO), at + NEIGHBOURS + 1).clip(
-        max=omega.size
-    )
-    sums = np.concatenate([[0.0], np.cumsum(power)])
+    high = np.maximum(np.searchsorted(omega, omega * RATIO), at + NEIGHBOURS + 1)
+    return np.array([low, high.clip(max=omega.size)])
+
+
+def _smoothed(near: Int[np.ndarray, "2 bins"], power: np.ndarray) -> np.ndarray:
+    """Mean over neighbours in frequency."""
+    sums, (low, high) = np.concatenate([[0.0], np.cumsum(power)]), near
     return (sums[high] - sums[low]) / (high - low)
 
 
@@ -664,7 +717,6 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     return _compared(relation, columns, np.asarray(record.elapsed), float(record.time_step))
 
 
-@remembered
 @np.errstate(all="ignore")
 def _compared(
     relation: Relation, columns: dict[str, Samples], time: Samples, step: float
@@ -749,7 +801,7 @@ def _held(
     pieces = list(_pieces(columns, 0, count, breaks, MOST_SAMPLES // (1 + several)))
     if several and pieces:
         # Size of v over that of what it should be, with its sign, to begin with; 1 unless far off.
-        bins = _bins(pieces, 0.0, pieces[0].x.size, _levels(pieces)[1])
+        bins = _Steady.of(pieces, pieces[0].x.size).bins(0.0, _levels(pieces)[1])
         weight = np.where(bins.lowest, 0.0, 1 / bins.noise_of_motion)
         both = float(np.real(weight @ (bins.rate * bins.motion.conj())))
         motion, rate = (float(weight @ np.abs(one) ** 2) for one in (bins.motion, bins.rate))
@@ -956,7 +1008,6 @@ def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
 
 
 # Values too large to be squared are for the fit to refuse.
-@remembered
 @np.errstate(over="ignore", invalid="ignore")
 def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> tuple[float, float] | None:
     """The highest correlation of increments with integrals of their rates over any lag, and there

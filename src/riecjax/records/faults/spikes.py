@@ -18,6 +18,7 @@ samples before and behind each spike of every other signal, straight ones and pa
 levels or slopes part further than they do elsewhere, the spike acted.
 """
 
+import functools
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -39,7 +40,6 @@ from riecjax.records.faults.sampled_signal import (
 )
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record, run_lengths
-from riecjax.records.remembered import remembered
 from riecjax.records.signal import DIFFERENCE_ORDER, GAIN, NORMAL, Samples
 from riecjax.records.time_base import SHORTEST_PAUSE
 
@@ -58,6 +58,8 @@ AT_ONCE = 256
 are large enough that NumPy starts threads, which costs more than it gains."""
 ROUNDS, FIRST = 8, 3
 """Times that weights are found anew, the first of them for the least sum of absolute values."""
+NEARBY = 2.0
+"""Standard deviations off the first of these fits past which the others are made."""
 RIDGE = 1e-9
 """What keeps a fit through fewer samples than coefficients from a division by zero."""
 SPIKE = 6.0
@@ -136,7 +138,6 @@ class Spikes(NamedTuple):
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
-@remembered
 @np.errstate(all="ignore")
 def find_spikes(values: Samples) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
@@ -185,14 +186,19 @@ def _judged(
         usual = np.median(around[around > 0]) if np.any(around > 0) else 0.0
         around = np.maximum(np.where(np.isnan(around), usual, around), STEADIEST * usual)
         noise = np.maximum(around, quantum)
+        # Motion that no polynomial follows: what a fifth reaches nearby, in differences and off the
+        # polynomials, which 5 % of spikes hardly raise.
+        bends = _by_block(sixth, TAIL_BLOCK, sixth.size, _fifth)
+        followed = local.gain * _by_block(local.off(cleaned), TAIL_BLOCK, scaled.size, _fifth)
         large = np.zeros(scaled.size, bool)
-        large[half:-half] = sixth > SUSPECT * noise[half:-half]
+        large[half:-half] = sixth > np.maximum(SUSPECT * noise[half:-half], 2 * bends)
         of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
         pairs = of_two > LARGE * noise[half : -half - 1]
         if pairs.any() and np.median(noise) > local.error(cleaned) / 2:
             large[half : -half - 1] |= pairs
         # The first and last three samples stand in the middle of no difference.
         near = np.convolve(large, np.ones(DIFFERENCE_ORDER + 1), "same") > 0
+        near &= local.stands_out(cleaned)
         suspects = np.flatnonzero((near | ends) & ~np.isnan(cleaned) & (sizes == 0))
         if not 0 < suspects.size <= MOST_SUSPECTS * scaled.size:
             break
@@ -205,14 +211,17 @@ def _judged(
         off = np.abs(scaled[suspects] - fit)
         # A spike spoils the polynomials of its neighbours: the largest first.
         largest = np.zeros(scaled.size + 2 * BESIDE)
-        largest[suspects + BESIDE] = np.where(off > SPIKE * scale, off, 0.0)
+        beyond = off > np.maximum(SPIKE * scale, USUAL_TAIL * followed[suspects])
+        largest[suspects + BESIDE] = np.where(beyond, off, 0.0)
         nearby = np.lib.stride_tricks.sliding_window_view(largest, 2 * BESIDE + 1).max(axis=1)
-        new = (off > SPIKE * scale) & (off >= nearby[suspects])
+        new = beyond & (off >= nearby[suspects])
         if not new.any():
             break
         sizes[suspects[new]], cleaned[suspects[new]] = (off / scale)[new], fit[new]
         reach = np.arange(-BESIDE - LONGEST, BESIDE + LONGEST + 1)
         kept[0, np.clip(suspects[new][:, None] + reach, 0, scaled.size - 1)] = np.nan
+    if not sizes.any():
+        return sizes > 0, noise
     spikes = (sizes > 0) & (run_lengths(sizes > 0) <= LONGEST)
     off = sizes
     for _ in range(2):  # what is dropped tells more of those beside it
@@ -247,9 +256,13 @@ def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
     ) / 2
 
 
-def _tail(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
-    """Of each row what few of it reach."""
-    return np.sort(np.nan_to_num(rows), axis=1)[:, -1 - int(FEW * rows.shape[1])]
+def _tail(rows: Float[np.ndarray, "rows n"], share: float = FEW) -> Float[np.ndarray, " rows"]:
+    """Of each row what such a share of it reaches."""
+    place = rows.shape[1] - 1 - int(share * rows.shape[1])
+    return np.partition(np.nan_to_num(rows), place, axis=1)[:, place]
+
+
+_fifth = functools.partial(_tail, share=0.2)
 
 
 def _by_block(
@@ -281,15 +294,25 @@ def _threshold(rest: Samples, sizes: Float[np.ndarray, " k"], noise: Samples) ->
 
 
 class Local(NamedTuple):
-    """Polynomials of one degree over the samples of a window, by orthonormal `columns`."""
+    """Polynomials of one degree over the samples of a window, by orthonormal `columns`; `taps` of
+    what those through the other samples, and through all past one or two neighbours, are off the
+    one in the middle."""
 
     columns: Float[np.ndarray, "samples coefficients"]
+    taps: Float[np.ndarray, "3 samples"]
 
     @classmethod
+    @functools.cache
     def of(cls, degree: int) -> "Local":
         """Of a degree, over `BESIDE` samples to each side."""
-        places = np.arange(-BESIDE, BESIDE + 1)[:, None] / BESIDE
-        return cls(np.linalg.qr(places ** np.arange(degree + 1))[0])
+        places = np.arange(-BESIDE, BESIDE + 1)
+        columns = np.linalg.qr((places[:, None] / BESIDE) ** np.arange(degree + 1))[0]
+        taps = np.zeros((LONGEST, places.size))
+        for beside, row in enumerate(taps):
+            others = np.abs(places) > beside
+            row[others] = columns[BESIDE] @ np.linalg.pinv(columns[others])
+            row[BESIDE] = -1.0
+        return cls(columns, taps)
 
     def off(self, values: Samples) -> Samples:
         """How far each sample is off the one through all, over its gain for white noise.
@@ -300,6 +323,19 @@ class Local(NamedTuple):
         taps[BESIDE] -= 1
         off = np.abs(np.convolve(values, taps[::-1], "valid")) / np.linalg.norm(taps)
         return np.pad(np.nan_to_num(off), BESIDE)
+
+    def stands_out(self, values: Samples) -> Bool[np.ndarray, " n"]:
+        """Whether samples are off the one through the others, or through those past one or two
+        neighbours, by twice what a fifth of all nearby are; and where none goes through all.
+
+        A spike of up to three samples is, if no other is near.
+        """
+        found = np.zeros(values.size, bool)
+        for taps in self.taps:
+            off = np.abs(np.convolve(values, taps[::-1], "valid"))
+            off = np.pad(off, BESIDE, constant_values=np.nan)
+            found |= ~(off <= 2 * _by_block(off, TAIL_BLOCK, off.size, _fifth))
+        return found
 
     @property
     def gain(self) -> float:
@@ -326,6 +362,8 @@ def fits(
     **Returns:** its value; the standard deviation off it; by how much a spike stands clear of all
     others; and what noise must be below so as not to matter to it.
     """
+    if not places.size:
+        return np.zeros((4, 0))
     # The median of the seven samples around each that is near, which no spike of up to three moves.
     near = places[:, None] + np.arange(-BESIDE, BESIDE + 1)
     used = np.unique(near.clip(0, values.size - 1))
@@ -347,19 +385,32 @@ def fits(
         off = np.where(there, np.abs(window - median[inside]), np.nan)
         spread = medians(off) / NORMAL
         start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
-        weight, grams, fitted, scale = start, *(np.zeros(0) for _ in range(3))
+        weight, looked = start.astype(float), np.arange(some.size)
+        grams, fitted = np.zeros((some.size, count, count)), np.zeros((some.size, count))
+        scale = least.copy()
         for i in range(ROUNDS):
-            grams = (weight @ products).reshape(-1, count, count) + RIDGE * np.eye(count)
-            fitted = np.linalg.solve(grams, (weight * window @ local.columns)[..., None])[..., 0]
-            off = np.where(there, np.abs(window - fitted @ local.columns.T), np.nan)
-            own = medians(off) / NORMAL
-            scale, spread = np.fmax(least, own), np.fmin(spread, own)
-            share = np.nan_to_num(off) / scale[:, None]
+            if i == FIRST:
+                # No further round takes a polynomial this near away from a sample.
+                far = ~(np.abs(values[some] - fitted @ middle) < NEARBY * scale)
+                looked = np.flatnonzero(far)
+                if not looked.size:
+                    break
+            weights, samples, present = weight[looked], window[looked], there[looked]
+            gram = (weights @ products).reshape(-1, count, count) + RIDGE * np.eye(count)
+            fit = np.linalg.solve(gram, (weights * samples @ local.columns)[..., None])[..., 0]
+            rest = np.where(present, np.abs(samples - fit @ local.columns.T), np.nan)
+            own = medians(rest) / NORMAL
+            grams[looked], fitted[looked], off[looked] = gram, fit, rest
+            scale[looked], spread[looked] = (
+                np.fmax(least[looked], own),
+                np.fmin(spread[looked], own),
+            )
+            share = np.nan_to_num(rest) / scale[looked, None]
             # Absolute values first, whose least sum is one: weights then do not settle elsewhere.
-            weight = (
-                start / np.maximum(share, 1.0)
+            weight[looked] = (
+                start[looked] / np.maximum(share, 1.0)
                 if i < FIRST
-                else there * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
+                else present * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
             )
         enough = np.sum(weight > 0, axis=1) > count
         reach = np.linalg.solve(grams, middle) @ middle

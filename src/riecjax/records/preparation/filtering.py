@@ -226,8 +226,9 @@ def _widest(record: Record, signal: str, step: float) -> int:
     kernels = record.noise.kernels[signal].values()
     noise = sum((np.abs(_response(k, size)) ** 2 for k in kernels), np.zeros(size // 2 + 1))
     # Mean square of the motion at each frequency, up to the last that stands out of the noise.
-    window = blackman_harris(size)
-    density = np.abs(np.fft.rfft(window * scipy.signal.detrend(samples))) ** 2 / np.sum(window**2)
+    window, place = blackman_harris(size), np.arange(size)
+    samples = samples - np.polyval(np.polyfit(place, samples, 1), place)
+    density = np.abs(np.fft.rfft(window * samples)) ** 2 / np.sum(window**2)
     around = np.ones(min(SMOOTHED, max(density.size // 8, 1)))
     summed = (density, noise, np.ones(density.size))
     near, usual, number = (np.convolve(each, around, "same") for each in summed)

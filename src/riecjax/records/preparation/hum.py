@@ -125,7 +125,9 @@ def spectrum_of(values: np.ndarray, time_step: float) -> Spectrum | None:
     rows = rows - np.mean(rows, axis=1, keepdims=True)
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
     power = np.mean(np.abs(np.fft.rfft(rows * window, axis=1)) ** 2, axis=0) * (4 / length) ** 2
-    usual = scipy.ndimage.median_filter(power, 2 * AROUND + 1, mode="nearest")
+    around = np.pad(power, AROUND, mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(around, 2 * AROUND + 1)
+    usual = np.partition(around, AROUND, axis=1)[:, AROUND]
     ratio = power / np.maximum(
         usual * stretches / scipy.special.gammaincinv(stretches, 0.5), np.finfo(float).tiny
     )
@@ -295,14 +297,22 @@ def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[fl
     mean = np.sum(left) / known.sum()
     length = min((values.size + 1) // 2, int(STEADY / time_step))
     window = np.hanning(length + 2)[1:-1]
-    weight = scipy.signal.oaconvolve(known.astype(float), window, mode="valid")
+    size_of_both = scipy.fft.next_fast_len(values.size + length - 1)
+    response = np.fft.fft(window, size_of_both)
+
+    def weighed(samples: np.ndarray) -> np.ndarray:
+        """Sums under the window wherever it lies within the samples."""
+        both = np.fft.ifft(np.fft.fft(samples, size_of_both) * response)
+        return both[length - 1 : samples.size]
+
+    weight = np.real(weighed(known.astype(float)))
     weight = np.maximum(weight, 1e-9 * weight.max())
     before = (values.size - weight.size) // 2
     after = values.size - weight.size - before
     time = np.arange(values.size) * time_step
     for frequency in dict.fromkeys(frequencies):
         turn, centred = np.exp(2j * np.pi * frequency * time), np.where(known, left - mean, 0.0)
-        inner = 2 * scipy.signal.oaconvolve(centred * turn.conj(), window, mode="valid") / weight
+        inner = 2 * weighed(centred * turn.conj()) / weight
         reach = min(length, inner.size) - 1
         first, last = (
             np.exp(1j * np.angle(inner[k + reach] * inner[k].conj()) / max(reach, 1))

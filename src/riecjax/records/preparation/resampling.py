@@ -8,9 +8,8 @@ evaluating are one sum,
 
 c is the cut-off as a share of half the samples' rate, and the window w cuts the sum off at L
 samples to each side: Kaiser's, whose shape and length follow from the attenuation and the width of
-the transition (SciPy's `kaiserord`). Dividing by the sum of the weights makes a constant pass
-exactly. The cost is 2 L for each value, and weights are computed once for each distinct phase
-t - floor(t).
+the transition (Kaiser, 1974). Dividing by the sum of the weights makes a constant pass exactly.
+The cost is 2 L for each value, and weights are computed once for each distinct phase t - floor(t).
 """
 
 import functools
@@ -393,9 +392,11 @@ def _windowed_sinc(spacing: float) -> tuple[float, float, float]:
     """For this distance of positions in samples: cut-off as a share of half the samples' rate,
     samples to each side that have a weight, and the shape of Kaiser's window."""
     cutoff, attenuation = ANTI_ALIAS if spacing > 1 else INTERPOLATION
-    taps, shape = scipy.signal.kaiserord(attenuation, TRANSITION)
+    # Kaiser's formulas, for more than 50 dB.
+    taps = math.ceil((attenuation - 7.95) / 2.285 / (np.pi * TRANSITION) + 1)
+    shape = 0.1102 * (attenuation - 8.7)
     density = max(spacing, 1.0)
-    return cutoff / density, 0.5 * float(taps) * density, shape
+    return cutoff / density, 0.5 * taps * density, shape
 
 
 def _weights(offsets: np.ndarray, spacing: float) -> np.ndarray:
