@@ -9,7 +9,7 @@ from pathlib import Path
 # As the command line has it, before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from riecjax.runtime import processor, release_memory, start_jax
+from riecjax.runtime import processor, start_jax
 
 ROOT = Path(__file__).parents[1]
 PRODUCTION = os.environ.get("RIECJAX_TESTS") == "production"
@@ -115,7 +115,7 @@ def forget_compiled_functions() -> Iterator[None]:
     looked_at, room = compilations, (MOST_MAPS - maps.read_bytes().count(b"\n")) // MAPS_EACH
     if room <= FEWEST:
         jax.clear_caches()
-        release_memory()
+        gc.collect()
         room = MOST_MAPS // MAPS_EACH
 
 

@@ -67,7 +67,7 @@ def identified(folder: Path) -> float:
     """Seconds to read and identify a recording, one call after the other."""
     import riecjax as rx
 
-    start_jax(keep_compiled=True)
+    start_jax()
     model = rx.find_model(MODEL)
     files = sorted(folder.rglob("*.parquet"))
     some = files[:: max(len(files) // COMPARED, 1)]
@@ -82,7 +82,7 @@ def identified(folder: Path) -> float:
                 continue
         return done
 
-    each()  # compiles
+    each()  # imports, and starts the process that reads files
     began = time.perf_counter()
     done = each()
     return (time.perf_counter() - began) / done
@@ -131,7 +131,6 @@ def speed(folder: Path, work: Path) -> dict[str, Any]:
 def scaling(folder: Path, work: Path) -> dict[str, Any]:
     """1, 2, 4 and more workers, to one a core: of machines with more than two."""
     counts = [2**n for n in range(len(os.sched_getaffinity(0)).bit_length())]
-    run(folder, work / "compiles", 1)
     return {
         "cores": len(os.sched_getaffinity(0)),
         "recordings": sum(1 for _ in folder.rglob("*.parquet")),

@@ -24,8 +24,6 @@ RESULTS = ("summaries.parquet", "estimates.parquet")
 def breaks(folder: Path, work: Path, count: int) -> dict[str, Any]:
     """Of a fleet: so many workers killed, and the rest of what is broken off."""
     reference = work / "whole"
-    run(folder, reference, 2)  # compiles
-    shutil.rmtree(reference)
     seconds = run(folder, reference, 2)["seconds"]
     rng = np.random.default_rng(0)
     killed, wrong = _workers_killed(folder, work / "killed", reference, count, seconds, rng)

@@ -31,7 +31,7 @@ NEEDS = {
     "report": ("figures and reports need", ("matplotlib", "plotly", "jinja2"), "report"),
     "fleet": (
         "fleets need",
-        ("cloudpickle", "distributed", "fsspec", "ruptures", "statsmodels"),
+        ("distributed", "fsspec", "ruptures", "statsmodels"),
         "fleet",
     ),
     "HDF5": ("reading HDF5 files, as MATLAB's of v7.3, needs", ("h5py",), "hdf5"),

@@ -1,7 +1,5 @@
 """JAX's global settings, which no import makes: the command line does, or whoever asks for it."""
 
-import contextlib
-import ctypes
 import gc
 import os
 import platform
@@ -63,20 +61,6 @@ def start_jax(*, keep_compiled: bool = False, devices: int = 1) -> None:
 def collect_seldom() -> None:
     """Look for cycles of objects less often, in a process that is this package's own."""
     gc.set_threshold(COLLECT_AFTER)
-
-
-def release_memory() -> None:
-    """Give back to the system what is free, which allocators keep in pieces between what is not.
-
-    For a process that works through large arrays for weeks: it takes about 0.1 s.
-    """
-    import pyarrow
-
-    gc.collect()
-    pyarrow.default_memory_pool().release_unused()
-    # Of glibc; other C libraries have none.
-    with contextlib.suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def compiles_loops_whole() -> bool:

@@ -5,21 +5,21 @@ import signal
 from pathlib import Path
 
 
-def squares(_: bytes, numbers: list[int]) -> list[int]:
+def squares(numbers: list[int]) -> list[int]:
     return [number**2 for number in numbers]
 
 
-def dies_at_first(place: bytes, numbers: list[int]) -> list[int]:
+def dies_at_first(place: Path, numbers: list[int]) -> list[int]:
     """Ends its process the first time that it is asked for a number."""
     for number in numbers:
-        marker = Path(place.decode()) / str(number)
+        marker = place / str(number)
         if not marker.exists():
             marker.touch()
             os.kill(os.getpid(), signal.SIGKILL)
     return numbers
 
 
-def dies(_: bytes, numbers: list[int]) -> list[int]:
+def dies(numbers: list[int]) -> list[int]:
     if 1 in numbers:
         os.kill(os.getpid(), signal.SIGKILL)
     return numbers

@@ -4,7 +4,11 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
+from functools import partial
+from types import ModuleType
+from typing import Any
 
 import pytest
 from fleet_tasks import dies, dies_at_first, squares
@@ -14,12 +18,27 @@ import riecjax as rx
 from nightly import nightly
 from riecjax.fleets import engine as module
 from riecjax.fleets.engine import Cluster, Engine, Here, Lost, engine
+from riecjax.models.catalogue import object_of_file
 
+BESIDE = """
+import jax.numpy as jnp
+
+ONE = jnp.ones(())
+
+def size(speed):
+    return abs(speed) * ONE
+"""
 USERS = """
 import riecjax as rx
+from beside import size
+
+class Sloped(rx.Hat):
+    pass
 
 def drag(signals):
-    return signals["dx"] * abs(signals["dx"])
+    return signals["dx"] * size(signals["dx"])
+
+CRITERION = rx.RIEC(rx.AllWindows(0.2, 2.0), Sloped())
 
 MODEL = rx.Equation(
     rx.Term("m", "x", derivative=2, measured=("dx",)),
@@ -31,12 +50,10 @@ MODEL = rx.Equation(
 """
 
 
-def answers(
-    runs: Engine, task: Callable[[bytes, list[int]], list[int]], asked: bytes = b""
-) -> dict:
+def answers(runs: Engine, task: Callable[[list[int]], Any]) -> dict:
     """To three numbers, each answer or why there is none."""
     found = {}
-    for numbers, answer in runs.each(task, asked, range(3), lambda _: module.LARGEST):
+    for numbers, answer in runs.each(task, range(3), lambda _: module.LARGEST):
         found |= zip(numbers, [answer] if isinstance(answer, Lost) else answer)
     return found
 
@@ -52,7 +69,7 @@ def test_processes_that_end_cost_no_task_and_one_that_ends_all_is_given_up(tmp_p
     monkeypatch.setattr(module, "LOST_WORKERS", 2)
     with Cluster(2) as runs:
         assert runs.workers == 2
-        assert answers(runs, dies_at_first, str(tmp_path).encode()) == {n: n for n in range(3)}
+        assert answers(runs, partial(dies_at_first, tmp_path)) == {n: n for n in range(3)}
         found = answers(runs, dies)
     assert isinstance(found.pop(1), Lost)
     assert found == {0: 0, 2: 2}
@@ -60,18 +77,36 @@ def test_processes_that_end_cost_no_task_and_one_that_ends_all_is_given_up(tmp_p
 
 @pytest.mark.parametrize("processes", [1, *nightly([2])])
 def test_a_fleet_is_the_same_to_the_bit_on_processes_as_without(tmp_path, processes):
-    """With a model of the user's own file, which only this process has loaded."""
+    """With a model and a test function of the user's own file, which only this process has loaded,
+    with what lies beside it."""
     (tmp_path / "drives").mkdir()
     for i, record in enumerate(drives(4, 1500, 3)):
         rx.write_record(tmp_path / f"drives/{i}.parquet", record)
     (tmp_path / "own.py").write_text(USERS)
+    (tmp_path / "beside.py").write_text(BESIDE)
     model = rx.find_model(f"{tmp_path}/own.py:MODEL")
+    criterion = object_of_file(f"{tmp_path}/own.py:CRITERION")
+    (tmp_path / "own.py").unlink()
+    (tmp_path / "beside.py").unlink()
     for workers in (0, processes):
-        settings = {"intervals": "sandwich", "out": tmp_path / f"out{workers}"}
+        settings = {"criterion": criterion, "out": tmp_path / f"out{workers}"}
         rx.fleet(model, tmp_path / "drives", workers=workers, **settings)
     for name in ("summaries.parquet", "estimates.parquet"):
         alone, beside = (tmp_path / f"out{workers}" / name for workers in (0, processes))
         assert alone.read_bytes() == beside.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_model_that_cannot_be_sent_or_read_elsewhere_is_said(monkeypatch):
+    here = ModuleType("only_here")
+    exec("def drag(signals): return signals", vars(here))
+    monkeypatch.setitem(sys.modules, "only_here", here)
+    with Cluster(1) as runs:
+        with pytest.raises(rx.ModelError, match=r"cannot be sent to other processes: .*workers=0"):
+            answers(runs, partial(print, threading.Lock()))
+        with pytest.raises(rx.DataError, match=r"cannot read the model: ModuleNotFound.*only_here"):
+            answers(runs, here.drag)
+        assert answers(runs, squares) == {n: n**2 for n in range(3)}
 
 
 def started() -> tuple[subprocess.Popen[str], str]:

@@ -42,7 +42,7 @@ def command(given: Given) -> None:
     values or groups, and no recording is read again.
     """
     asked = given.take(Fleets)
-    start_jax(keep_compiled=True)
+    start_jax()
     from riecjax.fleets.fleet import fleet
     from riecjax.fleets.kept import ESTIMATES, SUMMARIES
     from riecjax.fleets.report import fleet_document, fleet_figures, fleet_page, print_fleet

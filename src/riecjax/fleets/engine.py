@@ -7,6 +7,7 @@
 # time, so that neither the scheduler's memory nor the answers that wait grow with their number.
 
 import contextlib
+import functools
 import itertools
 import logging
 import tempfile
@@ -14,19 +15,18 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
-from riecjax.errors import DataError
+from riecjax.errors import DataError, ModelError, reason_of
+from riecjax.runtime import start_jax
 
 LOST_WORKERS = 10
 """Workers that may end during a task before it is given up."""
 SETTINGS = {
     "distributed.scheduler.allowed-failures": LOST_WORKERS,
-    # One thread for each of BLAS, and of XLA. Dask also has C's allocator give back each 64 kB at
-    # once, which makes arrays of a recording 12 % slower to work on: here that is done after long
-    # ones alone.
+    # One thread for each of BLAS. Dask also has C's allocator give back each 64 kB at once, which
+    # makes arrays of a recording 12 % slower to work on.
     # Python's resource tracker frees what a killed process held, and would warn that it had to.
     "distributed.nanny.pre-spawn-environ": {
         **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), 1),
-        **dict.fromkeys(("NPROC", "PJRT_NPROC"), 1),
         "PYTHONWARNINGS": "ignore::UserWarning:multiprocessing.resource_tracker",
     },
     # It looks at the stack of what runs a hundred times a second, for a page that is not shown.
@@ -41,8 +41,7 @@ WAITS = 30.0
 which Dask takes for lost after 15."""
 
 Item = TypeVar("Item")
-Task = Callable[[bytes, list[Item]], Any]
-"""Of what is asked of all items alike, and of some of them."""
+Task = Callable[[list[Item]], Any]
 
 
 class Lost(NamedTuple):
@@ -72,10 +71,10 @@ class Here(contextlib.AbstractContextManager):
     """This process, one task after the other."""
 
     def each(
-        self, task: Task[Item], asked: bytes, items: Iterable[Item], size: Callable[[Item], int]
+        self, task: Task[Item], items: Iterable[Item], size: Callable[[Item], int]
     ) -> Iterator[tuple[list[Item], Any]]:
         """Some items at a time with the answer to them; see [`Cluster.each`][]."""
-        return ((batch, task(asked, batch)) for batch in batches(items, size, TOGETHER))
+        return ((batch, task(batch)) for batch in batches(items, size, TOGETHER))
 
     def __exit__(self, *_: object) -> None:
         """Nothing to end."""
@@ -106,7 +105,9 @@ class Cluster(contextlib.AbstractContextManager):
                         "n_workers": workers,
                         "threads_per_worker": 1,
                         "processes": True,
-                        "dashboard_address": None,
+                        # Not at a port that another fleet may have.
+                        "dashboard_address": "127.0.0.1:0",
+                        "scheduler_kwargs": {"dashboard": False},
                         "host": "127.0.0.1",
                         "local_directory": opened.enter_context(
                             tempfile.TemporaryDirectory(prefix="riecjax-")
@@ -134,28 +135,38 @@ class Cluster(contextlib.AbstractContextManager):
         self.workers = max(len(self._client.scheduler_info()["workers"]), 1)
 
     def each(
-        self, task: Task[Item], asked: bytes, items: Iterable[Item], size: Callable[[Item], int]
+        self, task: Task[Item], items: Iterable[Item], size: Callable[[Item], int]
     ) -> Iterator[tuple[list[Item], Any]]:
         """Some items at a time with the answer to them, or one with [`Lost`][], as they come.
 
-        **Arguments:** `asked` of all items alike; `size` of an item in bytes.
+        **Arguments:** `task` with all that it needs beside some items; `size` of an item in bytes.
 
-        **Raises:** `DataError` where the scheduler is gone.
+        **Raises:** `DataError` where the scheduler is gone, or a process cannot read the task;
+        `ModelError` where that cannot be sent.
         """
+        from distributed.protocol.serialize import serialize_bytes
+
+        # Functions and classes of a user's file go with it, and what they import must be there.
+        try:
+            sent = serialize_bytes(task, on_error="raise")
+        except Exception as error:
+            raise ModelError(
+                f"the model cannot be sent to other processes: {reason_of(error)}; sum in this one "
+                f"by workers=0 (--workers 0)."
+            ) from error
         # Of a worker that ends Dask suspects all tasks that it was to do, and may give up those
         # beside the one that ended it: what is given up is tried again, item by item and alone.
         given_up: list[Item] = []
-        for batch, answer in self._each(
-            task, asked, batches(items, size, TOGETHER), AHEAD * self.workers
-        ):
+        together = batches(items, size, TOGETHER)
+        for batch, answer in self._each(sent, together, AHEAD * self.workers):
             if isinstance(answer, Lost):
                 given_up += batch
             else:
                 yield batch, answer
-        yield from self._each(task, asked, ([item] for item in given_up), 1)
+        yield from self._each(sent, ([item] for item in given_up), 1)
 
     def _each(
-        self, task: Task[Item], asked: bytes, waiting: Iterator[list[Item]], ahead: int
+        self, sent: bytes, waiting: Iterator[list[Item]], ahead: int
     ) -> Iterator[tuple[list[Item], Any]]:
         """The same of these batches, of so many at a time."""
         from concurrent.futures import CancelledError
@@ -168,7 +179,7 @@ class Cluster(contextlib.AbstractContextManager):
 
         def hand_over(count: int) -> None:
             for batch in itertools.islice(waiting, count):
-                future = self._client.submit(task, asked, batch, pure=False)
+                future = self._client.submit(_by_worker, sent, batch, pure=False)
                 running[future] = batch
                 done.add(future)
 
@@ -210,6 +221,27 @@ class Cluster(contextlib.AbstractContextManager):
     def __exit__(self, *given: Any) -> None:
         """End the client, and the processes that were started."""
         self._open.__exit__(*given)
+
+
+def _by_worker(sent: bytes, items: list[Any]) -> Any:
+    """The answer to some items in a process of Dask's."""
+    return _arrived(sent)(items)
+
+
+@functools.lru_cache(maxsize=2)
+def _arrived(sent: bytes) -> Task[Any]:
+    """The task that was sent, once for all items of a process, in which JAX starts as by the
+    command line before arrays of JAX's are made.
+
+    **Raises:** `DataError` for what needs a module that is not there.
+    """
+    from distributed.protocol.serialize import deserialize_bytes
+
+    start_jax()
+    try:
+        return deserialize_bytes(sent)
+    except Exception as error:
+        raise DataError(f"a process of Dask's cannot read the model: {reason_of(error)}") from error
 
 
 Engine = Here | Cluster

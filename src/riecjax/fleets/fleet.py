@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import os
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -120,7 +121,7 @@ def _sum(
         return
     done, samples = len(pieces) - len(lacking), 0
     tell("summing", done, len(pieces), samples)
-    for some, rows in runs.each(sum_up, order.packed, lacking, lambda p: p.source.size):
+    for some, rows in runs.each(functools.partial(sum_up, order), lacking, lambda p: p.source.size):
         if isinstance(rows, Lost):
             rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
         failures = [row.status for row in rows if row.status != DONE]
@@ -147,7 +148,9 @@ def _estimate(
     done, entries, over_time = 0, [], []
     tell("estimating", 0, count, 0)
     groups = grouped(pairs, whole, order.settings.keys, order.settings.span is not None)
-    for some, answers in runs.each(estimated, order.packed, groups, lambda group: group.size):
+    for some, answers in runs.each(
+        functools.partial(estimated, order), groups, lambda group: group.size
+    ):
         if isinstance(answers, Lost):
             answers = [[Entry(group.name, 0.0, 0.0, status=answers.why)] for group in some]
         for group, answer in zip(some, answers):

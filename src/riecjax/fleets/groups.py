@@ -10,7 +10,7 @@ import numpy as np
 from riecjax import Finding, Summary
 from riecjax.assessment import assess_summary
 from riecjax.errors import DataError, reason_of
-from riecjax.fleets.order import DONE, Order, Row, unpacked
+from riecjax.fleets.order import DONE, Order, Row
 
 FEW = 8
 """Recordings of a group up to which each keeps its blocks of time; more are summed as one."""
@@ -134,9 +134,9 @@ def grouped(
             yield Group(name, rows, tuple(merged))
 
 
-def estimated(order: bytes, groups: Sequence[Group]) -> list[list[Entry]]:
+def estimated(order: Order, groups: Sequence[Group]) -> list[list[Entry]]:
     """The entries of each of some groups; of one without an answer one that says why."""
-    return [[*_entries(unpacked(order), group)] for group in groups]
+    return [[*_entries(order, group)] for group in groups]
 
 
 def _entries(order: Order, group: Group) -> Iterator[Entry]:

@@ -23,7 +23,7 @@ from riecjax.whole_files import no_folder, write_file
 PARTS, SUMMARIES = "summaries.parts", "summaries.parquet"
 ESTIMATES = "estimates.parquet"
 RESULTS = (SUMMARIES, ESTIMATES, "results.json")
-SCHEMA_KEY, SCHEMA = b"riecjax.fleet", b"2"
+SCHEMA_KEY, SCHEMA = b"riecjax.fleet", b"3"
 ORDER, DIGEST = b"riecjax.order", b"riecjax.digest"
 ROWS, HELD = 256, 16
 """Rows of a batch, which are read together, at most; and batches that are held."""
@@ -159,7 +159,6 @@ class SumStore:
         """
         self._folder, self._parts = folder, folder / PARTS
         self._metadata = {SCHEMA_KEY: SCHEMA, ORDER: order.digest.encode()}
-        self._metadata[b"riecjax.model"] = order.model.name.encode()
         # Where the rows of each piece lie: the file, and numbers of its batches, mostly one.
         self._places: dict[str, tuple[Path, dict[int, None]]] = {}
         self._parts.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What is asked of all recordings of a fleet alike, how it reaches who does it, and how they do."""
+"""What is asked of all recordings of a fleet alike, and how it is done to each."""
 
 import contextlib
 import dataclasses
@@ -6,7 +6,6 @@ import functools
 import hashlib
 import json
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -21,12 +20,9 @@ from riecjax.errors import DataError, ModelError, reason_of
 from riecjax.estimation import plan_parameters, recording_findings
 from riecjax.fleets.settings import Fleets
 from riecjax.fleets.sources import Piece, Source, at_hand, recordings_of, stretches
-from riecjax.runtime import collect_seldom, release_memory, start_jax
 from riecjax.summaries import Outline, default_criterion, stretch_starts
 from riecjax.validation import LONGER, sweep_edges
 
-USERS = "riecjax_user_"
-"""Beginning of names of modules made of a user's file, which only this process has."""
 WHOLE_PATHS = ("file", "folder")
 """Groups that the path of a recording makes."""
 TRIED = 20
@@ -103,23 +99,6 @@ class Order:
         }
         written = json.dumps(settings, sort_keys=True, default=repr)
         return hashlib.sha256(written.encode()).hexdigest()
-
-    @functools.cached_property
-    def packed(self) -> bytes:
-        """Bytes that [`unpacked`][] makes it of, in another process or on another machine.
-
-        What a user's file defines goes with it; what it imports must be there.
-        """
-        import cloudpickle
-
-        users_modules = [module for name, module in sys.modules.items() if name.startswith(USERS)]
-        for module in users_modules:
-            cloudpickle.register_pickle_by_value(module)
-        try:
-            return cloudpickle.dumps(self)
-        finally:
-            for module in users_modules:
-                cloudpickle.unregister_pickle_by_value(module)
 
     def fitted(self, sources: Sequence[Source]) -> "Order":
         """The same with what the first recording that can be read says of how all are sampled.
@@ -206,25 +185,6 @@ class Order:
                     yield recording
 
 
-@functools.lru_cache(maxsize=2)
-def unpacked(order: bytes) -> Order:
-    """The order that these bytes were made of, the same object as long as it is asked for.
-
-    A process of Dask's starts JAX as the command line does; this one's settings are its own.
-    """
-    import cloudpickle
-    import distributed
-
-    try:
-        distributed.get_worker()
-    except ValueError:
-        pass  # this process is none of Dask's
-    else:
-        start_jax(keep_compiled=True)
-        collect_seldom()
-    return cloudpickle.loads(order)
-
-
 DONE = "ok"
 """Status of a recording that was summed."""
 FEW = 8
@@ -265,9 +225,9 @@ class Row(NamedTuple):
         return self._replace(sums=b"", lengths=b"")
 
 
-def sum_up(order: bytes, pieces: Sequence[Piece]) -> list[Row]:
+def sum_up(order: Order, pieces: Sequence[Piece]) -> list[Row]:
     """The rows of some pieces, one of each at least."""
-    return [row for piece in pieces for row in rows_of(unpacked(order), piece)]
+    return [row for piece in pieces for row in rows_of(order, piece)]
 
 
 def rows_of(order: Order, piece: Piece) -> list[Row]:
@@ -291,8 +251,6 @@ def rows_of(order: Order, piece: Piece) -> list[Row]:
                 rows.append(_row(order, run, recording, part))
             except Exception as error:
                 rows.append(lost(run, reason_of(error), part))
-    if piece.stop:
-        release_memory()
     rows = rows or [lost(piece, "it holds no rows.")]
     return [row._replace(piece=piece.identity) for row in rows]
 

@@ -299,6 +299,10 @@ def object_of_file(reference: str) -> object:
     return getattr(module, attribute)
 
 
+_loaded: list[ModuleType] = []
+"""What users' files define, whose classes saved criteria name, stays defined."""
+
+
 def _load(path: Path) -> ModuleType:
     if not path.is_file():
         raise ModelError(no_file(path))
@@ -307,8 +311,13 @@ def _load(path: Path) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    with users_code(path), _neighbours(path):
-        spec.loader.exec_module(module)
+    try:
+        with users_code(path), _neighbours(path):
+            spec.loader.exec_module(module)
+    finally:
+        # Another process cannot import it: to that its functions and classes go as they are.
+        del sys.modules[spec.name]
+    _loaded.append(module)
     return module
 
 

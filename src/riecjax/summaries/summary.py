@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.criteria.criterion import PARTS, AbstractCriterion
-from riecjax.criteria.windows import LengthBins
+from riecjax.criteria.windows import MOST_BLOCKS, LengthBins
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
 from riecjax.leaves import Leaf, is_concrete
@@ -32,8 +32,6 @@ from riecjax.summaries.normal_equations import (
 )
 from riecjax.summaries.summary_files import FileKind
 
-ROOMS = (128, 1024)
-"""Blocks of a recording that arrays have room for; there are no more than the last."""
 UNKNOWN = "0" * 64
 """Digest of a recording that was summed by jit."""
 
@@ -185,8 +183,7 @@ class Summary(Shown, eqx.Module):
 
     # Sums of less. Short blocks within a recording tell how errors scatter where there are few
     # recordings. Where there are many, each is a block that shares nothing with the others, and its
-    # sums are all that is needed: a hundredth of the memory, and compiled functions of one shape
-    # for a group of any size.
+    # sums are all that is needed: a hundredth of the memory.
 
     def merge_length_bins(self) -> "Summary":
         """The same without bins of window lengths: the sums of those in use, in one (not under
@@ -275,7 +272,7 @@ class Summary(Shown, eqx.Module):
             np.frombuffer(hashlib.sha256(digests).digest(), ">u4").astype(np.uint32),
             noise,
         )
-        return self.of_recordings([joined.in_blocks(ROOMS[-1])])
+        return self.of_recordings([joined.in_blocks(MOST_BLOCKS)])
 
     def between(self, alpha: float, beta: float) -> "Summary":
         """The same for windows of other lengths, from alpha to beta seconds.

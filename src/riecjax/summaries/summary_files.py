@@ -4,29 +4,27 @@ An object is its class's name and its fields, objects within objects, so that ar
 where they stand, as `recordings/0/stages/1/0/moments`. The document, an array of bytes, holds the
 rest and a checksum of everything. A file names classes and never imports them: what is read is
 looked for among those that the running program has defined, so that a new test function needs
-nothing here. There is no pickle, and no constructor is called: reading a file runs no code of it.
+nothing here. No constructor is called: reading a file runs no code of it.
 """
 
 import contextlib
 import dataclasses
 import functools
 import hashlib
+import io
 import json
-import math
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from riecjax.errors import DataError, ModelError, require
 from riecjax.records.reading.channels import foreign_reader, read_array
-from riecjax.records.writing import write_npz
 from riecjax.whole_files import no_file, write_file
 
 LARGEST = 2**31
@@ -56,15 +54,18 @@ def save(value: Any, path: str | os.PathLike[str], kind: FileKind) -> None:
     **Raises:** `DataError` if the file cannot be written; `ModelError` for more than 2 GiB, and
     for what is code rather than numbers.
     """
-    file = _path(path)
-    document, arrays = _packed(value, kind)
-    arrays[kind.name] = np.frombuffer(json.dumps(document).encode(), np.uint8)
-    if (size := sum(array.nbytes + HEADER for array in arrays.values())) > LARGEST:
-        raise ModelError(
-            f"this {kind.name} takes {size} bytes, and a file may hold {LARGEST}: save its "
-            f"recordings apart, summary.select(0).save(...), or make it with fewer bins."
-        )
-    write_file(file, lambda temporary: write_npz(temporary, arrays))
+    arrays = _packed(value, kind)
+    write_file(_path(path), lambda temporary: _write(temporary, arrays, zipfile.ZIP_DEFLATED))
+
+
+def to_bytes(value: Any, kind: FileKind) -> bytes:
+    """What a file would hold, the same for the same numbers; it is left to others to compress it.
+
+    **Raises:** `ModelError` as [`save`][].
+    """
+    stream = io.BytesIO()
+    _write(stream, _packed(value, kind), zipfile.ZIP_STORED)
+    return stream.getvalue()
 
 
 def load(path: str | os.PathLike[str], kind: FileKind) -> Any:
@@ -76,44 +77,8 @@ def load(path: str | os.PathLike[str], kind: FileKind) -> Any:
     file = _path(path)
     if not file.is_file():
         raise DataError(no_file(file))
-    with naming(file, kind.name), zipfile.ZipFile(file) as archive:
-        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
-        if sum(member.file_size for member in archive.infolist()) > LARGEST:
-            raise DataError(f"declares to unpack to more than {LARGEST} bytes, and is not read.")
-
-        def read(each: str) -> np.ndarray:
-            with archive.open(members[each]) as stream:
-                array = read_array(stream, members[each].file_size)
-            if array is None:
-                raise ValueError("it holds Python objects.")
-            return array
-
-        # Sizes, schema and checksum are seen to be right before anything is made of it.
-        document: Any = json.loads(read(kind.name).tobytes()) if kind.name in members else None
-        _require_schema(document, kind)
-        return _unpacked(
-            document, {each: read(each) for each in members if each != kind.name}, kind
-        )
-
-
-def to_bytes(value: Any, kind: FileKind) -> bytes:
-    """An object as bytes, the same for the same numbers, without a file's overhead.
-
-    Its length in eight bytes, the document, which lists the arrays, and their numbers; of symmetric
-    matrices those of one half.
-    """
-    document, arrays = _packed(value, kind)
-    listed, numbers = [], []
-    for name, array in sorted(arrays.items()):
-        halved = array.ndim > 1 and array.shape[-1] == array.shape[-2] > 1
-        if halved:  # where matrices are, to the bit, their own transposes
-            bits = np.ascontiguousarray(array).view(f"V{array.dtype.itemsize}")
-            halved = bool((bits == bits.swapaxes(-1, -2)).all())
-        listed.append((name, array.dtype.str, array.shape, halved))
-        kept = array[..., *_upper(array.shape[-1])] if halved else array
-        numbers.append(np.ascontiguousarray(kept).tobytes())
-    text = json.dumps({**document, "arrays": listed}).encode()
-    return b"".join([len(text).to_bytes(8, "little"), text, *numbers])
+    with naming(file, kind.name):
+        return _read(file, kind)
 
 
 def from_bytes(content: bytes, kind: FileKind) -> Any:
@@ -122,28 +87,7 @@ def from_bytes(content: bytes, kind: FileKind) -> Any:
     **Raises:** `DataError` where they are damaged or of another version.
     """
     with foreign_reader(kind.name.capitalize()):
-        place = 8 + int.from_bytes(content[:8], "little")
-        document = json.loads(content[8:place])
-        _require_schema(document, kind)
-        arrays = {}
-        for name, dtype_name, shape, halved in document.pop("arrays"):
-            dtype = np.dtype(dtype_name)
-            kept = (*shape[:-2], shape[-1] * (shape[-1] + 1) // 2) if halved else tuple(shape)
-            size = math.prod(kept)
-            array = np.frombuffer(content, dtype, size, place).reshape(kept)
-            if halved:  # upper halves of symmetric matrices, row by row
-                (rows, columns), half = _upper(shape[-1]), array
-                array = np.empty(shape, dtype)
-                array[..., rows, columns] = array[..., columns, rows] = half
-            arrays[name] = array
-            place += size * dtype.itemsize
-        return _unpacked(document, arrays, kind)
-
-
-# Looked up for every recording of a fleet, in which all are of a few sizes; a version takes longer
-# to look up than all else of a small Summary.
-_upper = functools.lru_cache(maxsize=64)(np.triu_indices)
-_version_of = functools.cache(version)
+        return _read(io.BytesIO(content), kind)
 
 
 @contextlib.contextmanager
@@ -161,19 +105,12 @@ def _path(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def _require_schema(document: Any, kind: FileKind) -> None:
-    name = kind.name
-    if not isinstance(document, dict) or document.get("format") != f"riecjax.{name.capitalize()}":
-        raise DataError(f"it is no {name.capitalize()}, of which {name}.save(path) makes a file.")
-    if document["schema"] != kind.schema:
-        raise DataError(
-            f"it was written with schema {document['schema']}, this version reads {kind.schema}: "
-            f"make it anew, or use riecjax {document['riecjax']}."
-        )
+# To look it up takes longer than all else of a small Summary.
+_version_of = functools.cache(version)
 
 
-def _packed(value: Any, kind: FileKind) -> tuple[Document, Arrays]:
-    """An object as a document, with a checksum, and arrays."""
+def _packed(value: Any, kind: FileKind) -> Arrays:
+    """An object's arrays, and the document as one of them."""
     arrays: Arrays = {}
     document = {
         "format": f"riecjax.{kind.name.capitalize()}",
@@ -181,18 +118,66 @@ def _packed(value: Any, kind: FileKind) -> tuple[Document, Arrays]:
         "riecjax": _version_of("riecjax"),
         kind.name: _to_plain_data(value, "", arrays, kind.classes),
     }
-    return {**document, "checksum": _checksum(document, arrays)}, arrays
+    document["checksum"] = _checksum(document, arrays)
+    arrays[kind.name] = np.frombuffer(json.dumps(document).encode(), np.uint8)
+    if (size := sum(array.nbytes + HEADER for array in arrays.values())) > LARGEST:
+        raise ModelError(
+            f"this {kind.name} takes {size} bytes, and a file may hold {LARGEST}: save its "
+            f"recordings apart, summary.select(0).save(...), or make it with fewer bins."
+        )
+    return arrays
 
 
-def _unpacked(document: Document, arrays: Arrays, kind: FileKind) -> Any:
-    """The object of a document and arrays, which are in this machine's order of bytes then, and may
-    be written to."""
+def _write(file: Path | IO[bytes], arrays: Arrays, packing: int) -> None:
+    """Write an archive, which tells nothing of when that was."""
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, values in arrays.items():
+            member = zipfile.ZipInfo(f"{name}.npy")
+            member.compress_type = packing
+            with archive.open(member, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, values)
+
+
+def _read(file: Path | IO[bytes], kind: FileKind) -> Any:
+    """The object in an archive, whose arrays are in this machine's order of bytes then, and may be
+    written to.
+
+    **Raises:** `DataError`, and what a damaged archive leads to.
+    """
+    with zipfile.ZipFile(file) as archive:
+        members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+        if sum(member.file_size for member in archive.infolist()) > LARGEST:
+            raise DataError(f"declares to unpack to more than {LARGEST} bytes, and is not read.")
+
+        def read(each: str) -> np.ndarray:
+            with archive.open(members[each]) as stream:
+                array = read_array(stream, members[each].file_size)
+            if array is None:
+                raise ValueError("it holds Python objects.")
+            return array
+
+        # Sizes, schema and checksum are seen to be right before anything is made of it.
+        name = kind.name
+        document: Any = json.loads(read(name).tobytes()) if name in members else None
+        if (
+            not isinstance(document, dict)
+            or document.get("format") != f"riecjax.{name.capitalize()}"
+        ):
+            raise DataError(
+                f"it is no {name.capitalize()}, of which {name}.save(path) makes a file."
+            )
+        if document["schema"] != kind.schema:
+            raise DataError(
+                f"it was written with schema {document['schema']}, this version reads "
+                f"{kind.schema}: make it anew, or use riecjax {document['riecjax']}."
+            )
+        arrays = {each: read(each) for each in members if each != name}
     if document.pop("checksum") != _checksum(document, arrays):
         raise DataError("it is damaged: its checksum differs. Copy it again, or make it anew.")
     native = {n: a.astype(a.dtype.newbyteorder("="), order="C") for n, a in arrays.items()}
-    value = _from_plain_data(document[kind.name], "", native, kind.classes)
+    value = _from_plain_data(document[name], "", native, kind.classes)
     if not isinstance(value, kind.classes[0]):
-        raise DataError(f"it holds no {kind.name.capitalize()}.")
+        raise DataError(f"it holds no {name.capitalize()}.")
     if native:
         raise DataError("its arrays are not those that it lists.")
     return value
@@ -258,13 +243,13 @@ def _from_plain_data(value: Any, place: str, arrays: Arrays, classes: tuple[type
         fields = {n: part(each, n) for n, each in value.items() if n not in ("class", "from")}
         if {*fields} != {*_fields(kind)}:
             raise DataError(f"its {name} has other settings than the one of this name here.")
-        if not issubclass(kind, eqx.Module):
+        if not dataclasses.is_dataclass(kind):
             return kind(**fields)
-        # As JAX puts modules together: what their constructors would check or convert was so.
-        module = object.__new__(kind)
+        # As JAX puts pytrees together: what their constructors would check or convert was so.
+        made = object.__new__(kind)
         for field, each in fields.items():
-            object.__setattr__(module, field, each)
-        return module
+            object.__setattr__(made, field, each)
+        return made
     ((key, kept),) = value.items()
     match key:
         case "array":
@@ -289,17 +274,13 @@ def _fields(kind: type) -> tuple[str, ...]:
 
 def _class(name: str, module: str, classes: tuple[type, ...]) -> type:
     """The class of this name, as it was defined last; of several modules', that of `module`."""
-    found = {kind.__module__: kind for kind in _subclasses(classes) if kind.__name__ == name}
+    below = [*classes]
+    for kind in below:
+        below += kind.__subclasses__()
+    found = {kind.__module__: kind for kind in below if kind.__name__ == name}
     if module not in found and len(found) != 1:
         raise DataError(
             f"it was made with {name} of '{module}', a class that is not defined here: import the "
             f"module that defines it first."
         )
     return found.get(module) or next(iter(found.values()))
-
-
-def _subclasses(classes: tuple[type, ...]) -> Iterator[type]:
-    """Classes with all below them."""
-    for kind in classes:
-        yield kind
-        yield from _subclasses(tuple(kind.__subclasses__()))
