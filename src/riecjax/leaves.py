@@ -58,13 +58,6 @@ def on_host(tree: Tree) -> Tree:
     return jax.tree.map(moved, tree)
 
 
-def held_still(tree: Tree) -> Tree:
-    """The tree with no derivative by its arrays; what else it holds, as solvers do, is kept."""
-    return jax.tree.map(
-        lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf, tree
-    )
-
-
 def namespace(*trees: object) -> Any:
     """`numpy` where every number is known, `jax.numpy` where one is being traced.
 

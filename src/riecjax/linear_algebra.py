@@ -51,7 +51,8 @@ def solve_scaled(
     """
     scaled, scale = unit_diagonal(matrix)
     if ridge:
-        scaled = scaled + ridge * np.eye(scaled.shape[-1], dtype=scaled.dtype)
+        identity = np.eye(scaled.shape[-1], dtype=scaled.dtype)
+        scaled = scaled + ridge * identity.reshape((1,) * (scaled.ndim - 2) + identity.shape)
     right = xp.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
     return scale[..., :, None] * eliminate(scaled, scale[..., :, None] * right)
 
@@ -129,9 +130,12 @@ def _determinant(columns: list[list[Array]]) -> Array:
 def symmetric_eigen(matrix: Float[Array, "p p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
     """Eigenvalues of a symmetric matrix, least first, and eigenvectors in columns.
 
-    Under vmap, a CPU takes one matrix at a time; other devices take them all at once.
+    NaN of a matrix that is not finite. Under vmap, a CPU takes one matrix at a time; other devices
+    take them all at once.
     """
     if not xp.is_traced(matrix):
+        if not np.isfinite(matrix).all():
+            return np.full(len(matrix), np.nan), np.full(np.shape(matrix), np.nan)
         eigen: Any = np.linalg.eigh(matrix)
         return eigen.eigenvalues, eigen.eigenvectors
     return jax.lax.platform_dependent(matrix, cpu=_one_by_one, default=_eigen)

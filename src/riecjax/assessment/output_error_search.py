@@ -2,11 +2,10 @@
 
 import contextlib
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from riecjax.assessment.refining import ASK, Problem, Refinement
@@ -16,7 +15,11 @@ from riecjax.estimation.estimate import Estimate
 from riecjax.leaves import on_host
 from riecjax.records.faults.derivative_pairs import is_motion
 from riecjax.refinement.integral_error import IntegralError
-from riecjax.refinement.objective import AbstractObjective, as_parametric_system
+from riecjax.refinement.objective import (
+    AbstractObjective,
+    AbstractResiduals,
+    as_parametric_system,
+)
 from riecjax.refinement.output_error import OutputError, Tiles, WholeRecord, noise_levels
 from riecjax.refinement.refine import refined
 from riecjax.simulation.linearisation import spread_points
@@ -82,16 +85,21 @@ def _search(
     **Raises:** `Declined` for one that nobody asked for and that takes long.
     """
     settings, records = problem.settings, problem.records
-    residuals = by.residuals(problem.model, records, estimate, key=settings.key)
+
+    def formed(by: AbstractObjective) -> AbstractResiduals:
+        return by.residuals(problem.model, records, estimate, key=settings.key)
+
+    residuals = formed(by)
     if not asked and residuals.work > MOST_WORK:
         raise Declined(
             f"a search would take {residuals.work:.2g} steps x states x tangents, more than "
             f"{MOST_WORK:.0g}; {ASK}"
         )
-    given = residuals, settings.bounds, settings.priors, intervals_of(settings.intervals)
+    given = settings.bounds, settings.priors, intervals_of(settings.intervals)
     limits = (MOST_STEPS, settings.progress) if asked else (STEPS_BY_ITSELF, None)
-    found = on_host(refined(by, *given, None, *limits))
-    return Refinement(estimate, found, whiteness=whiteness(found, records))
+    found, by = refined(by, residuals, formed, records, *given, None, *limits)
+    found = on_host(found)
+    return Refinement(estimate, found, whiteness=whiteness(found, records), by=by)
 
 
 def search_by_itself(problem: Problem, estimate: Estimate) -> Refinement:
@@ -124,13 +132,14 @@ def _warranted(problem: Problem, estimate: Estimate, by: OutputError) -> Refinem
     if left is None or not (left.vanishing or left.largest == left.largest):
         raise Declined("too few residuals to tell whether they are white")
     straight = {} if left.vanishing else straight_inputs(problem, estimate)
-    lines = dataclasses.replace(by, intersample=straight)
+    lines: Any = found.by and dataclasses.replace(found.by, intersample=straight)
     if straight and course_shows(problem, found.refined, lines):
         other = _search(problem, estimate, lines)
         likelier = surely_likelier(other.refined, found.refined)
         if other.whiteness and not _flaw(other.refined) and likelier:
             found, left = other, other.whiteness
-    if left.white:
+    # Of less than the least noise that channels are weighed by, nothing tells the colour.
+    if left.white or max(left.shares.values()) < LEAST_NOISE:
         return found
     name = max(left.statistics, key=lambda channel: left.statistics[channel])
     cause = (
@@ -253,11 +262,9 @@ def course_shows(problem: Problem, refined: Estimate, by: OutputError) -> bool:
     """
     residuals = refined.search.residuals
     other = by.residuals(problem.model, problem.records, refined)
-    at = jnp.asarray(refined.theta), jnp.asarray(refined.search.initial_states)
-    apart = sum(
-        np.sum((np.asarray(one) - np.asarray(two)) ** 2, axis=(0, 1))
-        for one, two in zip(residuals.values(*at), other.values(*at))
-    )
+    at = refined.theta, refined.search.initial_states
+    pairs = zip(residuals.at(*at).simulated, other.at(*at).simulated)
+    apart = sum(np.sum((one.left - two.left) ** 2, axis=(0, 1)) for one, two in pairs)
     left = (np.asarray(refined.search.rms) / np.asarray(residuals.sigma)) ** 2
     return bool(np.sum(apart / np.maximum(left, np.finfo(float).tiny)) > SHOWS)
 

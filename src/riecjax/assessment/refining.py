@@ -20,6 +20,7 @@ from riecjax.estimation.estimate import (
     parameter_entries,
 )
 from riecjax.estimation.parameters import values_in_recording
+from riecjax.estimation.stages import ABOVE_NOISE
 from riecjax.findings import Finding
 from riecjax.leaves import told
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from riecjax.equations.model import Model
     from riecjax.records.record import Record
     from riecjax.records.recording import Recording
+    from riecjax.refinement.objective import AbstractObjective
     from riecjax.settings import Assess
     from riecjax.simulation.system import AbstractSystem
     from riecjax.validation.held_out import HeldOut
@@ -35,8 +37,6 @@ if TYPE_CHECKING:
 
 LEFT_OUT = 0.05
 """Share of an equation's target that is left, from which no simulation will leave white noise."""
-ABOVE_NOISE = 3.0
-"""Times what the sensors' noise makes of it, from which what is left is the model's."""
 WORSE = 1.0
 """Percent of fit by which a refined model may predict worse what it was not fitted to."""
 ASK = "ask for it by refine=rx.OutputError(), on the command line --refine output-error"
@@ -140,6 +140,7 @@ class Refinement(NamedTuple):
     - `refined`; `None` where `refine="auto"` found nothing that could be one.
     - `declined`: why its values are not the answer, of `refine="auto"`; empty where they are.
     - `whiteness` of what is left, of output error.
+    - `by`, the objective of which it is the optimum.
     - `simulations`, before and after, on held-out parts and further recordings, or if there are
       none, and the refinement was asked for, on those that were fitted (`on_fitted`).
     """
@@ -150,6 +151,7 @@ class Refinement(NamedTuple):
     whiteness: "Whiteness | None" = None
     simulations: Sequence[ValidationRun] = ()
     on_fitted: bool = False
+    by: "AbstractObjective | None" = None
     name = "refinement"
 
     @property

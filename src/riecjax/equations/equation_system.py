@@ -35,10 +35,10 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from riecjax import arrays as xp
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, label_of, signals_read
 from riecjax.equations.hidden_elements import HiddenState, SpringElement
@@ -130,7 +130,7 @@ class EquationSystem(AbstractSystem):
     def derivative(self, state: State, inputs: Inputs) -> State:
         """Time derivative of the state, by solving the equations for their unknowns."""
         flow = self._flow(self._solved(self._known_signals(state, inputs)))
-        return jnp.concatenate([flow[name] for name in self.state_names])
+        return xp.concatenate([flow[name] for name in self.state_names])
 
     def output(self, state: State, inputs: Inputs) -> Mapping[str, Float[Array, ""]]:
         """Leading derivatives under their recorded names, and what static equations determine.
@@ -146,20 +146,19 @@ class EquationSystem(AbstractSystem):
             stuck = {rate: regime.stuck[self.state_names.index(name)] for name, rate in pairs}
         signals = self._solved(self._known_signals(state, inputs))
         values = {name: signals[name][0] for name, _ in self.outputs}
-        return {n: jnp.where(stuck[n], 0.0, v) if n in stuck else v for n, v in values.items()}
+        return {n: xp.where(stuck[n], 0.0, v) if n in stuck else v for n, v in values.items()}
 
-    @eqx.filter_jit
     def probed(
         self, state: Array, inputs: Array, unknowns: Array
     ) -> tuple[Float[Array, " n"], Float[Array, "n n"], Float[Array, " n"]]:
         """r0 and J at a point, and the residuals of some values of the unknowns."""
         signals = self._known_signals(state, inputs)
         rows, names = self._rows(signals), self.unknowns
-        none = jnp.zeros_like(unknowns[0])
-        slopes = [jnp.stack([slopes.get(name, none) for name in names]) for _, slopes in rows]
+        none = xp.zeros_like(unknowns[0])
+        slopes = [xp.stack([slopes.get(name, none) for name in names]) for _, slopes in rows]
         whole = {**signals, **dict(zip(names, unknowns[:, None]))}
         found = [sum((self._term(t, whole) for t in e.terms), start=none) for e in self.equations]
-        return jnp.stack([rest for rest, _ in rows]), jnp.stack(slopes), jnp.stack(found)
+        return xp.stack([rest for rest, _ in rows]), xp.stack(slopes), xp.stack(found)
 
     # Signals have shape (1,), so that an expression written for the samples of a record needs no
     # second version for a point.
@@ -182,15 +181,15 @@ class EquationSystem(AbstractSystem):
             solution[name] = -without_solved(rest, slopes) / slopes[name]
         coupled = [name for name in self.unknowns if name not in solution]
         if coupled:
-            rest = jnp.stack([without_solved(*row) for row in rows.values()])
-            none = jnp.zeros_like(rest[0])
-            matrix = [jnp.stack([row[1].get(n, none) for n in coupled]) for row in rows.values()]
-            solution |= dict(zip(coupled, solve_few(jnp.stack(matrix), -rest)))
+            rest = xp.stack([without_solved(*row) for row in rows.values()])
+            none = xp.zeros_like(rest[0])
+            matrix = [xp.stack([row[1].get(n, none) for n in coupled]) for row in rows.values()]
+            solution |= dict(zip(coupled, solve_few(xp.stack(matrix), -rest)))
         return signals | {name: value[None] for name, value in solution.items()}
 
     def _rows(self, signals: dict[str, Array]) -> list[tuple[Array, dict[str, Array]]]:
         """Of each equation r0, and those columns of J in which it may be other than zero."""
-        zero = jnp.zeros((1,), next(iter(signals.values())).dtype)
+        zero = xp.zeros((1,), next(iter(signals.values())).dtype)
         zeros = dict.fromkeys(self.unknowns, zero)
         rows = []
         for i, equation in enumerate(self.equations):
@@ -214,13 +213,13 @@ class EquationSystem(AbstractSystem):
 
     def _term(self, term: AbstractTerm, signals: dict[str, Array]) -> Array:
         values = [self.values[name] for name in term.parameters]
-        factor, basis = jnp.asarray(term.factor), term.basis
+        factor, basis = xp.asarray(term.factor), term.basis
         if basis is not None:
-            law = partial(basis.interpolate, jnp.stack(values))
+            law = partial(basis.interpolate, xp.stack(values))
             return factor * self._expression(term, signals, law)[0]
         columns = self._expression(term, signals, term.functions)[:, 0]
         if len(values) > 1:
-            return factor * jnp.stack(values) @ columns
+            return factor * xp.stack(values) @ columns
         return factor * (values[0] if values else 1.0) * columns[0]
 
     def _expression(
@@ -242,7 +241,7 @@ class EquationSystem(AbstractSystem):
             # A constant may be one number for all samples.
             known = Signals({**signals, **states})
             samples = known[of] if isinstance(of, str) else of(known)
-            return function(jnp.atleast_1d(jnp.asarray(samples)))
+            return function(xp.atleast_1d(xp.asarray(samples)))
 
         def rate(function: Callable[[dict[str, Array]], Array]):
             def along_motion(states: dict[str, Array]) -> Array:
@@ -264,9 +263,7 @@ class EquationSystem(AbstractSystem):
         }
         known = Signals(signals)
         flow |= {
-            name: signals[rate]
-            if isinstance(rate, str)
-            else jnp.atleast_1d(jnp.asarray(rate(known)))
+            name: signals[rate] if isinstance(rate, str) else xp.atleast_1d(xp.asarray(rate(known)))
             for name, rate in self.rates
         }
         for spring in self.springs:
@@ -380,9 +377,7 @@ def read_system(
     for term in (*terms, *(spring.element for spring in springs)):
         if not term.is_linear and term.basis is None:
             try:
-                jax.eval_shape(
-                    lambda x, t=term: made_by(t, lambda: t.functions(x), 1), jnp.zeros(1)
-                )
+                jax.eval_shape(lambda x, t=term: made_by(t, lambda: t.functions(x), 1), np.zeros(1))
             except ModelError as error:
                 raise ModelError(f"{label} cannot be simulated: {error}") from None
         read.append(expression_read(term, motions))
@@ -442,13 +437,14 @@ def require_solvable(label: str, system: EquationSystem) -> None:
         which = spring.element.parameters[0]
         if spring.element.is_linear and float(system.values[which]) == 0:
             raise ModelError(f"{label} cannot be simulated: {which}, a spring in series, is zero.")
-    # Of NumPy's, which the compiled function takes as they are.
     state: Any = np.random.default_rng(0).uniform(0.2, 0.9, len(system.states))
     level: Any = np.linspace(0.3, 0.7, len(system.inputs))
     unknowns = system.unknowns
     probe: Any = np.random.default_rng(1).uniform(0.5, 1.5, len(unknowns))
-    probed = system.probed(state, level, probe)
-    rest, slopes, found = (np.asarray(part) for part in probed)
+    # Derivatives of what reads unknowns are JAX's, which compiles one program sooner than each
+    # step.
+    look = eqx.filter_jit(EquationSystem.probed) if system.implicit else EquationSystem.probed
+    rest, slopes, found = map(np.asarray, look(system, state, level, probe))
     columns = np.max(np.abs(slopes), axis=0, initial=0.0)
     rows = np.max(np.abs(slopes), axis=1, initial=0.0)
     if not np.all(np.isfinite(slopes)):

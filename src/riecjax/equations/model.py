@@ -19,9 +19,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
+from riecjax import arrays as xp
 from riecjax.equations.equation import Equation, first_stated, require_agreement
 from riecjax.equations.equation_system import (
     EquationSystem,
@@ -439,7 +439,7 @@ class Model(Shown, eqx.Module):
             )
         if build is None:
             return equation_system(self, values)
-        return build({name: jnp.asarray(value, float) for name, value in values.items()})
+        return build({name: xp.asarray(value, float) for name, value in values.items()})
 
     def identified_system(self, values: Mapping[str, Any], record: Record) -> Any:
         """The system to validate identified values with on a record.
@@ -618,7 +618,7 @@ def equation_system(
     names = model.parameter_names
     if unset := [name for name in names if name not in known]:
         raise ModelError(f"{label}: no value is given for {', '.join(unset)}.")
-    numbers = {name: jnp.asarray(known[name], jnp.result_type(float)) for name in names}
+    numbers = {name: xp.asarray(known[name], float) for name in names}
     for name, number in numbers.items():
         if number.shape != ():
             raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")

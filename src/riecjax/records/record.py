@@ -18,7 +18,7 @@ from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.extensions import require_packages
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import is_concrete
 from riecjax.records.signal import Noise, Signal, SignalNoise, both
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn
@@ -514,32 +514,6 @@ def shared_length(samples: int) -> int:
     """How many samples a record is filled up to, to be simulated: a quarter more at most.
 
     So records of many lengths share compiled functions.
-    What is simulated behind its end takes its time; to sum takes little, so that what is only
-    summed is filled up further.
     """
     step = max(2 ** (samples - 1).bit_length() // (2 * TO_A_DOUBLING), 1)
     return -(-samples // step) * step
-
-
-def filled_up(record: Record, length: int, begin: int = 0, stop: int | None = None) -> Record:
-    """Samples from `begin` to `stop`, and the last of them again and again behind."""
-    stop = record.sample_count if stop is None else stop
-    behind = length - (stop - begin)
-
-    def filled(values: Leaf) -> np.ndarray:
-        part = np.asarray(values)[begin:stop]
-        return np.concatenate([part, np.repeat(part[-1:], behind)]) if behind else part
-
-    stamps, earlier = record.stamps, begin * float(record.time_step)
-    if stamps is not None:
-        stamps, earlier = filled(stamps), float(stamps[begin]) - float(stamps[0])
-    # Units would tell apart what is compiled once for all.
-    by_name = {
-        name: Signal(
-            filled(signal.values),
-            None if signal.present is None else filled(signal.present),
-            noise=signal.noise,
-        )
-        for name, signal in record.by_name.items()
-    }
-    return Record(by_name, record.time_step, stamps=stamps, skipped=earlier)

@@ -32,13 +32,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from riecjax import arrays as xp
 from riecjax.criteria.criterion import RIEC, AbstractCriterion
 from riecjax.criteria.windows import DEFAULT_BAND
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model, require_no_slip, told_apart
 from riecjax.equations.term import Term, combined, samples_of
 from riecjax.errors import DataError, ModelError, users_code
-from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import over_records
 from riecjax.records.record import Record, Signal, Signals
 from riecjax.refinement.objective import (
@@ -252,7 +252,7 @@ class IntegralResiduals(AbstractResiduals):
     keys: list[Key[Array, ""] | None]
     count: Float[Array, " equations"]
 
-    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
+    def expansion(self, theta: Theta, initial: Initial, curved: Any = False) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
         parts = self._equations(theta)
         moments = sum(part.moments for part in parts[1:]) + parts[0].moments
@@ -261,19 +261,19 @@ class IntegralResiduals(AbstractResiduals):
 
     def rms(self, energy: Energies) -> Energies:
         """Of the impulses of each equation over a window."""
-        return jnp.sqrt(energy / jnp.maximum(self.count, 1))
+        return xp.sqrt(energy / xp.maximum(self.count, 1))
 
     def independent_rows(self) -> Float[Array, ""]:
         """As many as disjoint windows of the greatest length."""
         short = short_blocks(self.records, self.criterion)
-        window = jnp.maximum(self.longest_window, jnp.min(short.seconds))
-        return len(self.models) * jnp.sum(short.durations) / window
+        window = xp.maximum(self.longest_window, xp.min(short.seconds))
+        return len(self.models) * xp.sum(short.durations) / window
 
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """By blocks of the windows' starts."""
-        moments = without_initial(expansion.pieces[0][0], len(self.table.free))
-        moments = moments.reshape(len(self.records), -1, *moments.shape[1:])
-        count = jnp.full(moments.shape[:2], jnp.sum(self.count) / math.prod(moments.shape[:2]))
+        moments = without_initial(expansion.pieces[0], len(self.table.free))
+        moments = moments.reshape(len(self.records), -1, *moments.shape[2:])
+        count = xp.full(moments.shape[:2], xp.sum(self.count) / math.prod(moments.shape[:2]))
         short = short_blocks(self.records, self.criterion)
         return NormalEquations(moments, count, self.table.free), short
 
@@ -328,7 +328,7 @@ class IntegralError(AbstractObjective):
         self,
         models: Sequence[ByFunction],
         records: list[Record],
-        table: ParameterTable,
+        table: Any,
         start: Theta,
         keys: list[Key[Array, ""] | None],
     ) -> IntegralResiduals:

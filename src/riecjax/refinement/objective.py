@@ -18,6 +18,7 @@ has the Schur complement A - B C^-1 B^T of `optimum` for its Gram matrix: a cova
 that includes what is not known of initial states.
 """
 
+import dataclasses
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -25,10 +26,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
+from riecjax import arrays as xp
 from riecjax.equations.equation import Equation
 from riecjax.equations.equation_system import EquationSystem
 from riecjax.equations.model import Model, as_model, equation_system, require_no_slip
@@ -36,7 +37,6 @@ from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
-from riecjax.leaves import Leaf, as_leaf, namespace
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
 from riecjax.simulation.system import AbstractSystem
@@ -45,6 +45,7 @@ from riecjax.summaries.task import record_keys
 if TYPE_CHECKING:
     from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 
+Leaf = Array | np.ndarray
 Values = Mapping[str, Leaf]
 Theta = Float[Array, " p"]
 """Free parameters over all records."""
@@ -55,7 +56,7 @@ Energies = Float[Array, " quantities"]
 
 
 def _as_leaves(values: Mapping[str, Leaf | float]) -> Values:
-    return {name: as_leaf(value) for name, value in values.items()}
+    return {name: xp.asarray(value, float) for name, value in values.items()}
 
 
 class ByFunction(eqx.Module):
@@ -85,8 +86,7 @@ def by_fields(module: eqx.Module) -> ByFunction:
     """
     leaves = jax.tree.leaves(module)
     defaults = {
-        name: jnp.asarray(leaves[place] if entry is None else leaves[place][entry])
-        for name, place, entry in _entries(module)
+        name: xp.asarray(leaves[place])[entry or ()] for name, place, entry in _entries(module)
     }
     units = tuple(getattr(module, "units", {}).items())
     return ByFunction(_with_fields, tuple(defaults), units, defaults, module)
@@ -106,22 +106,22 @@ def _with_fields(module: eqx.Module, values: Values) -> Any:
     leaves, structure = jax.tree.flatten(module)
     for name, place, entry in _entries(module):
         if name in values:
-            leaf = jnp.asarray(leaves[place], jnp.result_type(float))
-            value = jnp.asarray(values[name], leaf.dtype)
-            leaves[place] = value if entry is None else leaf.at[entry].set(value)
+            leaf = xp.asarray(leaves[place], float)
+            value = xp.asarray(values[name], leaf.dtype)
+            leaves[place] = value if entry is None else xp.with_entries(leaf, entry, value)
     return jax.tree.unflatten(structure, leaves)
 
 
 def _with_coefficients(system: EquationSystem, values: Values) -> EquationSystem:
-    given = {name: jnp.asarray(values[name]) for name in system.values if name in values}
+    given = {name: xp.asarray(values[name]) for name in system.values if name in values}
     return eqx.tree_at(lambda s: s.values, system, {**system.values, **given})
 
 
-Simulated = ByFunction | AbstractSystem | Equation | Model | Callable[[Values], AbstractSystem]
+Simulatable = ByFunction | AbstractSystem | Equation | Model | Callable[[Values], AbstractSystem]
 """What output errors can be formed of."""
 
 
-def as_parametric_system(model: Simulated, record: Record) -> ByFunction:
+def as_parametric_system(model: Simulatable, record: Record) -> ByFunction:
     """The system behind a model, for every value of its parameters.
 
     **Raises:** `ModelError` if it cannot be simulated.
@@ -146,7 +146,7 @@ def as_parametric_system(model: Simulated, record: Record) -> ByFunction:
             )
         is_driven = model.is_driven_by(record)
         given = {**(defaults if is_driven else {}), **model.known}
-        known = {name: jnp.asarray(value, float) for name, value in given.items()}
+        known = {name: xp.asarray(value, float) for name, value in given.items()}
         # In general position: of two equal inertias, coupled by a third, ones would be singular.
         generic = np.random.default_rng(0).uniform(0.5, 1.5, len(model.parameter_names))
         values = {**dict(zip(model.parameter_names, generic)), **known}
@@ -162,6 +162,18 @@ def as_parametric_system(model: Simulated, record: Record) -> ByFunction:
     )
 
 
+class Simulated(NamedTuple):
+    """A record's windows as they are simulated.
+
+    **Fields:** `states` at each sample; `left`, simulated minus recorded in units of sigma, 0 where
+    nothing is compared; its derivatives `by_initial` states of the window.
+    """
+
+    states: Float[Array, "windows longest states"]
+    left: Float[Array, "windows compared channels"]
+    by_initial: Float[Array, "windows compared channels s"]
+
+
 class Expansion(NamedTuple):
     """Residuals at a point and their first derivatives, as moments.
 
@@ -171,14 +183,16 @@ class Expansion(NamedTuple):
       and by the window's initial states, of each window cut into pieces of time; shape
       `(windows, pieces, 1 + p + s, 1 + p + s)`.
     - `energy`: sum of squared residuals of each of the `labels`.
+    - `simulated`: of what is simulated, the [`Simulated`][] of each record.
     """
 
     pieces: list[Float[Array, "windows pieces columns columns"]]
     energy: Energies
+    simulated: "Sequence[Simulated]" = ()
 
     def moments(self) -> Float[Array, "windows columns columns"]:
         """Of each window."""
-        return jnp.concatenate([jnp.sum(record, axis=1) for record in self.pieces])
+        return xp.concatenate([xp.sum(record, axis=1) for record in self.pieces])
 
 
 class AbstractResiduals(eqx.Module):
@@ -210,15 +224,28 @@ class AbstractResiduals(eqx.Module):
     most_steps: int = eqx.field(static=True, default=0, kw_only=True)
 
     @abstractmethod
-    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
-        """The residuals at a point, to first order."""
+    def expansion(
+        self, theta: Theta, initial: Initial, curved: bool | Bool[Array, ""] = False
+    ) -> Expansion:
+        """The residuals at a point, to first order.
 
-    def curved(self, theta: Theta, initial: Initial, expansion: Expansion) -> Expansion:
-        """An expansion at an optimum, with the curvature of what is made small.
-
-        Other than what the search needs where that is no sum of squares.
+        **Arguments:** `curved`, for the second derivative of what is made small, where that is no
+        sum of squares, and not for what searches for its least.
         """
-        return expansion
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether what is made small curves otherwise than its search supposes."""
+        return False
+
+    def at(self, theta: Theta, initial: Initial, curved: bool = False) -> Expansion:
+        """The expansion, traced as the caller is or by one program for all points, in double
+        precision."""
+        if xp.are_traced(self, theta, initial):
+            return self.expansion(theta, initial, curved)
+        method = None if self.method is None else self.method.counted()
+        counted = dataclasses.replace(self, method=method, most_steps=0)
+        return xp.in_double(_expanded, counted, theta, initial, np.asarray(curved))
 
     @abstractmethod
     def rms(self, energy: Energies) -> Energies:
@@ -236,21 +263,32 @@ class AbstractResiduals(eqx.Module):
         """
 
 
+@eqx.filter_jit
+def _expanded(
+    residuals: AbstractResiduals, theta: Theta, initial: Initial, curved: Bool[Array, ""]
+) -> Expansion:
+    return residuals.expansion(theta, initial, curved)
+
+
 RIDGE = 1e-10
 """What keeps an initial state that no residual depends on from a division by zero; relative."""
 
 
 def without_initial(
-    pieces: Float[Array, "pieces columns columns"], p: int
-) -> Float[Array, "pieces 1+p 1+p"]:
-    """Of the pieces of a window, moments of minus the residual and of its derivatives while initial
+    pieces: Float[Array, "windows pieces columns columns"], p: int
+) -> Float[Array, "windows pieces 1+p 1+p"]:
+    """Of the pieces of windows, moments of minus the residual and of its derivatives while initial
     states follow: a change of the parameters is to take the residual off."""
-    mix = jnp.eye(1 + p, dtype=pieces.dtype).at[0, 0].set(-1.0)
+    mix = np.diag(np.append(-1.0, np.ones(p))).astype(pieces.dtype)[None]
     if pieces.shape[-1] > 1 + p:
-        whole = jnp.sum(pieces, axis=0)
-        following = solve_scaled(whole[1 + p :, 1 + p :], whole[1 + p :, 1 : 1 + p], ridge=RIDGE)
-        mix = jnp.concatenate([mix, jnp.pad(-following, [(0, 0), (1, 0)])])
-    return jnp.einsum("ia,pij,jb->pab", mix, pieces, mix)
+        whole = xp.sum(pieces, axis=1)
+        states, parameters = slice(1 + p, None), slice(1, 1 + p)
+        following = solve_scaled(whole[:, states, states], whole[:, states, parameters], RIDGE)
+        followed = xp.pad(-following, [(0, 0), (0, 0), (1, 0)])
+        mix = xp.broadcast_to(mix, (len(followed), *mix.shape[1:]))
+        mix = xp.concatenate([mix, followed], axis=1)
+    mix = mix[:, None]
+    return xp.matmul(xp.swapaxes(mix, 2, 3), xp.matmul(pieces, mix))
 
 
 class AbstractObjective(eqx.Module):
@@ -310,15 +348,13 @@ class AbstractObjective(eqx.Module):
                 f"in known (to hold it)."
             )
         dtype = records[0].time_step.dtype
-        numbers = {
-            name: namespace(values[name]).asarray(values[name], dtype) for name in table.names
-        }
+        numbers = {name: xp.asarray(values[name], dtype) for name in table.names}
         table = table.holding({n: v for n, v in numbers.items() if n not in begun or n in fixed})
         if not table.free:
             raise ModelError("every parameter is known; nothing is left to refine.")
         free = [numbers[name] for name in table.free]
         # In NumPy where nothing is traced: JAX would compile each small step.
-        theta = namespace(free).stack(free)
+        theta = xp.stack(free)
         return self.over(models, records, table, theta, record_keys(key, len(records)))
 
     @abstractmethod
@@ -335,6 +371,19 @@ class AbstractObjective(eqx.Module):
         keys: list[Key[Array, ""] | None],
     ) -> AbstractResiduals:
         """The residuals of `models` along records, whose parameters are those of a table."""
+
+    def is_lost(self, found: Estimate, records: list[Record]) -> bool:
+        """Whether a search ended where the model does not follow the records, if that is told."""
+        return False
+
+    def is_explained(self, found: Estimate, records: list[Record]) -> bool:
+        """Whether noise may be all that a search left, as far as anything tells."""
+        return True
+
+    def by_segments(self, record: Record) -> "list[AbstractObjective]":
+        """The same over ever longer segments of a record, itself the last; none where it is not
+        over whole records."""
+        return []
 
     @abstractmethod
     def describe(self) -> dict[str, object]:

@@ -103,6 +103,7 @@ whose standard errors are themselves made of such changes, beside the parameter.
 """
 
 import dataclasses
+import functools
 import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -115,13 +116,13 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
+from riecjax import arrays as xp
 from riecjax.estimation.constraints import (
     Constraints,
     constrained_blocks,
     constrained_uncertainty,
 )
 from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
-from riecjax.leaves import held_still
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
 from riecjax.refinement.objective import RIDGE, AbstractResiduals, Energies, Initial, Theta
 from riecjax.uncertainty.intervals import AbstractIntervals, estimate_uncertainty
@@ -141,7 +142,7 @@ NO_STEP = 1e-13
 """Step, as a share of a point, that rounding makes."""
 
 
-class Point(eqx.Module):
+class Point(NamedTuple):
     """Where a refinement stands: `parameters` in units of their scale, and `initial` states that
     are estimated, one row for each window."""
 
@@ -149,7 +150,7 @@ class Point(eqx.Module):
     initial: Initial
 
 
-class Linearised(eqx.Module):
+class Linearised(NamedTuple):
     """Least squares at a point, to first order.
 
     **Fields:** `moments`, Gram matrix of residual, its derivatives by the parameters and by the
@@ -165,12 +166,12 @@ class Linearised(eqx.Module):
     @property
     def energy(self) -> Float[Array, ""]:
         """Sum of squares."""
-        return jnp.sum(self.moments[:, 0, 0]) + jnp.sum(self.prior**2)
+        return xp.sum(self.moments[:, 0, 0]) + xp.sum(self.prior**2)
 
     def gradient(self) -> Point:
         """Of half the sum of squares."""
         p = self.prior.shape[0]
-        parameters = jnp.sum(self.moments[:, 1 : 1 + p, 0], axis=0) + self.prior_slope * self.prior
+        parameters = xp.sum(self.moments[:, 1 : 1 + p, 0], axis=0) + self.prior_slope * self.prior
         return Point(parameters, self.moments[:, 1 + p :, 0])
 
     def step(self, damping: Float[Array, ""]) -> tuple[Point, Float[Array, ""], Float[Array, ""]]:
@@ -181,36 +182,36 @@ class Linearised(eqx.Module):
         p, columns = self.prior.shape[0], self.moments.shape[-1]
         if self.moments.shape[0] == 1 and columns > 1 + p:
             # Of one window, initial states are as any parameter.
-            none = jnp.zeros(columns - 1 - p, self.moments.dtype)
-            prior, slope = (jnp.append(held, none) for held in (self.prior, self.prior_slope))
-            joined = dataclasses.replace(self, prior=prior, prior_slope=slope)
+            none = np.zeros(columns - 1 - p, self.moments.dtype)
+            prior, slope = (xp.append(held, none) for held in (self.prior, self.prior_slope))
+            joined = self._replace(prior=prior, prior_slope=slope)
             whole, work, damped = joined.step(damping)
             return Point(whole.parameters[:p], whole.parameters[None, p:]), work, damped
         gram = self.moments[:, 1:, 1:]
         gradient = self.gradient()
-        curvature = jnp.diagonal(gram, axis1=1, axis2=2)
-        a = jnp.sum(gram[:, :p, :p], axis=0) + jnp.diag(self.prior_slope**2)
+        curvature = xp.diagonal(gram, axis1=1, axis2=2)
+        a = xp.sum(gram[:, :p, :p], axis=0) + xp.diag(self.prior_slope**2)
         # A column that is zero is damped too, or it would leave a pivot of zero.
         sizes, initial_sizes = (
-            jnp.where(size > 0, size, 1.0) for size in (jnp.diagonal(a), curvature[:, p:])
+            xp.where(size > 0, size, 1.0) for size in (xp.diagonal(a), curvature[:, p:])
         )
-        right, schur = gradient.parameters, a + damping * jnp.diag(sizes)
+        right, schur = gradient.parameters, a + damping * xp.diag(sizes)
         following = None
         if columns > 1 + p:
             b = gram[:, :p, p:]
-            identity = jnp.eye(gram.shape[-1] - p, dtype=gram.dtype)[None]
+            identity = np.eye(gram.shape[-1] - p, dtype=gram.dtype)[None]
             c = gram[:, p:, p:] + damping * initial_sizes[:, :, None] * identity
             # C~^-1 [B' c] of each window: how initial states follow x, and where they go at x = 0.
-            both = jnp.concatenate([jnp.swapaxes(b, 1, 2), gradient.initial[:, :, None]], axis=2)
-            following = jax.vmap(solve_scaled)(c, both)
-            taken = jnp.einsum("wps,wsq->pq", b, following)
+            both = xp.concatenate([xp.swapaxes(b, 1, 2), gradient.initial[:, :, None]], axis=2)
+            following = solve_scaled(c, both)
+            taken = xp.einsum("wps,wsq->pq", b, following)
             right, schur = right - taken[:, p], schur - taken[:, :p]
         parameters = -solve_scaled(schur, right[:, None])[:, 0]
         initial = gradient.initial
         if following is not None:
             initial = -following[:, :, p] - following[:, :, :p] @ parameters
-        work = -gradient.parameters @ parameters - jnp.sum(gradient.initial * initial)
-        size = sizes @ parameters**2 + jnp.sum(initial_sizes * initial**2)
+        work = -gradient.parameters @ parameters - xp.sum(gradient.initial * initial)
+        size = sizes @ parameters**2 + xp.sum(initial_sizes * initial**2)
         return Point(parameters, initial), work, damping * size
 
     def factors(self) -> Float[Array, "windows columns columns"]:
@@ -222,7 +223,7 @@ Residual = tuple[Float[Array, "windows columns"], Float[Array, " p"]]
 """First columns of `factors`, one row for each window; and the residuals of the priors."""
 
 
-class _State(eqx.Module):
+class _State(NamedTuple):
     """Accepted problem, trial point, damping, and the two parts of the predicted decrease."""
 
     accepted: Linearised
@@ -232,7 +233,7 @@ class _State(eqx.Module):
     damped: Float[Array, ""]
     first: Bool[Array, ""]
     ended: Bool[Array, ""]
-    result: optx.RESULTS
+    failed: Bool[Array, ""]
 
 
 class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
@@ -255,17 +256,9 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     ) -> _State:
         """Before the first step."""
         dtype = y.parameters.dtype
-        accepted = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
-        return _State(
-            accepted,
-            y,
-            jnp.asarray(FIRST_DAMPING / DAMPING_DECREASE, dtype),
-            jnp.ones((), dtype),
-            jnp.zeros((), dtype),
-            jnp.asarray(True),
-            jnp.asarray(False),
-            optx.RESULTS.successful,
-        )
+        accepted = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), aux_struct)
+        numbers = (FIRST_DAMPING / DAMPING_DECREASE, 1.0, 0.0)
+        return _State(accepted, y, *np.array(numbers, dtype), *np.array([True, False, False]))
 
     def step(
         self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
@@ -276,38 +269,34 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         ratio = decrease / (state.work + state.damped)
         good = state.first | ((decrease > 0) & (ratio > ACCEPTED))
         lower = state.first | (ratio > GOOD)
-        factor = jnp.where(good, jnp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
-        damping = jnp.maximum(state.damping * factor, jnp.finfo(factor.dtype).eps)
-        point = jax.tree.map(lambda new, old: jnp.where(good, new, old), state.trial, y)
-        accepted = jax.tree.map(lambda new, old: jnp.where(good, new, old), tried, state.accepted)
+        factor = xp.where(good, xp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
+        damping = xp.maximum(state.damping * factor, xp.finfo(ratio.dtype).eps)
+        point = jax.tree.map(lambda new, old: xp.where(good, new, old), state.trial, y)
+        accepted = jax.tree.map(lambda new, old: xp.where(good, new, old), tried, state.accepted)
         step, work, damped = accepted.step(damping)
-        step = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(leaf), leaf, 0.0), step)
+        step = jax.tree.map(lambda leaf: xp.where(xp.isfinite(leaf), leaf, 0.0), step)
         flat = (work <= self.rtol**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
         # Of parameters, and of initial states.
         pairs = (step.parameters, point.parameters), (step.initial, point.initial)
-        stuck = jnp.all(
-            jnp.stack([self.norm(moved) <= NO_STEP * self.norm(at) for moved, at in pairs])
-        )
+        stuck = xp.all(xp.stack([_largest(moved) <= NO_STEP * _largest(at) for moved, at in pairs]))
         if self.report is not None:
-            jax.debug.callback(self.report, accepted.energy)
-        low, high = (end / args.scale for end in args.limits())
-        parameters = jnp.clip(point.parameters + step.parameters, low, high)
+            tell = jax.debug.callback if xp.is_traced(accepted.energy) else lambda f, x: f(x)
+            tell(self.report, accepted.energy)
+        low, high = (end / args.scale for end in args.bounds)
+        parameters = xp.clip(point.parameters + step.parameters, low, high)
         trial = Point(parameters, point.initial + step.initial)
-        result = optx.RESULTS.where(
-            stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy),
-            optx.RESULTS.nonlinear_divergence,
-            optx.RESULTS.successful,
-        )
-        state = _State(
-            accepted, trial, damping, work, damped, jnp.asarray(False), flat | stuck, result
-        )
+        failed = stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy)
+        ended = flat | stuck
+        state = _State(accepted, trial, damping, work, damped, np.asarray(False), ended, failed)
         return point, state, accepted
 
     def terminate(
         self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
     ) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """Whether the search is over."""
-        return state.ended, state.result
+        return state.ended, optx.RESULTS.where(
+            state.failed, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
+        )
 
     def postprocess(
         self,
@@ -322,6 +311,10 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     ) -> tuple[Point, Linearised, dict[str, Any]]:
         """Nothing to add."""
         return y, aux, {}
+
+
+def _largest(values: Array) -> Float[Array, ""]:
+    return xp.max(xp.abs(values), initial=0.0)
 
 
 SILENT = 1e-20
@@ -362,92 +355,131 @@ class Place(NamedTuple):
         return cls(*at, search.cost, search.rms, search.status, search.steps)
 
 
-@eqx.filter_jit
+def _by_one_program(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, compiled whole where its arguments are traced; where none is, only what it
+    calls is. What is not finite is a status, and warns of nothing."""
+    traced = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def either(*given: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return (traced if xp.are_traced(given) else function)(*given)
+
+    return either
+
+
+def _is(status: RefinementStatus, word: RefinementStatus) -> Any:
+    return xp.on_host(status == word)
+
+
+def _chosen(*cases: tuple[Any, Any]) -> Any:
+    """The last of some words whose condition holds."""
+    word = cases[0][1]
+    for holds, other in cases[1:]:
+        if xp.is_traced(holds) or (isinstance(word, RefinementStatus) and word.is_traced()):
+            word = RefinementStatus.where(holds, other, word)
+        elif bool(holds):
+            word = other
+    return word
+
+
+@_by_one_program
 def begun(residuals: AbstractResiduals, initial: Initial) -> Place:
     """The start, with what it leaves at the initial states that suit it best.
 
     Gauss and Newton's steps find these, while they make the sum of squares smaller.
     """
     energy = _profiled(residuals, initial)
-    cost, rms = jnp.sum(energy), residuals.rms(energy)
-    status = RefinementStatus.where(
-        jnp.isfinite(cost), RefinementStatus.converged, RefinementStatus.not_finite
-    )
-    return Place(residuals.start, initial, cost, rms, status, jnp.zeros((), int))
+    cost, rms = xp.sum(energy), residuals.rms(energy)
+    found, lost = RefinementStatus.converged, RefinementStatus.not_finite
+    status = _chosen((True, found), (~xp.isfinite(cost), lost))
+    return Place(residuals.start, initial, cost, rms, status, np.zeros((), int))
 
 
 def _profiled(residuals: AbstractResiduals, initial: Initial) -> Energies:
-    start, table = residuals.start, residuals.table
     if not residuals.initial_state_names:
-        return residuals.expansion(start, initial).energy
-    table = table.holding({**table.known, **dict(zip(table.free, start))})
-    held, initial = held_still((dataclasses.replace(residuals, table=table), initial))
+        return residuals.at(residuals.start, initial).energy
+    held, initial = xp.stop_gradient((residuals, initial))
+    start, p = held.start, len(held.table.free)
 
     # Initial states to try, the least energy so far, trials left, and whether to go on.
     def tried(state: tuple[Array, Energies, Array, Array]) -> tuple[Array, ...]:
         trial, least, trials, _ = state
-        at = held.expansion(jnp.zeros(0, start.dtype), trial)
-        moments = at.moments()
-        better = jnp.sum(at.energy) < jnp.sum(least)
-        energy = jnp.where(better, at.energy, least)
-        gradient = moments[:, 1:, :1]
-        step = -jax.vmap(lambda g, r: solve_scaled(g, r, RIDGE))(moments[:, 1:, 1:], gradient)
-        going = better & (-jnp.sum(gradient * step) > PROFILED * jnp.sum(energy))
+        at = held.at(start, trial)
+        moments = at.moments()[:, 1 + p :]
+        better = xp.sum(at.energy) < xp.sum(least)
+        energy = xp.where(better, at.energy, least)
+        gradient = moments[:, :, :1]
+        step = -solve_scaled(moments[:, :, 1 + p :], gradient, RIDGE)
+        going = better & (-xp.sum(gradient * step) > PROFILED * xp.sum(energy))
         return trial + step[:, :, 0], energy, trials - 1, going & (trials > 0)
 
-    none = jnp.full(len(residuals.labels), jnp.inf, start.dtype)
-    first: Any = (initial, none, jnp.asarray(MOST_TRIALS), jnp.asarray(True))
-    return jax.lax.while_loop(lambda state: state[3], tried, first)[1]
+    none = np.full(len(residuals.labels), np.inf, start.dtype)
+    state: Any = (initial, none, np.asarray(MOST_TRIALS), np.asarray(True))
+    if xp.are_traced(held, state):
+        return jax.lax.while_loop(lambda state: state[3], tried, state)[1]
+    while state[3]:
+        state = tried(state)
+    return state[1]
 
 
-class Problem(eqx.Module):
-    """Residuals with priors and bounds, of parameters in units of their `scale`; `variance` of a
-    residual."""
+class Problem(NamedTuple):
+    """Residuals of parameters in units of their `scale`; their bounds, and means and inverse
+    deviations of their priors; `variance` of a residual."""
 
     residuals: AbstractResiduals
-    constraints: Constraints
+    bounds: tuple[Float[Array, " p"], Float[Array, " p"]]
+    priors: tuple[Float[Array, " p"], Float[Array, " p"]]
     scale: Theta
     variance: Float[Array, ""]
 
-    def limits(self) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-        """Bounds of the parameters."""
-        lower, upper = self.constraints.limits(self.residuals.table.free)
-        return jnp.asarray(lower, self.scale.dtype), jnp.asarray(upper, self.scale.dtype)
+    @classmethod
+    def of(
+        cls, residuals: AbstractResiduals, constraints: Constraints, cost: Float[Array, ""]
+    ) -> "Problem":
+        """With priors weighed against what is left where the sum of squares is `cost`."""
+        names, start = residuals.table.free, residuals.start
+        scale = xp.where(start != 0, xp.abs(start), 1.0)
+        bounds, priors = (
+            tuple(xp.asarray(one, scale.dtype) for one in pair)
+            for pair in (constraints.limits(names), constraints.prior(names))
+        )
+        return cls(residuals, bounds, priors, scale, residual_variance(residuals, cost))
 
     def sides(self, point: Point) -> Float[Array, " p"]:
         """Which parameters are at their lower (-1) or upper (1) bound."""
-        low, high = (end / self.scale for end in self.limits())
+        low, high = (end / self.scale for end in self.bounds)
         at = point.parameters
-        return jnp.where(at >= high, 1.0, jnp.where(at <= low, -1.0, 0.0))
+        return xp.where(at >= high, 1.0, xp.where(at <= low, -1.0, 0.0))
 
     def theta(self, point: Point) -> Theta:
         """The parameters in their units, of which those at a bound move with it."""
-        (lower, upper), side = self.limits(), self.sides(point)
+        (lower, upper), side = self.bounds, self.sides(point)
         inside = point.parameters * self.scale
-        return jnp.where(side < 0, lower, jnp.where(side > 0, upper, inside))
+        return xp.where(side < 0, lower, xp.where(side > 0, upper, inside))
 
     def linearised(self, point: Point) -> Linearised:
         """The residuals to first order, by the parameters in units of their scale."""
         theta = self.theta(point)
-        expansion = self.residuals.expansion(theta, point.initial)
-        states = jnp.ones(point.initial.shape[1], theta.dtype)
-        scale = jnp.concatenate([jnp.ones(1, theta.dtype), self.scale, states])
+        expansion = self.residuals.at(theta, point.initial)
+        states = np.ones(point.initial.shape[1], theta.dtype)
+        scale = xp.concatenate([np.ones(1, theta.dtype), self.scale, states])
         moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
         # A trial point that the model cannot stand is a poor one, and nothing else.
-        finite = jnp.all(jnp.isfinite(moments), axis=(1, 2), keepdims=True)
-        poor = jnp.zeros(moments.shape[1:], moments.dtype)
-        poor = poor.at[0, 0].set(jnp.sqrt(jnp.finfo(moments.dtype).max))
-        moments = jnp.where(finite, moments, poor[None])
-        mean, weight = map(jnp.asarray, self.constraints.prior(self.residuals.table.free))
-        weight = weight * jnp.sqrt(self.variance)
+        finite = xp.all(xp.isfinite(moments), axis=(1, 2), keepdims=True)
+        poor = np.zeros(moments.shape[1:], moments.dtype)
+        poor[0, 0] = np.sqrt(np.finfo(moments.dtype).max)
+        moments = xp.where(finite, moments, poor[None])
+        mean, weight = self.priors
+        weight = weight * xp.sqrt(self.variance)
         prior, slope = weight * (theta - mean), weight * self.scale
         # A parameter that is pushed against its bound is held there.
         p = theta.shape[0]
-        push = -jnp.sum(moments[:, 1 : 1 + p, 0], axis=0) - slope * prior
+        push = -xp.sum(moments[:, 1 : 1 + p, 0], axis=0) - slope * prior
         free = (self.sides(point) * push <= 0).astype(moments.dtype)
-        moving = jnp.concatenate([jnp.ones(1), free, jnp.ones(moments.shape[-1] - 1 - p)])
+        moving = xp.concatenate([np.ones(1), free, np.ones(moments.shape[-1] - 1 - p)])
         moments = moments * (moving[:, None] * moving[None, :])[None]
-        return Linearised(moments, prior, slope * free, expansion)
+        return Linearised(moments, prior, slope * free, expansion._replace(simulated=()))
 
 
 def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
@@ -456,8 +488,8 @@ def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearis
     **Returns:** these, and the linearised problem that they come from, which is looked at and never
     differentiated.
     """
-    here = held_still(point)
-    at = held_still(problem.linearised(here))
+    here = xp.stop_gradient(point)
+    at = xp.stop_gradient(problem.linearised(here))
     factors, p = at.factors(), here.parameters.shape[0]
     # Zero, whose derivative is one: the Jacobian is that of the moments.
     change = jax.tree.map(operator.sub, point, here)
@@ -496,6 +528,43 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
 
 
 @eqx.filter_jit
+def _by_optimistix(
+    solver: Solver, first: Point, problem: Problem, max_steps: int
+) -> tuple[Point, Linearised, Bool[Array, ""], Bool[Array, ""], Int[Array, ""]]:
+    solution = optx.least_squares(
+        reduced_residual,
+        solver,
+        first,
+        args=problem,
+        has_aux=True,
+        max_steps=max_steps,
+        throw=False,
+    )
+    spent = solution.result == optx.RESULTS.nonlinear_max_steps_reached
+    converged = solution.result == optx.RESULTS.successful
+    return solution.value, solution.aux, converged, spent, solution.stats["num_steps"]
+
+
+def _stepped(
+    solver: LevenbergMarquardt, first: Point, problem: Problem, max_steps: int
+) -> tuple[Point, Linearised, Any, Any, Any]:
+    """As optimistix steps a solver, one by one: its own loop would be compiled, and all that it
+    calls once more within it."""
+
+    def linearised(point: Point, problem: Problem) -> tuple[None, Linearised]:
+        return None, problem.linearised(point)
+
+    # Of some shape; the first step puts another in its place.
+    point, aux, steps = first, problem.linearised(first), 0
+    given = problem, {}
+    state = solver.init(linearised, point, *given, None, aux, frozenset())
+    while steps < max_steps and not state.ended:
+        point, state, aux = solver.step(linearised, point, *given, state, frozenset())
+        steps += 1
+    return point, aux, state.ended & ~state.failed, ~state.ended, np.asarray(steps)
+
+
+@_by_one_program
 def search(
     residuals: AbstractResiduals,
     constraints: Constraints,
@@ -511,51 +580,47 @@ def search(
     **Returns:** the estimate; and of each parameter, the change by halving the steps of the
     simulation that does not matter.
     """
-    scale = jnp.where(residuals.start != 0, jnp.abs(residuals.start), 1.0)
-    problem = Problem(residuals, constraints, scale, residual_variance(residuals, before.cost))
-    still, first = held_still((problem, Point(before.theta / scale, before.initial)))
+    problem = Problem.of(residuals, constraints, before.cost)
+    first = Point(before.theta / problem.scale, before.initial)
+    still, first = xp.stop_gradient((problem, first))
+    by_itself = solver is None
     if solver is None:  # at the tolerance that the precision allows
-        rtol = 1e-6 if first.parameters.dtype == jnp.float64 else 1e-4
+        rtol = 1e-6 if first.parameters.dtype == np.float64 else 1e-4
         solver = LevenbergMarquardt(rtol, report=progress)
-    solution = optx.least_squares(
-        reduced_residual,
-        solver,
-        first,
-        args=still,
-        has_aux=True,
-        max_steps=max_steps,
-        throw=False,
-    )
-    # The point differentiates by anything in `problem`, forward and in reverse.
-    point = _implicit(jax.lax.stop_gradient(solution.value), problem)
+    is_traced = xp.are_traced(still, first)
+    solve: Any = _stepped if by_itself and not is_traced else _by_optimistix
+    point, aux, converged, spent, steps = xp.in_double(solve, solver, first, still, max_steps)
+    if is_traced:
+        # The point differentiates by anything in `problem`, forward and in reverse.
+        point = _implicit(jax.lax.stop_gradient(point), problem)
     theta, initial = problem.theta(point), point.initial
-    status, lost = RefinementStatus.failed, RefinementStatus.not_finite
-    spent = solution.result == optx.RESULTS.nonlinear_max_steps_reached
-    for ended, reason in (
+    lost = RefinementStatus.not_finite
+    status = _chosen(
+        (True, RefinementStatus.failed),
         (spent, RefinementStatus.out_of_steps),
-        (solution.result == optx.RESULTS.successful, RefinementStatus.converged),
-        (before.status == lost, lost),
-    ):
-        status = RefinementStatus.where(ended, reason, status)
-    expansion = solution.aux.expansion
+        (converged, RefinementStatus.converged),
+        (_is(before.status, lost), lost),
+    )
+    expansion = aux.expansion
     at_bound = problem.sides(point) != 0
-    blocks, short = residuals.blocks(residuals.curved(theta, initial, expansion))
-    cost = jnp.sum(expansion.energy)
+    curved = residuals.at(theta, initial, True) if residuals.is_curved else expansion
+    blocks, short = residuals.blocks(curved)
+    cost = xp.sum(expansion.energy)
     variance = residual_variance(residuals, cost)
     # What sits on its bound is held, and so is what nothing depends on, lest others go with it.
     total, names = blocks.flattened().total(), residuals.table.free
-    gram, curvature = total.gram, jnp.diagonal(total.gram)
-    known = variance * jnp.asarray(constraints.prior(names)[1]) ** 2
+    gram, curvature = total.gram, xp.diagonal(total.gram)
+    known = variance * xp.asarray(constraints.prior(names)[1]) ** 2
     silent = (curvature * theta**2 <= SILENT * cost) & (theta != 0) | (curvature == 0)
     held = at_bound | silent & (known == 0)
     # Parameters that others can make up for are held as well.
-    free, informed = jnp.where(held, 0.0, 1.0), gram + jnp.diag(known)
-    unit = unit_scale(jnp.diagonal(informed)) * free
-    scaled = informed * unit[:, None] * unit[None, :] + jnp.diag(1 - free)
-    sizes, directions = symmetric_eigen(jax.lax.stop_gradient(scaled))
+    free, informed = xp.where(held, 0.0, 1.0), gram + xp.diag(known)
+    unit = unit_scale(xp.diagonal(informed)) * free
+    scaled = informed * unit[:, None] * unit[None, :] + xp.diag(1 - free)
+    sizes, directions = symmetric_eigen(xp.stop_gradient(scaled))
     weak = sizes < COLLINEAR * gram.shape[0]
-    held = held | jnp.any(weak[None, :] & (jnp.abs(directions) > TAKES_PART), axis=1)
-    nowhere = jnp.zeros_like(theta)
+    held = held | xp.any(weak[None, :] & (xp.abs(directions) > TAKES_PART), axis=1)
+    nowhere = xp.zeros_like(theta)
     blocks = constrained_blocks(blocks, nowhere, held, known)
     shared = np.array([residuals.table[name].recording is None for name in names])
     uncertainty, inflation, statistics = estimate_uncertainty(
@@ -569,25 +634,25 @@ def search(
     )
     uncertainty = constrained_uncertainty(uncertainty, statistics, constraints, known, held)
     # To hold a parameter in a step needs no more than a steep slope.
-    information = known + jnp.where(held, jnp.maximum(curvature * 1e12, 1.0), 0.0)
+    information = known + xp.where(held, xp.maximum(curvature * 1e12, 1.0), 0.0)
     change, whole = _halving(residuals, theta, initial, total.moment, information)
-    of_value = max(OF_A_VALUE, float(np.sqrt(jnp.finfo(theta.dtype).eps)))
-    size = jnp.maximum(jnp.abs(theta), jnp.abs(residuals.start))
-    size = jnp.maximum(size, OF_A_SIMULATION / OF_A_VALUE * whole)
-    errors = jnp.sqrt(jnp.diagonal(uncertainty.covariance))
-    tested = (status == RefinementStatus.converged) & jnp.isfinite(errors)
-    allowed = jnp.maximum(of_value * size, jnp.where(tested, OF_AN_ERROR * errors, jnp.inf))
-    used = jnp.sum(statistics.used)
+    of_value = max(OF_A_VALUE, float(np.sqrt(xp.finfo(theta.dtype).eps)))
+    size = xp.maximum(xp.abs(theta), xp.abs(residuals.start))
+    size = xp.maximum(size, OF_A_SIMULATION / OF_A_VALUE * whole)
+    errors = xp.sqrt(xp.diagonal(uncertainty.covariance))
+    tested = _is(status, RefinementStatus.converged) & xp.isfinite(errors)
+    allowed = xp.maximum(of_value * size, xp.where(tested, OF_AN_ERROR * errors, np.inf))
+    used = xp.sum(statistics.used)
     found = Search(
         status=status,
-        steps=before.steps + solution.stats["num_steps"],
+        steps=before.steps + steps,
         rms_before=start.rms,
         rms=residuals.rms(expansion.energy),
         cost_before=start.cost,
         cost=cost,
         initial_states=initial,
         step_change=change,
-        coarse=~(jnp.abs(change) <= allowed) & tested,
+        coarse=~(xp.abs(change) <= allowed) & tested,
         steps_label="" if residuals.method is None else residuals.method.label,
         quantities=residuals.labels,
         quantity_units=residuals.units,
@@ -601,7 +666,7 @@ def search(
         inflation=inflation,
         at_bound=at_bound,
         block_count=used,
-        block_length=jnp.sum(short.durations) / used,
+        block_length=xp.sum(short.durations) / used,
         search=found,
     )
     return estimate, allowed
@@ -618,21 +683,21 @@ def _halving(
     and the size of each parameter that moves the simulation by its own."""
     finer = None if residuals.method is None else residuals.method.finer(2)
     if finer is None:
-        return jnp.zeros_like(theta), jnp.zeros_like(theta)
+        return xp.zeros_like(theta), xp.zeros_like(theta)
     # A check changes no derivative, and need not have one.
-    halved, theta, initial, moment, information = held_still(
+    halved, theta, initial, moment, information = xp.stop_gradient(
         (dataclasses.replace(residuals, method=finer), theta, initial, moment, information)
     )
-    blocks, _ = halved.blocks(halved.expansion(theta, initial))
+    blocks, _ = halved.blocks(halved.at(theta, initial))
     total = blocks.flattened().total()
-    curvature, slope = total.gram + jnp.diag(information), total.moment - moment
-    change = solve_scaled(curvature, slope[:, None], float(jnp.finfo(theta.dtype).eps))[:, 0]
+    curvature, slope = total.gram + xp.diag(information), total.moment - moment
+    change = solve_scaled(curvature, slope[:, None], float(xp.finfo(theta.dtype).eps))[:, 0]
     # G_ii theta_i^2 = rows: so large a theta_i moves each residual by 1, a channel by its sigma.
-    diagonal = jnp.maximum(jnp.diagonal(total.gram), jnp.finfo(theta.dtype).tiny)
-    return change, jnp.sqrt(halved.independent_rows() / diagonal)
+    diagonal = xp.maximum(xp.diagonal(total.gram), xp.finfo(theta.dtype).tiny)
+    return change, xp.sqrt(halved.independent_rows() / diagonal)
 
 
 def residual_variance(residuals: AbstractResiduals, cost: Float[Array, ""]) -> Float[Array, ""]:
     """Variance of a residual, of those that may be taken as independent."""
     free = len(residuals.table.free)
-    return cost / jnp.maximum(residuals.independent_rows() - free, 1)
+    return cost / xp.maximum(residuals.independent_rows() - free, 1)

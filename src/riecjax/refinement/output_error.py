@@ -8,9 +8,9 @@ along the window, exponentially where motion is unstable, and with it the curvat
 squares. Windows between the two (multiple shooting) bound that by their length, at the price of
 initial states to estimate.
 
-Recordings are filled up behind their end to lengths that others share, so that the next one, of
-another length, is simulated by functions that are compiled already. What is simulated there is not
-compared, and may diverge.
+Windows are filled up behind their end, with its inputs, to lengths that others share, so that the
+next recording, of another length, is simulated by what is compiled already. What is simulated there
+is not compared, and may diverge.
 
 **Residuals.** Of a window they are r = (y(theta, s) - measured) / sigma at every compared sample of
 every channel, y simulated from the initial state s. Their derivatives are those of the simulation:
@@ -27,10 +27,10 @@ defined, and is more than the curvature psi' = 0 there. A sandwich takes psi' in
 standard errors were too small: by a fifth of a normal law at c = 1.345.
 """
 
+import dataclasses
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -40,12 +40,14 @@ import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from riecjax import arrays as xp
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, is_concrete, is_number, namespace
+from riecjax.estimation.stages import ABOVE_NOISE
+from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.records.noise_judgement import judged
-from riecjax.records.record import Record, Signal, both, filled_up, shared_length
+from riecjax.records.record import Record, shared_length
 from riecjax.refinement.objective import (
     AbstractObjective,
     AbstractResiduals,
@@ -53,15 +55,22 @@ from riecjax.refinement.objective import (
     Energies,
     Expansion,
     Initial,
+    Simulated,
     Theta,
     as_parametric_system,
     without_initial,
 )
 from riecjax.simulation.intersample import Intersample, bends_of, require_intersample, smooth_inputs
-from riecjax.simulation.linearisation import MOST_STEPS, spread_points, suitable_steps
+from riecjax.simulation.linearisation import (
+    FEWEST_SAMPLES,
+    MOST_STEPS,
+    spread_points,
+    suitable_steps,
+)
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.simulate import signals_of
 from riecjax.simulation.system import (
+    PREDICTS_WELL,
     AbstractSystem,
     compared_signals,
     input_levels,
@@ -74,27 +83,27 @@ SHORTEST = 2
 """Samples of a window below which it tells nothing."""
 
 
-class Shots(eqx.Module):
+class Shots(NamedTuple):
     """Windows of one recording.
 
     **Fields:** `first` sample of each window; `length`, its number of samples; `longest`, how many
     are simulated, as many or more.
     """
 
-    first: Int[Array, " windows"] | Int[np.ndarray, " windows"]
-    length: Int[Array, " windows"] | Int[np.ndarray, " windows"]
-    longest: int = eqx.field(static=True)
+    first: Int[np.ndarray, " windows"]
+    length: Int[np.ndarray, " windows"]
+    longest: int
 
     @property
-    def samples(self) -> Int[Array, "windows longest"]:
+    def samples(self) -> Int[np.ndarray, "windows longest"]:
         """Index of each sample of each window; the last one again beyond its length."""
-        steps = jnp.arange(self.longest)[None, :]
-        return jnp.asarray(self.first)[:, None] + jnp.minimum(steps, self.length[:, None] - 1)
+        steps = np.arange(self.longest)[None, :]
+        return self.first[:, None] + np.minimum(steps, self.length[:, None] - 1)
 
 
 def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows longest"]:
     """Which of so many samples lie within the length of each window."""
-    return jnp.arange(longest)[None, :] < jnp.asarray(length)[:, None]
+    return np.arange(longest)[None, :] < length[:, None]
 
 
 class AbstractShooting(eqx.Module):
@@ -260,26 +269,10 @@ class Compared(NamedTuple):
     smooth: tuple[bool, ...] | None
 
 
-def _filled(record: Record) -> Record:
-    """A record of a length that others share, with no sample behind its end."""
-    filled = filled_up(record, shared_length(record.sample_count))
-    behind = np.arange(filled.sample_count) >= record.sample_count
-    signals = {n: Signal(s.values, both(s.present, ~behind)) for n, s in filled.by_name.items()}
-    return Record(signals, filled.time_step)
-
-
-@eqx.filter_jit
 def _cut(
-    system: AbstractSystem,
-    record: Record,
-    sample_count: Int[Array, ""],
-    shots: Shots,
-    compared: Compared,
+    system: AbstractSystem, record: Record, shots: Shots, compared: Compared
 ) -> tuple[Recorded, tuple[Leaf, Leaf]]:
-    """What a recording holds in its windows; and states and inputs at points spread over them.
-
-    **Arguments:** `sample_count` of the recording; what lies behind only fills it up.
-    """
+    """What a recording holds in its windows; and states and inputs at points spread over them."""
     channels, given, every, joined, smooth = compared
     states, n = measured_states(system, record), record.sample_count
     inputs = input_levels(system, record)
@@ -289,10 +282,10 @@ def _cut(
     initial = measured_states(system, record, given)[shots.first]
     # An initial state that is taken from the record leaves no error there.
     inside = within(shots.length, shots.longest)[:, ::every]
-    inside = inside.at[:, 0].set(inside[:, 0] & (not joined))
+    inside[:, 0] &= not joined
     masks = (record.present((name,)) for name in channels)
     present = [inside if mask is None else inside & mask[position] for mask in masks]
-    # As many as where the record is filled up, which under jit it is not.
+    # As many for all lengths that share what is compiled.
     shared = shared_length(n)
     short = -(-shared // SHORT_BLOCKS_OF_ROWS)
     bends = None
@@ -302,13 +295,13 @@ def _cut(
     recorded = Recorded(
         inputs[shots.samples],
         bends,
-        jnp.stack([record[name][position] for name in channels], axis=-1),
-        jnp.stack(present, axis=-1),
+        xp.stack([record[name][position] for name in channels], axis=-1),
+        xp.stack(present, axis=-1),
         initial,
         position,
-        jnp.asarray(shots.length),
+        shots.length,
         record.time_step,
-        sample_count,
+        np.asarray(n),
         short,
         max(-(-shared // short), 2),
         every,
@@ -322,6 +315,10 @@ THRESHOLD = 1.345
 LEAST_NOISE = 1e-3
 """Share of a channel's standard deviation that its noise is taken for at the least."""
 
+LONGER = 8
+"""Times by which segments grow, from those that any start predicts to the whole record: each length
+is compiled anew, and a start that is right to a radian over one is so over the next once fitted."""
+
 Threshold: TypeAlias = Float[Array, "1 channels"] | None
 """Past which a channel's loss is straight, in units of its residuals; `None` where nowhere."""
 
@@ -330,7 +327,7 @@ def loss_columns(
     level: Float[Array, "*n channels"],
     slopes: Float[Array, "*n channels columns"],
     threshold: Threshold,
-    curved: bool,
+    curved: bool | Bool[Array, ""],
 ) -> tuple[Array, Array]:
     """Of residuals and their slopes, two sets of columns whose products are moments from the
     diagonal up: f^2, psi times slopes, and slopes times each other and f'^2, or psi' if `curved`.
@@ -341,7 +338,8 @@ def loss_columns(
     score, size = jnp.clip(level, -threshold, threshold), jnp.abs(level)
     inside = size <= threshold
     energy = jnp.where(inside, size**2, threshold * (2 * size - threshold))
-    weight = inside if curved else jnp.where(inside, 1.0, score**2 / jnp.where(inside, 1.0, energy))
+    beyond = jnp.where(curved, 0.0, score**2 / jnp.where(inside, 1.0, energy))
+    weight = jnp.where(inside, 1.0, beyond)
     left = jnp.concatenate([score[..., None], weight[..., None] * slopes], axis=-1)
     energy = energy / jnp.where(score == 0, 1.0, score)
     return left, jnp.concatenate([energy[..., None], slopes], axis=-1)
@@ -373,62 +371,53 @@ class OutputResiduals(AbstractResiduals):
         states = self.recorded[0].initial.shape[1]
         return samples * fixed.steps_per_sample * states * tangents
 
-    def curved(self, theta: Theta, initial: Initial, expansion: Expansion) -> Expansion:
-        """With the curvature of Huber's loss itself, none past its threshold."""
-        return expansion if self.threshold is None else self.expansion(theta, initial, True)
+    @property
+    def is_curved(self) -> bool:
+        """Of Huber's loss."""
+        return self.threshold is not None
 
-    def expansion(self, theta: Theta, initial: Initial, curved: bool = False) -> Expansion:
-        """Of each window of each record, in pieces of time."""
+    def expansion(
+        self, theta: Theta, initial: Initial, curved: bool | Bool[Array, ""] = False
+    ) -> Expansion:
+        """Of each window of each record, in pieces of time; `curved` as Huber's loss itself is, not
+        at all past its threshold."""
 
-        def of_window(initial: Array, window: Recorded, index: int) -> tuple[Array, Array]:
+        def of_window(initial: Array, window: Recorded, index: int) -> tuple[Any, ...]:
             # Residuals, and their derivatives by parameters and initial states.
             p = theta.shape[0]
             unknown = jnp.concatenate([theta, initial])
 
-            def along(direction: Array) -> tuple[Array, Array]:
-                return jax.jvp(
-                    lambda u: self._error(u[:p], u[p:], window, index), (unknown,), (direction,)
-                )
+            def along(direction: Array) -> tuple[Array, Array, Array]:
+                def error(u: Array) -> tuple[Array, Array]:
+                    return self._error(u[:p], u[p:], window, index)
+
+                return jax.jvp(error, (unknown,), (direction,), has_aux=True)
 
             directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
-            level, slopes = jax.vmap(along, out_axes=(None, 2))(directions)
+            level, slopes, states = jax.vmap(along, out_axes=(None, 2, None))(directions)
             left, right = loss_columns(level, slopes, self.threshold, curved)
             cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
             moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
             if left is not right:
                 moments = jnp.triu(moments) + jnp.swapaxes(jnp.triu(moments, 1), 1, 2)
-            return moments, jnp.sum(left[..., 0] * right[..., 0], axis=0)
+            energy = jnp.sum(left[..., 0] * right[..., 0], axis=0)
+            return moments, energy, Simulated(states, level, slopes[..., p:])
 
-        pieces, squares = zip(*self._by_window(of_window, initial))
-        zero = jnp.zeros(len(self.labels), theta.dtype)
-        return Expansion(list(pieces), sum((jnp.sum(s, axis=0) for s in squares), start=zero))
-
-    @eqx.filter_jit
-    def values(
-        self, theta: Theta, initial: Initial
-    ) -> list[Float[Array, "windows compared channels"]]:
-        """Simulated minus recorded in units of sigma; 0 where nothing is compared."""
-        return self._by_window(partial(self._error, theta), initial)
-
-    @eqx.filter_jit
-    def slopes_by_initial(
-        self, theta: Theta, initial: Initial
-    ) -> list[Float[Array, "windows compared channels s"]]:
-        """Derivatives of `values` by the initial states of their window."""
-        return self._by_window(jax.jacfwd(partial(self._error, theta)), initial)
-
-    def _by_window(self, of: Callable[[Array, Recorded, int], Any], initial: Initial) -> list[Any]:
-        """What is made of each window's initial state, the window and its record's number."""
         edges = np.cumsum([len(part.length) for part in self.recorded])[:-1]
         parts = enumerate(zip(self.recorded, jnp.split(initial, edges)))
-        return [
-            over_windows(lambda at, window, i=i: of(at, window, i), own, part)
-            for i, (part, own) in parts
-        ]
+        pieces, squares, simulated = zip(
+            *(
+                over_windows(lambda at, window, i=i: of_window(at, window, i), own, part)
+                for i, (part, own) in parts
+            )
+        )
+        zero = jnp.zeros(len(self.labels), theta.dtype)
+        energy = sum((jnp.sum(s, axis=0) for s in squares), start=zero)
+        return Expansion(list(pieces), energy, simulated)
 
     def rms(self, energy: Energies) -> Energies:
         """Of simulated minus recorded."""
-        return self.sigma * jnp.sqrt(energy / self.counts)
+        return self.sigma * xp.sqrt(energy / self.counts)
 
     @property
     def counts(self) -> Float[Array, " channels"]:
@@ -437,7 +426,7 @@ class OutputResiduals(AbstractResiduals):
 
     def independent_rows(self) -> Float[Array, ""]:
         """All that are compared."""
-        return jnp.asarray(sum(jnp.sum(part.present) for part in self.recorded), float)
+        return xp.asarray(sum(xp.sum(part.present) for part in self.recorded), float)
 
     def blocks(self, expansion: Expansion) -> tuple[NormalEquations, ShortBlocks]:
         """By blocks of time."""
@@ -445,38 +434,39 @@ class OutputResiduals(AbstractResiduals):
         parts, numbers, seconds = [], [], []
         for part, pieces in zip(self.recorded, expansion.pieces):
             samples, most = part.short, part.short_blocks
-            number = jnp.clip(-(-part.sample_count // samples), 2, most)
-            moments = jax.vmap(lambda m: without_initial(m, p))(pieces)
+            number = xp.clip(-(-part.sample_count // samples), 2, most)
+            moments = without_initial(pieces, p)
             position = part.position[:, :: part.piece]
-            index = jnp.minimum(position // samples, number - 1).reshape(-1)
-            held = jax.vmap(partial(_in_pieces, length=part.piece))(part.present).sum(axis=(2, 3))
+            index = xp.minimum(position // samples, number - 1).reshape(-1)
+            held = xp.stack([_in_pieces(one, part.piece).sum(axis=(1, 2)) for one in part.present])
             flat, held = moments.reshape(-1, *moments.shape[2:]), held.reshape(-1)
-            flat, held = (jax.ops.segment_sum(v, index, num_segments=most) for v in (flat, held))
+            flat, held = (xp.sum_by_block(v, index, most) for v in (flat, held))
             parts.append(NormalEquations(flat, held.astype(flat.dtype), self.table.free))
             numbers.append(number)
             seconds.append(samples * part.time_step)
-        return stack_normal_equations(parts), ShortBlocks(jnp.stack(numbers), jnp.stack(seconds))
+        return stack_normal_equations(parts), ShortBlocks(xp.stack(numbers), xp.stack(seconds))
 
     def _error(
         self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
-    ) -> Float[Array, "compared channels"]:
-        """Of one window of record number `index`."""
+    ) -> tuple[Float[Array, "compared channels"], Float[Array, "longest states"]]:
+        """Of one window of record number `index`; and its states."""
         system = self.system.build(self.table.values_at(theta, index))
         first = window.initial.at[np.array(self.estimated, int)].set(initial)
-        states, kept = window.trajectory(self.method, system, first)
-        states, levels = states[:: window.every], window.levels[:: window.every]
+        every, kept = window.trajectory(self.method, system, first)
+        states, levels = every[:: window.every], window.levels[:: window.every]
         made = signals_of(system, states, levels, self.labels)
         simulated = jnp.stack(list(made.values()), axis=-1)
         # What a lost simulation shows after its loss must not pass for an answer.
         simulated = jnp.where(kept, simulated, jnp.inf)
-        return jnp.where(window.present, (simulated - window.measured) / self.sigma[None, :], 0.0)
+        scaled = (simulated - window.measured) / self.sigma[None, :]
+        return jnp.where(window.present, scaled, 0.0), every
 
 
 def _in_pieces(values: Array, length: int) -> Array:
     """The first axis cut into pieces of a length, the last one filled up with zeros."""
     count = -(-values.shape[0] // length)
     pad = [(0, count * length - values.shape[0])] + [(0, 0)] * (values.ndim - 1)
-    return jnp.pad(values, pad).reshape(count, length, *values.shape[1:])
+    return xp.pad(values, pad).reshape(count, length, *values.shape[1:])
 
 
 class OutputError(AbstractObjective):
@@ -488,7 +478,10 @@ class OutputError(AbstractObjective):
 
     **Arguments:**
 
-    - `shooting`: [`WholeRecord`][] or [`Tiles`][].
+    - `shooting`: [`WholeRecord`][] or [`Tiles`][]. Where the search over whole records is lost,
+      they are reached by way of ever longer tiles, as far as these leave no more than noise: a
+      motion that nothing predicts for long, as a hardening spring's may be, is fitted over the
+      longest that do.
     - `channels`: signals to compare: states, their derivatives `d<state>`, outputs. By default the
       recorded states, or if there are none, every output that the record holds; but not what was
       computed from others that are compared, such as a velocity differentiated from a position.
@@ -595,30 +588,24 @@ class OutputError(AbstractObjective):
             # A missing sample of an input breaks the motion; of a free motion, one of any signal.
             unbroken = system.input_names or tuple(record.arrays)
             shots = self.shooting.shots(record, unbroken, joined=compared.joined)
-            longer = _filled(record) if is_concrete(records) else record
-            count = jnp.asarray(record.sample_count)
-            parts.append(_cut(system, longer, count, shots, compared))
+            parts.append(_cut(system, record, shots, compared))
         recorded, along = map(list, zip(*parts))
-        method = self.method or FixedStep()
-        if self.method is None and is_concrete(system, recorded):
-            told = not any("zero" in by_state.values() for by_state in sources)
-            method = _suitable(system, recorded, along, told)
         units = dict(system.states) | dict(system.outputs)
         sigma, deviation = _scales(recorded, dict(self.sigma or {}), channels)
         places = np.array(estimated, int)
         threshold = None
         if self.loss == "huber":
             noise = noise_levels(records, channels)
-            threshold = THRESHOLD * (jnp.maximum(noise, LEAST_NOISE * deviation) / sigma)[None, :]
-        return OutputResiduals(
+            threshold = THRESHOLD * (xp.maximum(noise, LEAST_NOISE * deviation) / sigma)[None, :]
+        residuals = OutputResiduals(
             system=model,
             recorded=recorded,
             table=table,
             start=start,
             sigma=sigma,
-            initial=jnp.concatenate([part.initial[:, places] for part in recorded]),
-            longest_window=jnp.zeros_like(sigma, shape=()),
-            method=method,
+            initial=xp.concatenate([part.initial[:, places] for part in recorded]),
+            longest_window=np.zeros((), sigma.dtype),
+            method=self.method or FixedStep(),
             threshold=threshold,
             labels=channels,
             units=tuple(units.get(name, "") for name in channels),
@@ -626,6 +613,33 @@ class OutputError(AbstractObjective):
             estimated=estimated,
             most_steps=MOST_STEPS if self.method is None else 0,
         )
+        if self.method is not None or not is_concrete(residuals):
+            return residuals
+        told = not any("zero" in by_state.values() for by_state in sources)
+        return dataclasses.replace(residuals, method=_suitable(residuals, system, along, told))
+
+    def is_lost(self, found: Any, records: list[Record]) -> bool:
+        """Whether it did not converge, or some channel is not predicted well."""
+        well = np.asarray(found.search.rms) <= (1 - PREDICTS_WELL / 100) * _spread(found, records)
+        return not (found.search.converged and np.all(well))
+
+    def is_explained(self, found: Any, records: list[Record]) -> bool:
+        """Whether it converged, and no channel is left well above its noise."""
+        level = noise_levels(records, found.search.quantities)
+        level = np.maximum(level, LEAST_NOISE * _spread(found, records))
+        left = np.asarray(found.search.rms)
+        return bool(found.search.converged and np.all(left <= ABOVE_NOISE * level))
+
+    def by_segments(self, record: Record) -> list[AbstractObjective]:
+        """Over tiles from few samples on, each time `LONGER` as long, and whole records."""
+        if not isinstance(self.shooting, WholeRecord) or self.initial_states != "estimated":
+            return []
+        tiles: list[AbstractObjective] = [self]
+        samples = record.sample_count // LONGER
+        while samples >= FEWEST_SAMPLES:
+            tiles.append(dataclasses.replace(self, shooting=Tiles(samples=samples)))
+            samples //= LONGER
+        return tiles[::-1] if tiles[1:] else []
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -633,6 +647,12 @@ class OutputError(AbstractObjective):
         loss: dict[str, object] = {} if self.loss == "squares" else {"loss": self.loss}
         shooting = self.shooting.describe()
         return {"refine": "output-error", **shooting, "starts": initial, **loss}
+
+
+def _spread(found: Any, records: Sequence[Record]) -> Float[np.ndarray, " channels"]:
+    """Standard deviations of what was compared."""
+    by_record = [[np.var(record[name]) for name in found.search.quantities] for record in records]
+    return np.sqrt(np.mean(by_record, axis=0))
 
 
 def _computed(record: Record, names: Sequence[str]) -> set[str]:
@@ -646,28 +666,31 @@ def _computed(record: Record, names: Sequence[str]) -> set[str]:
 
 
 def _suitable(
+    residuals: OutputResiduals,
     system: AbstractSystem,
-    recorded: Sequence[Recorded],
     along: Sequence[tuple[Leaf, Leaf]],
     told: bool,
 ) -> FixedStep:
     """Steps for the fastest motion of all recordings, which are `told` all states, or not: then
     that as simulated counts as well."""
+    recorded = residuals.recorded
     steps = fewest = _steps(system, recorded, along)
     if told:
         return FixedStep(steps)
-    simulated, kept = _trajectories(system, recorded, FixedStep(steps))
-    while steps < MOST_STEPS and not all(kept):
+    while True:
+        tried = dataclasses.replace(residuals, method=FixedStep(steps))
+        simulated = tried.at(residuals.start, residuals.initial).simulated
+        if all(np.isfinite(part.left).all() for part in simulated):
+            break
+        if steps == MOST_STEPS:
+            return FixedStep(fewest)
         steps = min(4 * steps, MOST_STEPS)
-        simulated, kept = _trajectories(system, recorded, FixedStep(steps))
-    if not all(kept):
-        return FixedStep(fewest)
     along = []
-    for states, part in zip(simulated, recorded):
+    for part, window in zip(simulated, recorded):
         # Of the samples within all windows: what lies behind may run away.
-        places = np.nonzero(np.asarray(within(part.length, states.shape[1])))
+        places = np.nonzero(within(window.length, part.states.shape[1]))
         at = tuple(place[spread_points(place.size)] for place in places)
-        along.append((np.asarray(states)[at], np.asarray(part.levels)[at]))
+        along.append((part.states[at], np.asarray(window.levels)[at]))
     return FixedStep(max(steps, _steps(system, recorded, along)))
 
 
@@ -680,19 +703,6 @@ def _steps(
     )
 
 
-@eqx.filter_jit
-def _trajectories(
-    system: AbstractSystem, recorded: Sequence[Recorded], method: AbstractMethod
-) -> tuple[list[Float[Array, "windows longest states"]], list[Bool[Array, ""]]]:
-    """Of each window of each recording, and whether all kept their solution."""
-    runs = [
-        over_windows(lambda first, own: own.trajectory(method, system, first), part.initial, part)
-        for part in recorded
-    ]
-    return [states for states, _ in runs], [jnp.all(kept) for _, kept in runs]
-
-
-@eqx.filter_jit
 def _scales(
     recorded: Sequence[Recorded],
     sigma: dict[str, Any],
@@ -701,22 +711,22 @@ def _scales(
     """What channels are weighed by, and their standard deviations."""
 
     def mean(of: Callable[[Array], Array]) -> Array:
-        held = (jnp.where(part.present, of(part.measured), 0.0) for part in recorded)
-        return sum(jnp.sum(values, axis=(0, 1)) for values in held) / _counts(recorded)
+        held = (xp.where(part.present, of(part.measured), 0.0) for part in recorded)
+        return sum(xp.sum(values, axis=(0, 1)) for values in held) / _counts(recorded)
 
     # Of each channel over all that is compared.
     centre = mean(lambda measured: measured)
     variance = mean(lambda measured: (measured - centre[None, None, :]) ** 2)
-    deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 1.0)
+    deviation = xp.where(variance > 0, xp.sqrt(xp.where(variance > 0, variance, 1.0)), 1.0)
     chosen = [sigma.get(name, deviation[i]) for i, name in enumerate(channels)]
-    weights = jnp.stack([jnp.asarray(each, deviation.dtype) for each in chosen])
+    weights = xp.stack([xp.asarray(each, deviation.dtype) for each in chosen])
     return weights, deviation
 
 
 def _counts(recorded: Sequence[Recorded]) -> Float[Array, " channels"]:
     """Of each channel, how many samples are compared, 1 at the least."""
-    counts = [jnp.sum(part.present, axis=(0, 1)) for part in recorded]
-    return jnp.maximum(sum(counts), 1)
+    counts = [xp.sum(part.present, axis=(0, 1)) for part in recorded]
+    return xp.maximum(sum(counts), 1)
 
 
 def noise_levels(records: Sequence[Record], channels: Sequence[str]) -> Float[Leaf, " channels"]:
@@ -724,5 +734,4 @@ def noise_levels(records: Sequence[Record], channels: Sequence[str]) -> Float[Le
     it."""
     known = [judged(record, "auto", *channels).noise for record in records]
     levels = [[noise.std(name) for name in channels] for noise in known]
-    xp = namespace(levels)
     return xp.sqrt(xp.mean(xp.square(xp.asarray(levels, float)), axis=0))

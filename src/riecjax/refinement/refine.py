@@ -12,7 +12,7 @@ from riecjax.estimation.constraints import Bounds, Constraints
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import require_settings
 from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.record import Records, as_records
+from riecjax.records.record import Record, Records, as_records
 from riecjax.refinement.objective import AbstractObjective, AbstractResiduals
 from riecjax.refinement.optimum import Place, Solver, begun, search
 from riecjax.refinement.output_error import OutputError
@@ -48,7 +48,7 @@ def with_finer_steps(
 
     steps = getattr(residuals.method, "steps_per_sample", 1)
     limit = max(residuals.most_steps // steps, 1)
-    if not is_concrete(found) or limit == 1 or not np.any(found[0].search.coarse):
+    if not is_concrete(found) or limit == 1 or not np.any(np.asarray(found[0].search.coarse)):
         return None
     if before is not None and excess(found[0], before[1]) > HELPED * excess(*before):
         return None
@@ -125,42 +125,75 @@ def refine(
         write = f"{model.__name__}(...), with a value for each of its fields"
         require("the model", model, (), write)
     by = by.suited(model)
-    residuals = by.residuals(model, recordings, start, known or {}, per_record, key)
-    return refined(by, residuals, bounds, priors, intervals, solver, max_steps, progress)
+
+    def formed(by: AbstractObjective) -> AbstractResiduals:
+        return by.residuals(model, recordings, start, known or {}, per_record, key)
+
+    settings = bounds, priors, intervals, solver, max_steps, progress
+    return refined(by, formed(by), formed, recordings, *settings)[0]
 
 
 def refined(
     by: AbstractObjective,
     residuals: AbstractResiduals,
+    formed: Callable[[AbstractObjective], AbstractResiduals],
+    records: list[Record],
     bounds: Mapping[str, Bounds] | None,
     priors: Mapping[str, tuple[float, float]] | None,
     intervals: AbstractIntervals,
     solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
-) -> Estimate:
-    """[`refine`][] of residuals that were made by an objective."""
+) -> tuple[Estimate, AbstractObjective]:
+    """[`refine`][] of residuals that were `formed` by an objective along records.
+
+    A search goes on in shorter steps for as long as these change the answer; and where it is lost,
+    over segments from its start again, ever longer ones for as long as the model follows them as
+    well.
+
+    **Returns:** the estimate, and the objective of which it is the optimum.
+    """
     table = residuals.table
     start = dict(zip(table.free, residuals.start))
     constraints = Constraints.of(table, bounds, priors, start)
     settings = intervals, solver, max_steps, progress
-    # Searches, in ever shorter steps for as long as these change the answer. With priors each
-    # search is followed by others: the variance that priors are weighed against is that of the
-    # residuals at the optimum, which the first search knows only from its start; the next ones take
-    # it from the search before, a fixed-point iteration.
     rounds = FURTHER_ROUNDS if constraints.priors else 0
-    place, before = None, None
-    while True:
+
+    def searched(residuals: AbstractResiduals, place: Place | None) -> Found:
+        # With priors each search is followed by others: the variance that priors are weighed
+        # against is that of the residuals at the optimum, which the first search knows only from
+        # its start; the next ones take it from the search before, a fixed-point iteration.
         first = begun(residuals, residuals.initial)
         found = search(residuals, constraints, first, place or first, *settings)
         for _ in range(rounds):
             found = search(residuals, constraints, first, Place.of(found[0]), *settings)
-        place = Place.of(found[0])
-        if (finer := with_finer_steps(residuals, found, before)) is None:
-            break
-        residuals, before = finer, found
+        return found
+
+    def settled(residuals: AbstractResiduals, found: Found) -> tuple[AbstractResiduals, Found]:
+        before = None
+        while (finer := with_finer_steps(residuals, found, before)) is not None:
+            residuals, before = finer, found
+            found = searched(residuals, Place.of(found[0]))
+        return residuals, found
+
+    def follows(by: AbstractObjective, found: Found, shorter: Found | None) -> bool:
+        told = shorter is None or np.all(found[0].search.rms <= 2 * shorter[0].search.rms)
+        return bool(told) and by.is_explained(found[0], records)
+
+    found, longest, place = searched(residuals, None), None, None
+    if is_concrete(found) and by.is_lost(found[0], records):
+        for part in by.by_segments(records[0]):
+            pieces = formed(part)
+            tried = searched(pieces, place and place._replace(initial=pieces.initial))
+            shorter = longest and longest[2]
+            if follows(part, tried, shorter):
+                pieces, tried = settled(pieces, tried)
+            if not follows(part, tried, shorter):
+                break
+            longest, place = (part, pieces, tried), Place.of(tried[0])
+    by, residuals, found = longest or (by, *settled(residuals, found))
     estimate, _ = found
     kept = residuals if is_concrete(residuals, estimate) else None
     described = tuple(by.describe().items())
     done = dataclasses.replace(estimate.search, residuals=kept, by=described)
-    return dataclasses.replace(estimate, search=done)
+    return dataclasses.replace(estimate, search=done), by

@@ -39,11 +39,10 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import Literal, TypeAlias
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from riecjax import arrays as xp
 from riecjax.errors import ModelError
 
 Course: TypeAlias = Literal["lines", "smooth"]
@@ -91,21 +90,21 @@ def bends_of(
     of those inputs that are not `smooth`, where given.
     """
     if smooth is not None and not all(smooth):
-        return jnp.where(np.array(smooth), bends_of(levels, present), 0.0)
+        return xp.where(np.array(smooth), bends_of(levels, present), 0.0)
     n = levels.shape[0]
     if n < FEWEST + 2:
-        return jnp.zeros_like(levels)
-    there = jnp.ones(n, bool) if present is None else present
-    own = jnp.pad(there[2:] & there[1:-1] & there[:-2], (1, 1))
-    second = jnp.pad(levels[2:] - 2 * levels[1:-1] + levels[:-2], ((1, 1), (0, 0)))
+        return xp.zeros_like(levels)
+    there = xp.ones(n, bool) if present is None else present
+    own = xp.pad(there[2:] & there[1:-1] & there[:-2], (1, 1))
+    second = xp.pad(levels[2:] - 2 * levels[1:-1] + levels[:-2], ((1, 1), (0, 0)))
     # What curves around each sample is a motion where it is sampled finely enough. A missing
     # neighbour counts as zero: a jump beside an end is one as well.
-    still = jax.lax.stop_gradient(jnp.where(own[:, None], second, 0.0))
-    third = jnp.diff(still, append=jnp.zeros_like(still[:1]), axis=0)
+    still = xp.stop_gradient(xp.where(own[:, None], second, 0.0))
+    third = xp.diff(still, append=xp.zeros_like(still[:1]), axis=0)
     every, between = np.ones(2 * SIGHT + 1, int), np.append(np.ones(2 * SIGHT, int), 0)
     size, rough = _weighted(still**2, every), _weighted(third**2, between)
     of_second = _weighted(own.astype(int), every)[:, None]
-    of_third = _weighted((own | jnp.pad(own[1:], (0, 1))).astype(int), between)[:, None]
+    of_third = _weighted((own | xp.pad(own[1:], (0, 1))).astype(int), between)[:, None]
     resolved = own[:, None] & (of_second > SIGHT)
     resolved = resolved & (rough * of_second <= BROADEST * size * of_third)
     # Curvatures that give every interval its mean, of as many differences as are there.
@@ -116,40 +115,40 @@ def bends_of(
         kernel = np.pad(kernel, min(reach, 1)) + coefficient * power
         power = np.convolve(power, [1, -2, 1])
         whole = _weighted(own.astype(int), np.ones(2 * reach + 1, int)) == 2 * reach + 1
-        smooth_ones = jnp.where(whole[:, None], _weighted(second, kernel), smooth_ones)
+        smooth_ones = xp.where(whole[:, None], _weighted(second, kernel), smooth_ones)
     # Elsewhere medians of the differences around each sample, of those that are there.
     places = range(2 * REACH + 1)
-    differences = jnp.pad(second, ((REACH, REACH), (0, 0)))
-    known = jnp.pad(own, REACH)
-    around = jnp.stack([differences[i : i + n] for i in places])
-    there_too = jnp.stack([known[i : i + n] for i in places])[:, :, None]
-    told = own[:, None] & (jnp.sum(there_too, axis=0) >= FEWEST)
+    differences = xp.pad(second, ((REACH, REACH), (0, 0)))
+    known = xp.pad(own, REACH)
+    around = xp.stack([differences[i : i + n] for i in places])
+    there_too = xp.stack([known[i : i + n] for i in places])[:, :, None]
+    told = own[:, None] & (xp.sum(there_too, axis=0) >= FEWEST)
     # Where nothing is told, of zeros: no derivative passes through a median of nothing.
-    medians = jnp.nanmedian(jnp.where(told, jnp.where(there_too, around, jnp.nan), 0.0), axis=0)
-    bends = jnp.where(resolved, smooth_ones, medians)
+    medians = xp.nanmedian(xp.where(told, xp.where(there_too, around, xp.nan), 0.0), axis=0)
+    bends = xp.where(resolved, smooth_ones, medians)
 
     def beside(values: Array, by: int) -> tuple[Array, Array]:
         rest = [(0, 0)] * (values.ndim - 1)
-        return jnp.pad(values, [(by, 0), *rest])[:-by], jnp.pad(values, [(0, by), *rest])[by:]
+        return xp.pad(values, [(by, 0), *rest])[:-by], xp.pad(values, [(0, by), *rest])[by:]
 
     # At samples without a curvature: on a line through the two beside it, or that beside it.
     near, far = beside(bends, 1), beside(bends, 2)
     lines = [
-        jnp.where((two & own_two[:, None]) & one, 2 * d - dd, d)
+        xp.where((two & own_two[:, None]) & one, 2 * d - dd, d)
         for d, dd, one, two, own_two in zip(
             near, far, beside(resolved, 1), beside(resolved, 2), beside(own, 2)
         )
     ]
     known_before = beside(own, 1)[0][:, None]
-    return jnp.where((there & ~own)[:, None], jnp.where(known_before, *lines), bends)
+    return xp.where((there & ~own)[:, None], xp.where(known_before, *lines), bends)
 
 
 def _weighted(values: Array, weights: np.ndarray) -> Array:
     """Weighted sums of the samples around each, of which none is written down."""
     n, rest = values.shape[0], [(0, 0)] * (values.ndim - 1)
-    padded = jnp.pad(values, [(weights.size // 2, weights.size // 2), *rest])
+    padded = xp.pad(values, [(weights.size // 2, weights.size // 2), *rest])
     parts = [weight * padded[i : i + n] for i, weight in enumerate(weights.tolist()) if weight]
-    return functools.reduce(jnp.add, parts)
+    return functools.reduce(xp.add, parts)
 
 
 def curves_of(bends: Float[Array, "n inputs"] | None) -> tuple[Float[Array, "n-1 inputs"], ...]:

@@ -36,6 +36,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from diffrax import RESULTS as DIFFRAX_RESULTS
 from diffrax import (
     AbstractAdjoint,
@@ -98,6 +99,11 @@ class AbstractMethod(eqx.Module):
         """The same with steps `factor` times as short, or None if it has none to shorten."""
         return None
 
+    def counted(self) -> "AbstractMethod":
+        """The same with its number of steps as an argument of what is compiled, where that can be:
+        one program serves all numbers, but is not differentiated in reverse."""
+        return self
+
     @property
     def label(self) -> str:
         """How it is written, for tables and messages."""
@@ -121,6 +127,15 @@ class FixedStep(AbstractMethod):
         """With so many times more steps."""
         return FixedStep(self.steps_per_sample * factor)
 
+    def counted(self) -> "_Counted":
+        """With the number as an array."""
+        return _Counted(1, number=np.asarray(self.steps_per_sample, np.int32))
+
+    @property
+    def count(self) -> int | Array:
+        """Steps between samples, known to what is compiled."""
+        return self.steps_per_sample
+
     @property
     def label(self) -> str:
         """`FixedStep(8)`."""
@@ -135,7 +150,7 @@ class FixedStep(AbstractMethod):
         bends: Float[Array, "n inputs"] | None = None,
     ) -> Trajectory:
         """States at the samples; see the base class."""
-        count = self.steps_per_sample
+        count = self.count
         step = time_step / count
         by_component = compiles_loops_whole()
 
@@ -183,6 +198,17 @@ class FixedStep(AbstractMethod):
         )
         reached = 1 + jnp.sum(running.astype(jnp.int32))
         return jnp.concatenate([initial_state[None], states]), status, reached
+
+
+class _Counted(FixedStep):
+    """Fixed steps whose number is an argument of what is compiled."""
+
+    number: Int[Array, ""] = eqx.field(kw_only=True)
+
+    @property
+    def count(self) -> int | Array:
+        """As many as are asked for at each call."""
+        return self.number
 
 
 class Adaptive(AbstractMethod):

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from riecjax import arrays as xp
 from riecjax.errors import SimulationError, require
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
@@ -91,9 +92,7 @@ def simulate(
     start = dict(initial_state or {})
     system.require_states(start)
     levels = input_levels(system, inputs)
-    first = jnp.stack(
-        [jnp.asarray(start.get(name, 0.0), levels.dtype) for name in system.state_names]
-    )
+    first = xp.stack([xp.asarray(start.get(n, 0.0), float) for n in system.state_names])
     smooth = smooth_inputs(intersample, system.input_names)
     return _simulate(system, levels, inputs, first, method, smooth)
 

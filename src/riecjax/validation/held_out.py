@@ -21,19 +21,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from riecjax import arrays as xp
 from riecjax.errors import DataError, SimulationError
 from riecjax.leaves import finite
-from riecjax.records.record import Record, filled_up, shared_length
+from riecjax.records.record import Record, shared_length
 from riecjax.records.signal import Signal, both
 from riecjax.shows import Drawn
 from riecjax.simulation.linearisation import jacobians, spread_points
 from riecjax.simulation.method import AbstractMethod
 from riecjax.simulation.simulate import simulate
 from riecjax.simulation.system import (
+    PREDICTS_WELL,
     AbstractSystem,
     compared_signals,
     input_levels,
@@ -41,8 +42,6 @@ from riecjax.simulation.system import (
     state_sources,
 )
 
-PREDICTS_WELL = 80.0
-"""Fit in percent from which a signal is predicted well: an error of a fifth of its deviation."""
 PREDICTS_ROUGHLY = 50.0
 """Fit in percent from which a signal is predicted at all."""
 
@@ -89,25 +88,25 @@ def _measures(
     predicted: Array, measured: Array, present: Array | None
 ) -> tuple[Array, Array, Array]:
     """p, NRMSE fit and VAF in percent, over the last axis."""
-    valid = jnp.broadcast_to(True if present is None else present, measured.shape)
-    count = jnp.maximum(jnp.sum(valid, axis=-1, keepdims=True), 1)
+    valid = xp.broadcast_to(True if present is None else present, measured.shape)
+    count = xp.maximum(xp.sum(valid, axis=-1, keepdims=True), 1)
 
     def spread(values: Array) -> Array:
         """Sum of squares about the mean."""
-        mean = jnp.sum(jnp.where(valid, values, 0.0), axis=-1, keepdims=True) / count
-        return jnp.sum(jnp.where(valid, values - mean, 0.0) ** 2, axis=-1)
+        mean = xp.sum(xp.where(valid, values, 0.0), axis=-1, keepdims=True) / count
+        return xp.sum(xp.where(valid, values - mean, 0.0) ** 2, axis=-1)
 
-    error, reference = (jnp.where(valid, each, 0.0) for each in (predicted - measured, measured))
-    energy, whole = jnp.sum(error**2, axis=-1), spread(measured)
+    error, reference = (xp.where(valid, each, 0.0) for each in (predicted - measured, measured))
+    energy, whole = xp.sum(error**2, axis=-1), spread(measured)
     varies = whole > 0
-    scale = jnp.where(varies, whole, 1.0)
+    scale = xp.where(varies, whole, 1.0)
     # The root of 0 has no derivative, and a perfect prediction is where a fit wants to go.
     imperfect = energy / scale > 0
-    root = jnp.where(imperfect, jnp.sqrt(jnp.where(imperfect, energy / scale, 1.0)), 0.0)
+    root = xp.where(imperfect, xp.sqrt(xp.where(imperfect, energy / scale, 1.0)), 0.0)
     return (
-        100 * jnp.sqrt(energy) / jnp.sqrt(jnp.sum(reference**2, axis=-1)),
-        jnp.where(varies, 100 * (1 - root), jnp.nan),
-        jnp.where(varies, 100 * (1 - spread(error) / scale), jnp.nan),
+        100 * xp.sqrt(energy) / xp.sqrt(xp.sum(reference**2, axis=-1)),
+        xp.where(varies, 100 * (1 - root), xp.nan),
+        xp.where(varies, 100 * (1 - spread(error) / scale), xp.nan),
     )
 
 
@@ -117,7 +116,7 @@ class Validation(dict[str, Array]):
     @property
     def total(self) -> Array:
         """Sum over the signals."""
-        return sum(self.values(), start=jnp.zeros(()))
+        return sum(self.values(), start=xp.zeros(()))
 
 
 def in_both(predicted: Record, measured: Record, name: str) -> tuple[Array, Array, Array | None]:
@@ -311,7 +310,6 @@ def validate_held_out(
     sources |= dict.fromkeys(given, "given")
     # A free motion has no inputs: some signal only says how many samples there are.
     driving = system.input_names or list(measured.arrays)[:1]
-    inputs = Record({name: measured[name] for name in driving}, measured.time_step)
     stretches = unbroken_stretches(system, measured, recorded, sources, horizon)
     arrays: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
@@ -327,8 +325,9 @@ def validate_held_out(
         first = dict(zip(system.state_names, np.asarray(states)[0]))
         count = stop - start
         # Each length compiles; of those that others share there are few.
-        filled = filled_up(inputs, shared_length(count), start, stop)
-        simulation = simulate(system, filled, method=method, initial_state=first)
+        places = start + np.minimum(np.arange(shared_length(count)), count - 1)
+        inputs = Record({n: measured[n][places] for n in driving}, measured.time_step)
+        simulation = simulate(system, inputs, method=method, initial_state=first)
         reached = min(int(simulation.samples_reached), count)
         if reached < count and not reason:
             try:
@@ -349,7 +348,7 @@ def validate_held_out(
     fits = {}
     for name in compared:
         values, truth, present = in_both(record, measured, name)
-        samples = truth.size if present is None else int(jnp.sum(present))
+        samples = truth.size if present is None else int(xp.sum(present))
         fits[name] = SignalFit(*_measures(values, truth, present), samples)
     # Positions that are not predicted though their velocity is, and that nothing depends on.
     drifting = [
@@ -366,7 +365,7 @@ def validate_held_out(
         states = measured_states(system, record)[chosen]
         influence = jacobians(system, states, input_levels(system, measured)[chosen])
         place = system.state_names.index
-        drifting = [q for q in drifting if not bool(jnp.any(influence[:, :, place(q)]))]
+        drifting = [q for q in drifting if not bool(xp.any(influence[:, :, place(q)]))]
     grades = {name: fits[name].grade for name in judged}
     told = {*grades.values()} - {"unknown"}
     predicts = not reason and bool(told) and told <= {"well", "roughly"}

@@ -102,7 +102,8 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
     residuals, at = refined.search.residuals, (refined.theta, refined.search.initial_states)
     if not isinstance(residuals, OutputResiduals):
         return None
-    left = [np.asarray(part) for part in residuals.values(*at)]
+    simulated = residuals.at(*at).simulated
+    left = [part.left for part in simulated]
     masks = [np.asarray(part.present) for part in residuals.recorded]
     if not all(np.isfinite(part).all() for part in left):
         return None
@@ -114,7 +115,7 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
         for part in residuals.recorded
     ):
         weight = 1 / np.where(size > 0, size, 1.0)
-        slopes = [np.asarray(part) for part in residuals.slopes_by_initial(*at)]
+        slopes = [part.by_initial for part in simulated]
         series, masks = zip(
             *(
                 innovations(one * weight, by * weight[:, None], there)
