@@ -22,7 +22,7 @@ BUDGETS = {
     "src literals": 1_580,
     "lines of commands and settings": 2_300,
     "tests lines": 26_300,
-    "benchmarks lines": 8_500,
+    "benchmarks lines": 8_600,
     "README lines": 150,
 }
 LEAST_PROSE = 17

@@ -40,7 +40,7 @@ import riecjax as rx
 plate = rx.Equation(rx.Term("m", "x", derivative=2, measured=("v",), unit="kg"),
                     rx.Term("d", "x", derivative=1, unit="N s/m"), rx.Term("k", "x", unit="N/m"),
                     -rx.Term(1.0, "u"))
-shaken = rx.Model("shaken", stages=rx.Equation(rx.Term("m", "a", derivative=2, unit="kg"),
+shaken = rx.Model("shaken", "", stages=rx.Equation(rx.Term("m", "a", derivative=2, unit="kg"),
                               rx.Term("d", "a", derivative=1, unit="N s/m"),
                               rx.Term("k", "a", unit="N/m"), -rx.Term(1.0, "u", derivative=2)),
                   band=(0.3, 3.0))

@@ -13,11 +13,8 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jax.extend.core import Primitive
-from jax.interpreters import mlir
 from jaxtyping import Array
 from numpy.typing import ArrayLike
 
@@ -45,27 +42,6 @@ def is_number(value: Any) -> bool:
     return isinstance(value, kinds) and getattr(value, "shape", ()) == ()
 
 
-def on_host(tree: Tree) -> Tree:
-    """The tree with NumPy arrays in place of JAX's, from which single numbers are cheap to read.
-
-    JAX compiles a slice for each of them. Random keys, of which NumPy has none, stay.
-    """
-
-    def moved(leaf: Any) -> Any:
-        is_key = eqx.is_array(leaf) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-        return np.asarray(leaf) if eqx.is_array(leaf) and not is_key else leaf
-
-    return jax.tree.map(moved, tree)
-
-
-def namespace(*trees: object) -> Any:
-    """`numpy` where every number is known, `jax.numpy` where one is being traced.
-
-    For little arithmetic on results: done by JAX, each operation would be compiled.
-    """
-    return np if is_concrete(*trees) else jnp
-
-
 def finite(value: ArrayLike | Sequence[Any] | Mapping[Any, Any] | None) -> Any:
     """The number, or `None` where JSON has no word for it; of an array, nested lists of them; of a
     mapping, and of the fields of a record, the same of all that it holds; a text as it is."""
@@ -91,16 +67,3 @@ def is_concrete(*trees: object) -> bool:
     return not any(
         isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees) if eqx.is_array(leaf)
     )
-
-
-def is_under_trace() -> bool:
-    """Whether JAX is tracing what runs now, so that known numbers are traced as well."""
-    return isinstance(_ASKED.bind(), Tracer)
-
-
-# An operation that JAX carries out by Python where nothing is traced: one of its own would start a
-# device and compile, on the way of an answer that needs neither.
-_ASKED = Primitive("is_under_trace")
-_ASKED.def_impl(lambda: np.False_)
-_ASKED.def_abstract_eval(lambda: jax.core.ShapedArray((), np.dtype(bool)))
-mlir.register_lowering(_ASKED, lambda context: [mlir.ir_constant(np.False_)])

@@ -112,9 +112,10 @@ class Tabled(Drawn):
         Plain numbers, of a batch nested lists; `None` for what is not finite, and for the error and
         interval of what is known.
         """
-        from riecjax.leaves import finite, on_host
+        from riecjax.arrays import hosted
+        from riecjax.leaves import finite
 
-        host: Any = on_host(self)
+        host: Any = hosted(self)
         units, ends = dict(host.units), host.interval_by_name()
         return {
             name: {

@@ -33,8 +33,8 @@ def test_bytes_hold_all_and_are_the_same_for_the_same(binned):
     read = rx.Summary.from_bytes(written)
     assert read.to_bytes() == written
     assert read.digests == binned.digests
-    # Of symmetric matrices half is kept.
-    assert len(written) < 0.75 * binned.byte_count
+    # Arrays as they are, with names of files beside them.
+    assert len(written) < 1.2 * binned.byte_count
     damaged = written[:-20] + bytes([written[-20] ^ 4]) + written[-19:]
     with pytest.raises(rx.DataError, match="damaged"):
         rx.Summary.from_bytes(damaged)

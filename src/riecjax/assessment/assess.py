@@ -45,7 +45,7 @@ from riecjax.estimation.identify import estimate, estimated
 from riecjax.estimation.parameters import plan_parameters
 from riecjax.estimation.resting import at_rest_findings
 from riecjax.findings import Finding
-from riecjax.leaves import on_host, size_of
+from riecjax.leaves import size_of
 from riecjax.memory import REMEDY, require_memory
 from riecjax.records.recording import Recording, as_recordings, explaining_errors
 from riecjax.settings import Assess, taking
@@ -173,7 +173,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
                 bins = sweep_edges(records, criterion)
         with explaining_errors(fitted, model.says_change_of):
             summary = summarise(model, records, criterion, key=settings.key, bins=bins, survey=True)
-        estimate = on_host(estimated(model, summary, table, intervals, constraints))
+        estimate = estimated(model, summary, table, intervals, constraints)
         modes = ModeTests(mode_evidence(model, estimate)) if model.modes else None
         # Nothing else is asked of recordings that priors and bounds tell.
         table_of_data = estimate.told_by_data
@@ -207,7 +207,7 @@ def assess(model: "Equation | Model", recordings: "Records", settings: Assess) -
                 if summary.bins is None and isinstance(summary.criterion, RIEC):
                     edges = sweep_edges(records, summary.criterion)
                     summary = summarise(model, records, summary.criterion.every, bins=edges)
-                sweep = on_host(sweep_of_sums(summary, table_of_data))
+                sweep = sweep_of_sums(summary, table_of_data)
     validation = validation if validation.runs else None
     own = own_tests(makers, model, records, estimate if refined is None else refined)
     tests = (modes, sweep, *residuals.tests, refinement, validation, *own.tests)
@@ -320,7 +320,7 @@ def assess_summary(
     [`check`][riecjax.check] refuses.
     """
     model = as_model(model)
-    found = on_host(estimate(model, summary, known=known, intervals=intervals))
+    found = estimate(model, summary, known=known, intervals=intervals)
     modes = ModeTests(mode_evidence(model, found)) if model.modes else None
     checked, _ = check_sums(model, summary, found.table, found.known)
     checked.raise_if_refused()
@@ -328,7 +328,7 @@ def assess_summary(
     if lengths is not None and not model.has_hidden:
         with contextlib.suppress(DataError):  # too short for any
             lengths.require_model(model)
-            sweep = on_host(sweep_of_sums(lengths, found.table))
+            sweep = sweep_of_sums(lengths, found.table)
     return Assessment(
         model=model,
         recordings=(),
@@ -358,7 +358,7 @@ def check_answering(
         return checked
     problem = Problem(model, recordings, [], Assess(key=settings.key, intervals=Sandwich()))
     with contextlib.suppress(IdentifiabilityError):
-        start = on_host(estimated(model, summary, table, Sandwich()))
+        start = estimated(model, summary, table, Sandwich())
         refinement, _ = answered(problem, start, True)
         if refinement is not None and (refined := refinement.answer) is not None:
             errors = zip(refined.parameters, refined.standard_errors)

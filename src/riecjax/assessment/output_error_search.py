@@ -12,7 +12,6 @@ from riecjax.assessment.refining import ASK, Problem, Refinement
 from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import Estimate
-from riecjax.leaves import on_host
 from riecjax.records.faults.derivative_pairs import is_motion
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import (
@@ -98,7 +97,6 @@ def _search(
     given = settings.bounds, settings.priors, intervals_of(settings.intervals)
     limits = (MOST_STEPS, settings.progress) if asked else (STEPS_BY_ITSELF, None)
     found, by = refined(by, residuals, formed, records, *given, None, *limits)
-    found = on_host(found)
     return Refinement(estimate, found, whiteness=whiteness(found, records), by=by)
 
 

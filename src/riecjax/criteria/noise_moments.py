@@ -182,8 +182,8 @@ def noise_weights_of_lengths(
 
     def products(length: LagBins) -> Array:
         at, inside = of_length(length)
-        # Twice as many samples, half of them zero, keep the ends from wrapping around.
-        size = xp.fft_size(2 * at.size)
+        # No window reaches beyond the samples, so that nothing wraps around.
+        size = xp.fft_size(at.size)
         spectrum = xp.fft.rfft(inside[one] * inside[other], size, axis=-1)
         spectrum = xp.fft.rfft(at, size)[None] * spectrum
         return xp.fft.irfft(spectrum, size, axis=-1)[:, : at.size]

@@ -376,8 +376,8 @@ def valid_windows(
 #
 # with s_k the part of a column that stands under k time derivatives. For all t at once it is a
 # correlation: the signals are transformed once, each window length's weights once, and one inverse
-# transform gives the rows at every start, O(N log N) for each column and length. Transforms of 2 N
-# samples, half of them zero, keep the ends of the record from wrapping around.
+# transform gives the rows at every start, O(N log N) for each column and length. What wraps around
+# are rows of windows that reach beyond the record, which are left out.
 #
 # **Order.** By Euler and Maclaurin, a sum over samples differs from the integral by the odd
 # derivatives of the integrand g at the window's ends, times even powers of h:
@@ -537,11 +537,15 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             ]
         )
         n = columns.sample_count
-        size = xp.fft_size(2 * n)
+        size = xp.fft_size(n)
         spectrum = xp.fft.rfft(values, size, axis=-1)
 
         def everywhere(length: Leaf) -> Float[Array, "columns n"]:
-            weights = xp.fft.rfft(self._weights(length, columns), size, axis=-1)
+            # Classes with arrays of their own cannot be looked up.
+            if xp.are_traced(length, columns.time_step) or jax.tree.leaves(self):
+                weights = xp.fft.rfft(self._weights(length, columns), size, axis=-1)
+            else:
+                weights = _spectrum(self, int(length), n, float(columns.time_step))
             product = (spectrum * xp.conj(weights)[:, None, :]).sum(axis=0)
             return xp.fft.irfft(product, size, axis=-1)[:, :n]
 
@@ -570,19 +574,24 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
 
     def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "1+s n"]:
         """h psi_k at the samples of a window of `length` samples, k from 0 to the smoothness s."""
-        n = columns.sample_count
-        # Where the length is known, no more than the window is worked through.
-        count = n if xp.is_traced(length) else min(int(length) + 1, n)
+        n, step = columns.sample_count, columns.time_step
+        if xp.are_traced(length, step):
+            return self._at_samples(length, n, step.astype(columns.values.dtype))
+        # No more than the window is worked through.
+        rows = self._at_samples(length, min(int(length) + 1, n), step)
+        return np.pad(rows, ((0, 0), (0, n - rows.shape[1])))
+
+    def _at_samples(self, length: Int[Leaf, ""], count: int, step: Leaf) -> Float[Array, "1+s n"]:
+        """h psi_k at so many samples."""
         sample = np.arange(count)
         # By whole numbers: at the window's end |tau| is 1 but for rounding, and a compiler may
         # evaluate |tau| < 1 twice, once with fused multiply-adds, so that the masks differ.
         inside = (sample > 0) & (sample < length)
-        tau = xp.where(inside, 2 * sample / length - 1, 0.0).astype(columns.values.dtype)
-        seconds = length * columns.time_step
+        tau = xp.where(inside, 2 * sample / length - 1, 0.0).astype(step.dtype)
+        seconds = length * step
         along = self.by_tau(tau, seconds, self.smoothness)
         rows = [(-2 / seconds) ** order * of for order, of in enumerate(along)]  # d tau / dt
-        weights = xp.where(inside[None, :], xp.stack(rows), 0.0) * columns.time_step
-        return xp.pad(weights, ((0, 0), (0, n - count)))
+        return xp.where(inside[None, :], xp.stack(rows), 0.0) * step
 
     def by_tau(
         self, tau: Float[Array, " n"], length: Float[Array, ""], most: int
@@ -603,6 +612,15 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             return [of(at) for of in found]
 
         return xp.in_double(every, tau)
+
+
+@functools.lru_cache(maxsize=64)  # of one chunk after the other, and of noise sent through each
+def _spectrum(
+    weight: AbstractSmoothTestFunction, length: int, count: int, step: float
+) -> np.ndarray:
+    """Fourier transform of h psi_k of windows of so many samples, among `count` samples."""
+    rows = weight._at_samples(np.asarray(length), min(length + 1, count), np.asarray(step))
+    return np.fft.rfft(rows, xp.fft_size(count), axis=-1)
 
 
 def _again(lengths: Int[Array, " lengths"]) -> Bool[Array, " lengths"]:
@@ -639,14 +657,13 @@ class Bump(AbstractSmoothTestFunction):
     ) -> list[Float[Array, " n"]]:
         """(1 - tau^2)^(p - k) times a polynomial q_k for the k-th derivative, which differentiates
         to q_(k+1) = (1 - tau^2) q_k' - 2 (p - k) tau q_k."""
-        rest, found = 1 - tau**2, []
-        polynomial = np.polynomial.Polynomial([1.0])
+        rest, found, coefficients = 1 - tau**2, [], np.ones(1)
         for order in range(most + 1):
-            of = sum((c * tau**i for i, c in enumerate(polynomial.coef.tolist())), 0.0 * tau)
+            of = functools.reduce(lambda sum_, c: sum_ * tau + c, coefficients.tolist(), 0.0 * tau)
             found.append(rest ** (self.p - order) * of)
-            slope = np.polynomial.Polynomial([0.0, -2.0 * (self.p - order)])
-            polynomial = (
-                polynomial.deriv() * np.polynomial.Polynomial([1, 0, -1]) + slope * polynomial
+            coefficients = np.polyadd(
+                np.polymul(np.polyder(coefficients), [-1.0, 0.0, 1.0]),
+                np.polymul([-2.0 * (self.p - order), 0.0], coefficients),
             )
         return found
 

@@ -278,11 +278,6 @@ class AllWindows(AbstractWindows):
             wanted = max(self.longest_samples, power_of_two(sample_count / MOST_BLOCKS))
         return min(wanted, -(-sample_count // 2))
 
-    def in_chunks(self, record: Record) -> bool:
-        """Whether a record is so long that it is worked through in chunks."""
-        n = record.sample_count
-        return chunk_length(record, self.block(n), self.reach(n)) < n
-
     def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
         """The law of lags, which are multiples of so many samples: a bin for each weight."""
         low, high = self.lags(sample_count, time_step, multiple)

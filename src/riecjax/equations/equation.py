@@ -175,7 +175,10 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
     at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)
     arrays = {name: np.asarray(values)[at] for name, values in record.arrays.items()}
     labels, functions = zip(*tried)
-    alone = _each_by_itself(functions, Record(arrays, record.time_step))
+    try:
+        alone = _each_by_itself(functions, Record(arrays, record.time_step))
+    except ModelError:  # told of the whole record, where it is summed
+        return []
     return [label for label, good in zip(labels, alone) if not good]
 
 

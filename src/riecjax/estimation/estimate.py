@@ -12,13 +12,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
+from riecjax import arrays as xp
+from riecjax.arrays import hosted
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.equations.hidden_elements import SeriesSpring
 from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, is_concrete, namespace, on_host
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Tabled, save
 from riecjax.summaries.summary import Summary
@@ -238,7 +240,7 @@ class Estimate(Tabled, eqx.Module):
         if not isinstance(name, str) or name not in self.known:
             return self._of(self.theta, name)
         # What is known may be one value for all of a batch.
-        value = namespace(self.known[name]).broadcast_to(self.known[name], self.batch_shape)
+        value = xp.broadcast_to(self.known[name], self.batch_shape)
         return value if self.batch_shape else _single(value)
 
     def __iter__(self) -> Iterator[str]:
@@ -256,8 +258,8 @@ class Estimate(Tabled, eqx.Module):
         Of windows, it is finite and every stage tells its parameters apart.
         """
         if not self.stages:
-            return namespace(self.theta).ones(self.batch_shape, bool)
-        finite = namespace(self.theta).isfinite(self.theta).all(axis=-1)
+            return xp.ones(self.batch_shape, bool)
+        finite = xp.isfinite(self.theta).all(axis=-1)
         return finite & (self.rank == len(self.parameters))
 
     @property
@@ -315,7 +317,7 @@ class Estimate(Tabled, eqx.Module):
         independent ones it would be n / m times as large. Setting that equal to the actual variance
         gives m = n naive^2 / error^2.
         """
-        stages, xp = self._fitted, namespace(self.theta)
+        stages = self._fitted
         counts = [stage.count[..., None] for stage in stages for _ in stage.parameters]
         rows = xp.concatenate(counts, axis=-1)
         variance = self.standard_errors**2
@@ -325,13 +327,11 @@ class Estimate(Tabled, eqx.Module):
     @property
     def condition_number(self) -> Float[Array, "*batch"]:
         """The largest among the stages, of the regressors with columns scaled to unit length."""
-        xp = namespace(self.theta)
         return xp.max(xp.stack([stage.solution.condition_number for stage in self._fitted]), axis=0)
 
     @property
     def rank(self) -> Int[Array, "*batch"]:
         """Sum of the stages' ranks; the number of parameters when all can be told apart."""
-        xp = namespace(self.theta)
         return xp.sum(xp.stack([stage.solution.rank for stage in self._fitted]), axis=0)
 
     @property
@@ -342,7 +342,6 @@ class Estimate(Tabled, eqx.Module):
     @property
     def standard_errors(self) -> Float[Array, "*batch p"]:
         """Square roots of the covariance's diagonal."""
-        xp = namespace(self.covariance)
         return xp.sqrt(xp.diagonal(self.covariance, axis1=-2, axis2=-1))
 
     def standard_error(self, name: str) -> Float[Array, "*batch"]:
@@ -376,7 +375,6 @@ class Estimate(Tabled, eqx.Module):
     def correlation(self) -> Float[Array, "*batch p p"]:
         """Correlation matrix of theta; 0 for one without an error, NaN where it is not finite."""
         errors = self.standard_errors
-        xp = namespace(errors)
         # Divided by one after the other: the inverse of a tiny error overflows, and so a product.
         known, scale = xp.isfinite(errors), xp.where(errors > 0, errors, xp.inf)
         both = known[..., :, None] & known[..., None, :]
@@ -390,7 +388,7 @@ class Estimate(Tabled, eqx.Module):
 
         Of a batch, each code once: how many members it concerns, and what it says of the first.
         """
-        host = on_host(self)
+        host = hosted(self)
         if not self.batch_shape:
             return list(host._findings())
         first: dict[str, Finding] = {}

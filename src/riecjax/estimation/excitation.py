@@ -11,7 +11,7 @@ from riecjax.estimation.estimate import Estimate, combination, weighing
 from riecjax.estimation.parameters import Parameter, ParameterTable
 from riecjax.estimation.stages import largest_share, stages_over_records
 from riecjax.findings import CODES, Finding
-from riecjax.leaves import Leaf, on_host
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import symmetric_eigen, unit_diagonal
 from riecjax.summaries.normal_equations import NormalEquations, sum_of_equations
 from riecjax.summaries.summary import Summary
@@ -218,7 +218,7 @@ def excitations(summary: Summary, table: ParameterTable) -> list[Excitation]:
 
     **Raises:** `DataError` for a stage without rows, or with terms that are not finite.
     """
-    equations = on_host(summary.equations())
+    equations = summary.equations()
     totals = [sum_of_equations([e.flattened().total() for e in stage]) for stage in equations]
     raise_if_nothing_to_fit(table, totals)
 

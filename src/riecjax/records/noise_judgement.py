@@ -19,8 +19,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import ArrayLike
 
+from riecjax import arrays as xp
 from riecjax.errors import DataError, ModelError
-from riecjax.leaves import Leaf, namespace
+from riecjax.leaves import Leaf
 from riecjax.records.faults.sampled_signal import levels_of, resolution_of, rounding_of
 from riecjax.records.record import Record, runs
 from riecjax.records.signal import (
@@ -307,12 +308,11 @@ def noise_of_level(
 
     **Arguments:** `others`, the record's other signals.
     """
-    xp = namespace(level, signal)
     samples = xp.asarray(signal.values)
     level = xp.asarray(xp.where(level > MOST_NOISE * xp.std(samples, axis=-1), 0.0, level))
     seen = min(samples.shape[-1], STRETCHES * STRETCH)
     freedom = np.asarray(max(seen - DIFFERENCE_ORDER, 1) / REPEATS)
-    if xp is not np or samples.ndim > 1:
+    if xp.are_traced(level, samples) or samples.ndim > 1:
         return SignalNoise({name: level[..., None]}, {name: freedom})
     known = _by_values(signal, np.asarray(level), freedom, others)
     return (

@@ -22,8 +22,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
+from riecjax import arrays as xp
 from riecjax.errors import DataError, require
-from riecjax.leaves import Leaf, as_leaf, is_concrete, namespace
+from riecjax.leaves import Leaf, as_leaf, is_concrete
 
 Samples = Float[np.ndarray, " n"]
 Taps = Float[np.ndarray, " taps"]
@@ -83,7 +84,6 @@ class SignalNoise:
     def std(self) -> Float[Leaf, ""]:
         """Standard deviation of the noise."""
         taps = list(self.kernels.values())
-        xp = namespace(taps)
         return xp.sqrt(sum((xp.sum(xp.asarray(t) ** 2, axis=-1) for t in taps), np.zeros(())))
 
     def of_each(self, made: Callable[[Any], Leaf]) -> "SignalNoise":
@@ -124,7 +124,7 @@ class SignalNoise:
             # Of w[n count - i] with i = m count + r, the source of phase r has tap m.
             reach = -(-half // count)
             room = reach * count - half, (reach + 1) * count - half - 1
-            padded = namespace(taps).pad(taps, [(0, 0)] * (taps.ndim - 1) + [room])
+            padded = xp.pad(taps, [(0, 0)] * (taps.ndim - 1) + [room])
             apart = padded.reshape(*taps.shape[:-1], 2 * reach + 1, count)
             for phase in sorted({i % count for i in range(-half, half + 1)}):
                 name = Phase(f"{source}#{phase}")
@@ -251,7 +251,6 @@ class Noise:
 
 def _sum(one: Leaf, other: Leaf) -> Leaf:
     """The sum of two kernels, by their middle taps."""
-    xp = namespace(one, other)
     half = max(one.shape[-1], other.shape[-1]) // 2
 
     def padded(taps: Leaf) -> Leaf:
@@ -286,7 +285,6 @@ def noise_level(samples: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
 
     **Arguments:** `samples`, NaN in gaps; no difference reaches across.
     """
-    xp = namespace(samples)
     if samples.shape[-1] <= DIFFERENCE_ORDER:
         return xp.zeros(samples.shape[:-1])
     rows = xp.asarray(samples)[..., stretches_of(samples.shape[-1])]
@@ -296,7 +294,6 @@ def noise_level(samples: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
 
 def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
     """Root mean square of those that are of noise; 0 where all are NaN."""
-    xp = namespace(contrasts)
     sizes = xp.abs(contrasts)
     sizes = xp.where(xp.isnan(sizes).all(-1, keepdims=True), 0.0, sizes)
     # To draw a line at four standard deviations a median of some will do, and sorting all would
@@ -341,19 +338,17 @@ class Signal:
         cls, samples: ArrayLike | Array, unit: str = "", noise: SignalNoise | None = None
     ) -> "Signal":
         """A signal of samples that are NaN where they are missing."""
-        xp = namespace(samples)
         values = xp.asarray(samples)
         # Sums of small whole numbers wrap around.
         values = values.astype(float) if values.dtype.kind in "biu" else values
         present = ~xp.isnan(values)
-        if xp is np and present.all():
+        if not xp.is_traced(values) and present.all():
             return cls(values, None, unit, noise)
         return cls(_held(values, present), present, unit, noise)
 
     @property
     def with_nan(self) -> Any:
         """The samples, shape `(n,)`, NaN where they are missing; of NumPy unless traced."""
-        xp = namespace(self.values, self.present)
         values = xp.array(self.values, float)
         return values if self.present is None else xp.where(self.present, values, np.nan)
 
@@ -387,14 +382,14 @@ class Signal:
     @property
     def _array(self) -> Any:
         """The samples for arithmetic: JAX would compile it for each length."""
-        return namespace(self.values).asarray(self.values)
+        return xp.asarray(self.values)
 
 
 def both(one: Leaf | None, other: Leaf | None) -> Leaf | None:
     """Where both masks are True; `None` is everywhere."""
     if one is None or other is None:
         return other if one is None else one
-    return namespace(one, other).logical_and(one, other)
+    return xp.logical_and(one, other)
 
 
 def _held(values: Any, present: Any) -> Any:
@@ -402,13 +397,7 @@ def _held(values: Any, present: Any) -> Any:
     after, else by 0."""
     if present is None:
         return values
-    xp = namespace(values, present)
-    places = xp.where(present, xp.arange(values.shape[-1]), -1)
-    last = (
-        np.maximum.accumulate(places, axis=-1)
-        if xp is np
-        else jax.lax.cummax(places, axis=places.ndim - 1)
-    )
+    last = xp.running_max(xp.where(present, np.arange(values.shape[-1]), -1))
     first = xp.argmax(present, axis=-1)[..., None]
     held = xp.take_along_axis(values, xp.where(last < 0, first, last), axis=-1)
     return xp.where(xp.any(present, axis=-1)[..., None], held, 0.0)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from riecjax.arrays import hosted
 from riecjax.assessment.assess import Assessment
 from riecjax.estimation.estimate import Estimate
-from riecjax.leaves import on_host
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.answer import Answer, part_of
@@ -69,8 +69,8 @@ def _(thing: Recording) -> Chart:
 @chart_of.register
 def _(thing: Estimate) -> Chart:
     if thing.batch_shape:
-        return _batch(on_host(thing))
-    return relative_figure({"": part_of(on_host(thing))})
+        return _batch(hosted(thing))
+    return relative_figure({"": part_of(hosted(thing))})
 
 
 chart_of.register(Answer, lambda answer: relative_figure({"": answer}))

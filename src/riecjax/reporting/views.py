@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from riecjax.arrays import hosted
 from riecjax.assessment.assess import Assessment
 from riecjax.assessment.next_steps import Step
 from riecjax.assessment.verdict import Verdict, percent
@@ -13,7 +14,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
 from riecjax.estimation import ModeEvidence
 from riecjax.estimation.estimate import Estimate, span
-from riecjax.leaves import is_concrete, on_host
+from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.answer import (
@@ -138,7 +139,7 @@ def _(thing: ModeEvidence) -> View:
 
 @shown_if_known
 def _(thing: Summary) -> View:
-    host, outline = on_host(thing), thing.outline
+    host, outline = hosted(thing), thing.outline
     lines = [
         f"parameters: {parameters_in_words(outline.parameters, dict(outline.units))}",
         *(
@@ -159,7 +160,7 @@ def _(thing: Summary) -> View:
 
 @shown_if_known
 def _(thing: Estimate) -> View:
-    host = on_host(thing)
+    host = hosted(thing)
     if (search := host.search) is not None:
         both = (np.moveaxis(np.asarray(rms), -1, 0) for rms in (search.rms_before, search.rms))
         left = (" -> ".join(span(rms, ".4g") for rms in pair) for pair in zip(*both))
