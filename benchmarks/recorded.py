@@ -29,7 +29,7 @@ def write_json(path: Path, document: Any) -> None:
 def filled_in(page: Path, begin: str, text: str) -> str:
     """A page of the documentation with this text between a mark and the next end."""
     before, rest = page.read_text(encoding="utf-8").split(begin)
-    after = rest.split(END)[1]
+    after = rest.split(END, 1)[1]
     return f"{before}{begin}\n{text}\n{END}{after}"
 
 

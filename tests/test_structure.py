@@ -21,7 +21,7 @@ BUDGETS = {
     "src statements": 23_550,
     "src literals": 1_580,
     "lines of commands and settings": 2_300,
-    "tests lines": 26_300,
+    "tests lines": 26_400,
     "benchmarks lines": 8_600,
     "README lines": 150,
 }

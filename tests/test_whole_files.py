@@ -10,7 +10,7 @@ import riecjax as rx
 from riecjax.cli.command import read_job
 from riecjax.errors import DataError
 from riecjax.reporting.output import require_folder
-from riecjax.whole_files import is_stamped, stamp, sweep, temporary, write_whole
+from riecjax.whole_files import is_stamped, require_plain, stamp, sweep, temporary
 
 CONTENT = bytes(range(256)) * 3
 LEFT = f".riecjax-{'0' * 32}"
@@ -51,7 +51,7 @@ def test_what_is_no_plain_file_is_never_opened(tmp_path):
     assert not is_stamped(tmp_path / "a.png")
     for name in ("a.png", LEFT):
         with pytest.raises(OSError, match="no plain file"):
-            write_whole(tmp_path / name, CONTENT)
+            require_plain(tmp_path / name)
         with pytest.raises(DataError, match="no plain file"):
             rx.load(tmp_path / name)
         with pytest.raises(click.UsageError, match="cannot be read: it is no plain file"):

@@ -87,15 +87,14 @@ def on_host(value: Any) -> Any:
     return np.asarray(value) if isinstance(value, jax.Array) and not is_traced(value) else value
 
 
-def hosted(tree: Tree) -> Tree:
-    """A pytree with NumPy's arrays in double precision in place of JAX's that are known."""
+def hosted(tree: Tree, *, double: bool = False) -> Tree:
+    """A pytree with NumPy's arrays in place of JAX's that are known, but for random keys; in
+    `double` precision, or as they are."""
 
     def moved(leaf: Any) -> Any:
-        if not isinstance(leaf, jax.Array) or is_traced(leaf):
-            return leaf
-        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-            return leaf
-        return np.asarray(leaf, float if leaf.dtype == np.float32 else None)
+        is_key = isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        host = leaf if is_key else on_host(leaf)
+        return host.astype(float) if double and getattr(host, "dtype", None) == np.float32 else host
 
     is_there = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(tree))
     return jax.tree.map(moved, tree) if is_there else tree
@@ -158,9 +157,7 @@ def each(
         return jax.lax.map(function, items, batch_size=batch)
     count = jax.tree.leaves(items)[0].shape[0]
     parts = [function(jax.tree.map(lambda leaf, at=at: leaf[at], items)) for at in range(count)]
-    if any(map(is_traced, jax.tree.leaves(parts))):
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *parts)
+    return stacked(parts)
 
 
 def running_max(values: Any, *, reverse: bool = False) -> Any:
@@ -170,11 +167,6 @@ def running_max(values: Any, *, reverse: bool = False) -> Any:
     if reverse:
         return np.maximum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     return np.maximum.accumulate(values, axis=-1)
-
-
-def running_min(values: Any, *, reverse: bool = False) -> Any:
-    """The smallest value up to each along the last axis, or from each on in `reverse`."""
-    return -running_max(-values, reverse=reverse)
 
 
 def sum_by_block(values: Any, block: Any, number: int) -> Any:

@@ -137,17 +137,6 @@ def end(process: Callable[[], None]) -> None:
         process()
 
 
-def write_whole(file: Path, content: bytes) -> None:
-    """Write a file, which no one else may read, whole or not at all.
-
-    **Raises:** `OSError` where it cannot be written.
-    """
-    require_plain(file)
-    with temporary(file.parent) as new:
-        new.write_bytes(content)
-        new.replace(file)
-
-
 def write_file(file: Path, fill: Callable[[Path], None]) -> None:
     """Let `fill` write a temporary file beside this one, then rename it: whole or not at all.
 

@@ -153,8 +153,10 @@ with open("kept", "w") as file:
 
 WRITING = """
 from pathlib import Path
-from riecjax.whole_files import write_whole
-write_whole(Path("drive.csv"), b"t,x")
+from riecjax.whole_files import temporary
+with temporary(Path()) as new:
+    new.write_bytes(b"t,x")
+    new.replace("drive.csv")
 print("begun")
 """
 

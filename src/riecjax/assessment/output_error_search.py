@@ -219,13 +219,9 @@ def _channels(system: AbstractSystem, records: "list[Record]") -> tuple[str, ...
     chosen = spread_points(records[0].sample_count)
     levels = np.asarray(input_levels(system, records[0]))[chosen]
     at = np.asarray(measured_states(system, records[0]))[chosen]
-    direct = _through(system, at, levels)
+    through = jax.vmap(jax.jacfwd(system.output, argnums=1))
+    direct = dict(eqx.filter_jit(through)(at, levels))
     return (*states, *(name for name in outputs if not np.any(np.asarray(direct[name]))))
-
-
-@eqx.filter_jit
-def _through(system: AbstractSystem, states: np.ndarray, levels: np.ndarray) -> dict:
-    return dict(jax.vmap(jax.jacfwd(system.output, argnums=1))(states, levels))
 
 
 LIKELIER = float(np.log(100))

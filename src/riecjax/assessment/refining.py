@@ -20,9 +20,9 @@ from riecjax.estimation.estimate import (
     parameter_entries,
 )
 from riecjax.estimation.parameters import values_in_recording
-from riecjax.estimation.stages import ABOVE_NOISE
 from riecjax.findings import Finding
 from riecjax.leaves import told
+from riecjax.records.noise_judgement import ABOVE_NOISE
 
 # What simulates and refines takes as long to import as a linear answer does: where it is asked for.
 if TYPE_CHECKING:

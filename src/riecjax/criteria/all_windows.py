@@ -229,7 +229,7 @@ class Runs(NamedTuple):
         """Of a mask, and so many starts from the `first` on."""
         at = _places(valid)
         gap_before = xp.running_max(xp.where(valid, -1, at))
-        gap_after = xp.running_min(xp.where(valid, at.size, at), reverse=True)
+        gap_after = -xp.running_max(-xp.where(valid, at.size, at), reverse=True)
         return cls(xp.maximum(gap_before + 1, first), gap_after - 1, first + count - 1)
 
 

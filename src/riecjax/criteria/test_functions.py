@@ -470,9 +470,9 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             return xp.where(mine, xp.take(everywhere(length), windows.start, axis=1), 0.0)
 
         beside = (columns, windows)
-        each = LagBins(lengths, lengths, np.ones(self.lengths, columns.values.dtype))
-        # A length that is there twice counts once.
-        each = each._replace(last=xp.where(_again(lengths), lengths - 1, lengths))
+        # A length that is there twice counts half each time.
+        times = (lengths[:, None] == lengths[None, :]).sum(axis=1)
+        each = LagBins(lengths, lengths, (1 / times).astype(columns.values.dtype))
         total = sum_over_bins(each, lambda bin_: of_length(bin_.first), beside=beside)
         return total, valid_windows(windows, columns.present)
 
@@ -621,11 +621,6 @@ def _spectrum(
     """Fourier transform of h psi_k of windows of so many samples, among `count` samples."""
     rows = weight._at_samples(np.asarray(length), min(length + 1, count), np.asarray(step))
     return np.fft.rfft(rows, xp.fft_size(count), axis=-1)
-
-
-def _again(lengths: Int[Array, " lengths"]) -> Bool[Array, " lengths"]:
-    """Which of some lengths, from the shortest on, is the one before it again."""
-    return xp.concatenate([np.zeros(1, bool), lengths[1:] == lengths[:-1]])
 
 
 class Bump(AbstractSmoothTestFunction):

@@ -120,10 +120,6 @@ def _solution(
 # Normal equations of stages over records, solved in turn, and what is left of every equation.
 
 
-ABOVE_NOISE = 3.0
-"""Times what the sensors' noise makes of it, from which what is left is the model's."""
-
-
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
 class EquationFit:

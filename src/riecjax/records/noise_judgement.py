@@ -37,6 +37,8 @@ from riecjax.records.signal import (
     stretches_of,
 )
 
+ABOVE_NOISE = 3.0
+"""Times what the sensors' noise makes of it, from which what is left is the model's."""
 SEGMENT = 256
 """Samples of a piece whose spectrum is taken."""
 FEWEST_SEGMENTS = 8

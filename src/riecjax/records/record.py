@@ -411,7 +411,7 @@ def as_records(records: Records) -> list[Record]:
     )
     several = isinstance(records, list | tuple)
     listed: Any = records if several else [records]
-    given = [xp.hosted(getattr(each, "record", each)) for each in listed]
+    given = [xp.hosted(getattr(each, "record", each), double=True) for each in listed]
     kinds = Record if several else (Record, list, tuple)
     for record in given:
         require("one of the records" if several else "the record", record, kinds, single)

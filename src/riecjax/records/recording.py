@@ -113,11 +113,9 @@ def as_recordings(records: Records) -> list[Recording]:
     """
     given: Sequence[Any] = records if isinstance(records, list | tuple) else [records]
     return [
-        Recording(record, f"record {i + 1}" if len(given) > 1 else "")
-        if not isinstance(one, Recording)
-        else one
-        if one.record is record
-        else replace(one, record=record)
+        (one if one.record is record else replace(one, record=record))
+        if isinstance(one, Recording)
+        else Recording(record, f"record {i + 1}" if len(given) > 1 else "")
         for i, (one, record) in enumerate(zip(given, as_records(records), strict=True))
     ]
 

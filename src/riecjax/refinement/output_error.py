@@ -44,9 +44,8 @@ from riecjax import arrays as xp
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.estimation.stages import ABOVE_NOISE
 from riecjax.leaves import Leaf, is_concrete, is_number
-from riecjax.records.noise_judgement import judged
+from riecjax.records.noise_judgement import ABOVE_NOISE, judged
 from riecjax.records.record import Record, shared_length
 from riecjax.refinement.objective import (
     AbstractObjective,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from riecjax.arrays import hosted
+from riecjax.arrays import are_traced, hosted
 from riecjax.assessment.assess import Assessment
 from riecjax.assessment.next_steps import Step
 from riecjax.assessment.verdict import Verdict, percent
@@ -14,7 +14,6 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import OWN, Model
 from riecjax.estimation import ModeEvidence
 from riecjax.estimation.estimate import Estimate, span
-from riecjax.leaves import is_concrete
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.reporting.answer import (
@@ -58,7 +57,7 @@ def shown_if_known(case: Case) -> Case:
     @functools.wraps(case)
     def view(thing: Any) -> View:
         numbers = getattr(thing, "record", thing)
-        if is_concrete(numbers):
+        if not are_traced(numbers):
             return case(thing)
         names = getattr(numbers, "parameters", None) or getattr(numbers, "arrays", ())
         units = dict(getattr(numbers, "units", ()))
@@ -73,7 +72,7 @@ def _(thing: Equation) -> View:
     known = ", ".join(f"{name} = {span(value, '.6g')}" for name, value in thing.known.items())
     lines = [
         f"parameters: {parameters_in_words(thing.parameters, thing.units)}",
-        *([f"known: {known}"] if known and is_concrete(thing.known) else []),
+        *([f"known: {known}"] if known and not are_traced(thing.known) else []),
         *([f"where {expression_in_words(thing.where)}"] if thing.where else []),
     ]
     unit = f" [{thing.unit}]" if thing.unit else ""

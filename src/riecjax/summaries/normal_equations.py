@@ -205,9 +205,9 @@ def sum_of_equations(
     return functools.reduce(operator.add, (one.embed(names) for one in equations))
 
 
-def stack_normal_equations(parts: Sequence[NormalEquations], room: int = 0) -> NormalEquations:
-    """Of one record after another, with empty blocks behind, up to as many as `room` or another."""
-    most = max(room, *(part.count.shape[0] for part in parts))
+def stack_normal_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Of one record after another, with empty blocks behind, up to as many as another."""
+    most = max(part.count.shape[0] for part in parts)
 
     def stacked(blocks: Sequence[Array], length: int) -> Array:
         behind = ([(0, length - b.shape[0])] + [(0, 0)] * (b.ndim - 1) for b in blocks)

@@ -248,7 +248,8 @@ def scores(
     for i, names in unknowns:
         blocks = stages[i]
         own = np.array([blocks.parameters.index(name) for name in names])
-        at = xp.stack([values[name] for name in blocks.parameters], axis=-1)
+        own_values = xp.broadcast_arrays(*(values[name] for name in blocks.parameters))
+        at = xp.stack(own_values, axis=-1)
         clean = blocks.clean[..., 1 + own, :]
         clean = clean.reshape((1,) * (at.ndim + 2 - clean.ndim) + clean.shape)
         parts.append(clean[..., 0] - xp.einsum("...bij,...j->...bi", clean[..., 1:], at))
@@ -601,13 +602,7 @@ def studentized_replicates(
         curvature = slope(totals, unknowns)
         identity = np.eye(curvature.shape[-1], dtype=curvature.dtype)
         inverse = xp.swapaxes(solve_scaled(curvature, identity), -1, -2)
-        at = {
-            name: xp.broadcast_to(xp.asarray(value)[..., None], weights.shape[:1])
-            if np.ndim(value) == 0
-            else value
-            for name, value in again.items()
-        }
-        score = (scores(stages, unknowns, at) @ inverse).reshape(*count.shape, -1)
+        score = (scores(stages, unknowns, again) @ inverse).reshape(*count.shape, -1)
         total = xp.einsum("krb,krbp->krp", count, score)
         squares = xp.einsum("krb,krbp->krp", count, score**2)
         mean = total**2 / count.sum(axis=-1)[..., None]

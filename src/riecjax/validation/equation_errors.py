@@ -120,7 +120,7 @@ def equation_error(
     model = as_model(model)
     if missing := [name for name in model.parameter_names if name not in values]:
         raise ModelError(f"the equation error needs a value of '{missing[0]}'.")
-    record, values = xp.hosted((record, dict(values)))
+    record, values = xp.hosted((record, dict(values)), double=True)
     given = {name: xp.asarray(values[name]) for name in model.parameter_names}
     if model.has_hidden:
         from riecjax.equations.hidden_motion import with_hidden_motion
