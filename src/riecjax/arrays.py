@@ -88,8 +88,7 @@ def on_host(value: Any) -> Any:
 
 
 def hosted(tree: Tree, *, double: bool = False) -> Tree:
-    """A pytree with NumPy's arrays in place of JAX's that are known, but for random keys; in
-    `double` precision, or as they are."""
+    """A pytree with NumPy's arrays for JAX's that are known (keys stay), in `double` precision."""
 
     def moved(leaf: Any) -> Any:
         is_key = isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
