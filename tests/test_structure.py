@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeGuard
@@ -150,6 +151,12 @@ def sizes(parsed) -> dict[str, int]:
 @pytest.mark.parametrize("what", BUDGETS)
 def test_the_source_keeps_to_its_budget(sizes, what):
     assert sizes[what] <= BUDGETS[what]
+
+
+def test_nothing_is_private_of_jax_and_nothing_is_pickled(parsed):
+    texts = {name: text.replace("allow_pickle=False", "") for name, (text, _) in parsed.items()}
+    found = re.compile(r"jax\._src|^\s*(import|from) \w*pickle|\w*pickle\.", re.MULTILINE)
+    assert not [name for name, text in texts.items() if found.search(text)]
 
 
 def test_docstrings_and_comments_have_their_share(parsed):

@@ -149,8 +149,7 @@ def each(
 ) -> Any:
     """What a function makes of each of some items, the leading axis of arrays, stacked.
 
-    **Arguments:** `beside`, what the function closes over; `batch`, how many are worked on at once
-    where they are traced.
+    **Arguments:** `beside`, what the function closes over; `batch`, how many go at once if traced.
     """
     if are_traced(items, beside):
         return jax.lax.map(function, items, batch_size=batch)
