@@ -78,13 +78,18 @@ def arrays(seed: int) -> tuple[np.ndarray, ...]:
     return tuple(np.asarray(v) for v in (own.time, own["x"], own["dx"], own["u"]))
 
 
+@eqx.filter_jit
+def refined(own: rx.Record) -> Array:
+    return rx.refine(oscillator(), own, START).theta
+
+
 def refinement(size: Size) -> Comparison:
-    own, plain = record(1), arrays(1)
+    own, plain = jax.device_put(record(1)), arrays(1)
     found = rx.refine(oscillator(), own, START)
     ours = errors([{name: float(found[name]) for name in TRUTH}])
     return compare(
         "refine",
-        lambda: rx.refine(oscillator(), own, START).theta,
+        lambda: refined(own),
         "SciPy least_squares over RK45 with a fair step",
         lambda: scipy_drag.fit(*plain),
         300,
