@@ -136,8 +136,7 @@ def _warranted(problem: Problem, estimate: Estimate, by: OutputError) -> Refinem
         likelier = surely_likelier(other.refined, found.refined)
         if other.whiteness and not _flaw(other.refined) and likelier:
             found, left = other, other.whiteness
-    # Of less than the least noise that channels are weighed by, nothing tells the colour.
-    if left.white or max(left.shares.values()) < LEAST_NOISE:
+    if left.white:
         return found
     name = max(left.statistics, key=lambda channel: left.statistics[channel])
     cause = (

@@ -41,7 +41,7 @@ from riecjax.equations.noisy_columns import Columns, NoisyColumns, sampled_colum
 from riecjax.errors import ModelError
 from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_suffices
-from riecjax.records.record import Record, both
+from riecjax.records.record import Record
 from riecjax.records.signal import Signal
 from riecjax.summaries.normal_equations import (
     EquationSums,
@@ -167,13 +167,10 @@ def _surveyed(
     without and with noise."""
     record, disturbed = records
     noise, plain = (sampled_columns(equation, r, criterion.smoothness) for r in (disturbed, record))
-    last = clean.sample_count - 1
-    inside = windows.stop <= last
-    held = WindowSet(*(np.clip(at, 0, last) for at in windows))
 
     def rows(by: AbstractCriterion, columns: Columns) -> tuple[Array, Array]:
-        found = by.rows_of(columns, held)
-        valid: Any = both(inside, found.valid)
+        found = by.rows_of(columns, windows)
+        valid = np.ones(len(found.columns.T), bool) if found.valid is None else found.valid
         return np.where(valid[:, None], found.columns.T, 0.0), valid
 
     (values, valid), finer = rows(criterion, clean), criterion.finest()
@@ -185,7 +182,7 @@ def _surveyed(
         if term.basis is not None:
             argument = evaluate(term.of, record).values
             reaches[str(term.name)] = np.array([argument.min(), argument.max()])
-    start = record.elapsed[np.floor(held.start).astype(int)]
+    start = record.elapsed[np.floor(windows.start).astype(int)]
     return Surveyed(every, start, valid, reaches)
 
 
@@ -275,7 +272,8 @@ def recording_sums(
                 unit *= 2
             length = -(-max(CHUNK, 4 * reach) // unit) * unit
     drawn: Any = every[0]
-    if windows is not None and survey and not traced:
+    surveyed = survey and not traced
+    if windows is not None and surveyed:
         drawn = _to_survey(criterion, windows, record, blocks)
 
     def of_equation(
@@ -291,15 +289,14 @@ def recording_sums(
 
     def of_chunk(here: Record, blocks: StartBlocks, begin: int) -> list[list[EquationSums]]:
         stages = [[of_equation(e, here, blocks) for e in stage] for stage in model.stages]
-        if survey and not traced:
-            first = drawn if windows is None else _within(drawn, begin, blocks)
+        found = zip(model.equations, (of for stage in stages for of in stage))
+        there = drawn if windows is None or not surveyed else _within(drawn, begin, blocks)
+        if surveyed and there.start.size:
             records = here, _disturbed(here, begin)
             surveys.append(
                 [
-                    _surveyed(criterion, equation, noisy.columns, records, first)
-                    for equation, (_, noisy) in zip(
-                        model.equations, (of for stage in stages for of in stage)
-                    )
+                    _surveyed(criterion, equation, noisy.columns, records, there)
+                    for equation, (_, noisy) in found
                 ]
             )
 
@@ -414,10 +411,12 @@ def _to_survey(
         record.sample_count, record.time_step, criterion.test_function.length_multiple
     )
     share = np.random.default_rng(1).random((2, SURVEYED))
-    room = min(blocks.size * blocks.number, record.sample_count - blocks.first)
-    start = blocks.first + (share[0] * room).astype(int)
     lag = shortest + (share[1] * (longest - shortest + 1)).astype(int)
-    return WindowSet(start, start + criterion.test_function.length_multiple * lag)
+    length = criterion.test_function.length_multiple * lag
+    # All end within the record.
+    room = np.minimum(blocks.size * blocks.number, record.sample_count - blocks.first - length)
+    start = blocks.first + (share[0] * room).astype(int)
+    return WindowSet(start, start + length)
 
 
 def _within(windows: WindowSet, first: int, blocks: StartBlocks) -> WindowSet:
