@@ -61,6 +61,7 @@ def test_a_motion_that_nothing_predicts_for_long_is_refined_over_segments(hard):
 
 def test_an_assessment_refines_it_by_itself(hard):
     assessment = assess(built_in_model("duffing"), hard)
+    assert assessment.refinement is not None
     assert assessment.refinement.chosen, assessment.refinement.declined
     assert "refinement_not_converged" not in {f.code for f in assessment.findings()}
     assert_true(assessment.answer)

@@ -88,7 +88,7 @@ def _search(
     def formed(by: AbstractObjective) -> AbstractResiduals:
         return by.residuals(problem.model, records, estimate, key=settings.key)
 
-    residuals = formed(by)
+    residuals: Any = formed(by)
     if not asked and residuals.work > MOST_WORK:
         raise Declined(
             f"a search would take {residuals.work:.2g} steps x states x tangents, more than "
@@ -218,8 +218,8 @@ def _channels(system: AbstractSystem, records: "list[Record]") -> tuple[str, ...
     chosen = spread_points(records[0].sample_count)
     levels = np.asarray(input_levels(system, records[0]))[chosen]
     at = np.asarray(measured_states(system, records[0]))[chosen]
-    through = jax.vmap(jax.jacfwd(system.output, argnums=1))
-    direct = dict(eqx.filter_jit(through)(at, levels))
+    through = eqx.filter_jit(lambda *given: jax.vmap(jax.jacfwd(system.output, argnums=1))(*given))
+    direct = dict(through(at, levels))
     return (*states, *(name for name in outputs if not np.any(np.asarray(direct[name]))))
 
 

@@ -114,9 +114,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.estimation.constraints import (
     Constraints,
     constrained_blocks,

@@ -38,9 +38,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Bool, Float, Int, Key
 
 from riecjax import arrays as xp
+from riecjax.arrays import Array
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
@@ -603,7 +604,7 @@ class OutputError(AbstractObjective):
             start=start,
             sigma=sigma,
             initial=xp.concatenate([part.initial[:, places] for part in recorded]),
-            longest_window=np.zeros((), sigma.dtype),
+            longest_window=xp.asarray(0.0, sigma.dtype),
             method=self.method or FixedStep(),
             threshold=threshold,
             labels=channels,

@@ -49,8 +49,9 @@ from diffrax import (
     Tsit5,
     diffeqsolve,
 )
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
+from riecjax.arrays import Array
 from riecjax.errors import ModelError
 from riecjax.runtime import compiles_loops_whole
 from riecjax.simulation.intersample import curves_of

@@ -119,8 +119,9 @@ def _equation_sums(
         one = np.zeros_like(columns.values[:, :1])
         one[0] = 1.0
         values = np.concatenate([columns.values, one], axis=1)
-        names = (*columns.parameters, "")
-        moments, number = products(dataclasses.replace(columns, values=values, parameters=names))
+        moments, number = products(
+            dataclasses.replace(columns, values=values, parameters=(*columns.parameters, ""))
+        )
         ones = np.roll(moments[..., -1, :], 1, axis=-1)
         moments = moments[..., :-1, :-1]
     else:
@@ -308,13 +309,12 @@ def recording_sums(
             for stage in stages
         ]
 
-    margin = criterion.test_function.margin
     found = in_chunks(
         record,
         blocks,
         of_chunk,
         reach=reach,
-        margin=margin,
+        margin=criterion.test_function.margin,
         length=length,
         beside=(model, criterion, key),
     )

@@ -118,7 +118,7 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
         slopes = [part.by_initial for part in simulated]
         series, masks = zip(
             *(
-                innovations(one * weight, by * weight[:, None], there)
+                innovations(np.asarray(one * weight), np.asarray(by * weight[:, None]), there)
                 for one, by, there in zip(left, slopes, masks)
             )
         )
