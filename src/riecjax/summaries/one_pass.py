@@ -145,8 +145,7 @@ def _equation_sums(
 
 
 def _disturbed(record: Record, first: int) -> Record:
-    """A stretch of a record, from a sample on, with white noise of its size on each signal; any
-    other has the same where both overlap."""
+    """A stretch of a record, from a sample on, with white noise that others share where they meet."""
     place, names = first + np.arange(record.sample_count), sorted(record.arrays)
 
     def disturbed(number: int, name: str) -> Signal:
