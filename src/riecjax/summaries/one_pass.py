@@ -145,7 +145,7 @@ def _equation_sums(
 
 
 def _disturbed(record: Record, first: int) -> Record:
-    """A stretch of a record, from a sample on, with white noise that others share where they meet."""
+    """A stretch of a record, from a sample on, with white noise that is the same in any other."""
     place, names = first + np.arange(record.sample_count), sorted(record.arrays)
 
     def disturbed(number: int, name: str) -> Signal:
