@@ -123,15 +123,15 @@ def in_double(function: Callable[..., Tree], *given: Any) -> Tree:
         return jax.tree.map(on_host, function(*given))
 
 
-def jacobian(function: Callable[[Any], Any], at: dict[str, Any]) -> dict[str, Any]:
+def jacobian(
+    function: Callable[[Any], Any], at: dict[str, Any], step: float = 1e-30
+) -> dict[str, Any]:
     """Derivatives of an array by each of some numbers.
 
-    Of known numbers by a step into the imaginary, which is exact to rounding (Squire and Trapp,
-    1998): the function must be analytic, and of this module's functions.
+    Of known numbers by an imaginary step: exact to rounding, if analytic (Squire and Trapp 1998).
     """
     if are_traced(at, function(at)):
         return jax.jacfwd(function)(at)
-    step = 1e-30
     return {
         name: np.imag(function({**at, name: value + 1j * step * max(abs(value), 1e-200)}))
         / (step * max(abs(value), 1e-200))

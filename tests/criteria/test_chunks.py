@@ -52,7 +52,7 @@ def test_a_million_samples_in_32_bit_agree_with_64_bit():
     exact = rx.identify(EQUATION, rx.Record(arrays, STEP), criterion)
     with jax.enable_x64(False):
         record = rx.Record({n: v.astype(np.float32) for n, v in arrays.items()}, np.float32(STEP))
-        single = rx.identify(EQUATION, record, criterion)
+        single = eqx.filter_jit(rx.identify)(EQUATION, record, criterion)
         assert single.theta.dtype == jnp.float32
     # An offset of five deviations; eps is 6e-8.
     np.testing.assert_allclose(np.asarray(single.theta, float), exact.theta, rtol=2e-5)

@@ -506,20 +506,20 @@ class Expanded(eqx.Module):
 
         It is affine in the coefficients and in the modes' masses, for elements of given shapes.
 
-        **Arguments:** `values` of the equation's coefficients and of the modes' masses, zero where
-        there is none; both with any axes in front.
+        **Arguments:** `values` of coefficients and masses, zero where there is none, with any axes.
         """
         each = [shape.denominator for shape in shapes]
-        whole = _product(each) if each else 1.0
+        whole = _product(each) if each else np.ones(1)
         # What a spring is in series with does not act by itself.
         own = {TARGET: 1.0} | {c: 0.0 for element, c in self.elements if element.linear == c}
         weights = [own[n] if n in own else -values.get(n, 0.0) for n in self.columns]
-        powers = [xp.asarray(weight)[..., None] * whole for weight in weights]
-        for i, (element, column) in enumerate(self.elements):
+        weights += [values.get(element.linear, 0.0) for element, _ in self.elements]
+        *weights, _ = xp.broadcast_arrays(*weights, whole[..., 0])
+        powers = [weight[..., None] * whole for weight in weights[: len(self.columns)]]
+        for i, (_, column) in enumerate(self.elements):
             filtered = _product([shapes[i].numerator, *each[:i], *each[i + 1 :]])
-            size = xp.asarray(values.get(element.linear, 0.0))
             place = self.columns.index(column)
-            powers[place] = powers[place] - size[..., None] * filtered
+            powers[place] = powers[place] - weights[len(powers) + i][..., None] * filtered
         return xp.concatenate(xp.broadcast_arrays(*powers), axis=-1) @ self._places.T
 
     @property

@@ -156,7 +156,7 @@ class ModeStage(NamedTuple):
             return self.mixes(at[..., *(None,) * (offsets.ndim - 1), :] + offsets)
 
         fit = self.projected(at)
-        theta = xp.concatenate([np.ones_like(fit.theta[..., :1]), -fit.theta], axis=-1)
+        theta = xp.concatenate([xp.ones_like(fit.theta[..., :1]), -fit.theta], axis=-1)
         slope = own = mixed = inner = 0.0
         here, above, below = self.mixes(at), around(unit), around(-unit)
         corners = around(both), around(apart), around(-apart), around(-both)
@@ -413,7 +413,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
                 used = every[int(best)]
                 band = options[int(best)] if summary.bins else None
             else:
-                used = jax.tree.map(lambda leaf, best=best: leaf[best], stacked)
+                used = jax.tree.map(lambda leaf, best=best: xp.take(leaf, best, axis=0), stacked)
             shown = shown & there
             # Sums that are not finite themselves are for the fit to refuse.
             finite = looked_at and all(bool(np.isfinite(e.moments).all()) for e in equations[i])
