@@ -568,8 +568,10 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def _nearest(
         self, drawn: Int[Array, " windows"], lengths: Int[Array, " lengths"]
     ) -> Int[Array, " windows"]:
-        spacing = (lengths[-1] - lengths[0]) / max(self.lengths - 1, 1)
-        nearest = xp.round((drawn - lengths[0]) / xp.where(spacing > 0, spacing, 1.0))
+        # One division, of whole numbers: a tie is broken alike however it is compiled, while XLA
+        # makes of the division by a constant the product by its rounded reciprocal.
+        room = xp.maximum(lengths[-1] - lengths[0], 1.0)
+        nearest = xp.round((drawn - lengths[0]) * float(self.lengths - 1) / room)
         return xp.clip(nearest.astype(np.int32), 0, self.lengths - 1)
 
     def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "1+s n"]:
