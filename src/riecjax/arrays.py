@@ -126,11 +126,11 @@ def in_double(function: Callable[..., Tree], *given: Any) -> Tree:
 def jacobian(
     function: Callable[[Any], Any], at: dict[str, Any], step: float = 1e-30
 ) -> dict[str, Any]:
-    """Derivatives of an array by each of some numbers.
+    """Derivatives of an array by each of some numbers, beside which the function closes over none.
 
     Of known numbers by an imaginary step: exact to rounding, if analytic (Squire and Trapp 1998).
     """
-    if are_traced(at, function(at)):
+    if are_traced(at):
         return jax.jacfwd(function)(at)
     return {
         name: np.imag(function({**at, name: value + 1j * step * max(abs(value), 1e-200)}))
@@ -144,15 +144,13 @@ def stop_gradient(tree: Tree) -> Tree:
     return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf, tree)
 
 
-def each(
-    function: Callable[[Any], Any], items: Any, *, beside: Any = (), batch: int | None = None
-) -> Any:
+def each(function: Callable[[Any], Any], items: Any, *, beside: Any = ()) -> Any:
     """What a function makes of each of some items, the leading axis of arrays, stacked.
 
-    **Arguments:** `beside`, what the function closes over; `batch`, how many go at once if traced.
+    **Arguments:** `beside`, what the function closes over.
     """
     if are_traced(items, beside):
-        return jax.lax.map(function, items, batch_size=batch)
+        return jax.lax.map(function, items)
     count = jax.tree.leaves(items)[0].shape[0]
     parts = [function(jax.tree.map(lambda leaf, at=at: leaf[at], items)) for at in range(count)]
     return stacked(parts)

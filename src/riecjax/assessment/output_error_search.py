@@ -13,6 +13,7 @@ from riecjax.equations.equation_system import EquationSystem
 from riecjax.errors import DataError, RiecjaxError
 from riecjax.estimation.estimate import Estimate
 from riecjax.records.faults.derivative_pairs import is_motion
+from riecjax.records.record import deviation
 from riecjax.refinement.integral_error import IntegralError
 from riecjax.refinement.objective import (
     AbstractObjective,
@@ -176,7 +177,7 @@ def _objective(problem: Problem, estimate: Estimate, horizon: float | None) -> O
     system = parametric.build(estimate.table.values_of(estimate.values, 0))
     channels, levels = _channels(system, records), {}
     for name in channels or ():
-        least = LEAST_NOISE * np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
+        least = LEAST_NOISE * deviation(records, name)
         levels[name] = max(noise_levels(records, (name,))[0], least)
     # What each channel is weighed by, in its unit, where something tells it.
     sigma: Any = levels if levels and all(level > 0 for level in levels.values()) else None

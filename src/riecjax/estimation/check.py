@@ -164,10 +164,10 @@ def check_recordings(
 ) -> Check:
     """What was `checked` of sums, with what their recordings and survey tell; of whose noise
     something is known."""
-    read = [read_of(model, one, summary.criterion, summed=True) for one in recordings]
+    read = {one: read_of(model, one, summary.criterion, summed=True) for one in recordings}
     # Deviations from the mean are no regressors of hidden elements.
     constant = [] if model.has_hidden else target_findings(model, table, summary)
-    sensors = [of_sensors(model, one, names) for one, names in zip(recordings, read)]
+    sensors = [of_sensors(model, one, read[one]) for one in recordings]
 
     def told(number: int, finding: Finding) -> Finding:
         """Of which recording it is; what is proposed, if it does no harm to those without it."""
@@ -182,7 +182,7 @@ def check_recordings(
         return finding._replace(remedy=(), step=step)
 
     findings = [
-        *findings_of(recordings, lambda one: read_of(model, one, summary.criterion, summed=True)),
+        *findings_of(recordings, read.__getitem__),
         *(told(i, finding) for i, own in enumerate(sensors, 1) for finding in own),
         *_windows([one.record for one in recordings], summary.criterion),
         *_quadrature(summary),
@@ -190,7 +190,7 @@ def check_recordings(
         *constant,
         *checked.findings,
     ]
-    signals = tuple(dict.fromkeys(name for names in read for name in names))
+    signals = tuple(dict.fromkeys(name for names in read.values() for name in names))
     return replace(checked, findings=findings, signals=signals)
 
 

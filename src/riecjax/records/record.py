@@ -506,6 +506,11 @@ def run_lengths(mask: np.ndarray) -> np.ndarray:
     return lengths
 
 
+def deviation(records: Iterable[Record], name: str) -> float:
+    """Standard deviation of a signal within records, r.m.s. over them."""
+    return float(np.sqrt(np.mean([np.var(np.asarray(record[name])) for record in records])))
+
+
 TO_A_DOUBLING = 4
 """Lengths that [`shared_length`][] has between one power of two and the next."""
 

@@ -552,11 +552,12 @@ def _stepped(
     """As optimistix steps a solver, one by one: its own loop would be compiled, and all that it
     calls once more within it."""
 
-    def linearised(point: Point, problem: Problem) -> tuple[None, Linearised]:
-        return None, problem.linearised(point)
+    at_first = problem.linearised(first)
 
-    # Of some shape; the first step puts another in its place.
-    point, aux, steps = first, problem.linearised(first), 0
+    def linearised(point: Point, problem: Problem) -> tuple[None, Linearised]:
+        return None, at_first if point is first else problem.linearised(point)
+
+    point, aux, steps = first, at_first, 0
     given = problem, {}
     state = solver.init(linearised, point, *given, None, aux, frozenset())
     while steps < max_steps and not state.ended:

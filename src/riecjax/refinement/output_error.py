@@ -47,7 +47,7 @@ from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.records.noise_judgement import ABOVE_NOISE, judged
-from riecjax.records.record import Record, shared_length
+from riecjax.records.record import Record, deviation, shared_length
 from riecjax.refinement.objective import (
     AbstractObjective,
     AbstractResiduals,
@@ -651,8 +651,7 @@ class OutputError(AbstractObjective):
 
 def _spread(found: Any, records: Sequence[Record]) -> Float[np.ndarray, " channels"]:
     """Standard deviations of what was compared."""
-    by_record = [[np.var(record[name]) for name in found.search.quantities] for record in records]
-    return np.sqrt(np.mean(by_record, axis=0))
+    return np.array([deviation(records, name) for name in found.search.quantities])
 
 
 def _computed(record: Record, names: Sequence[str]) -> set[str]:

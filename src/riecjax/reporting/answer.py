@@ -26,6 +26,7 @@ from riecjax.estimation.estimate import Estimate, intervals_entry, parameter_ent
 from riecjax.findings import Finding
 from riecjax.leaves import finite
 from riecjax.records.noise_judgement import judged
+from riecjax.records.record import deviation
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, versions
 from riecjax.reporting.equations import model_in_words
@@ -652,7 +653,7 @@ def noise_entries(recordings: Sequence[Recording], signals: Iterable[str]) -> Do
     for name in signals:
         if records := [r.record.select(name) for r in recordings if name in r.record.by_name]:
             noise = np.sqrt(np.mean([np.mean(judged(r).noise.std(name) ** 2) for r in records]))
-            size = np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records]))
+            size = deviation(records, name)
             share = noise / size if size > 0 else None
             entries[name] = {"std": noise, "unit": records[0].signal(name).unit, "share": share}
     return entries

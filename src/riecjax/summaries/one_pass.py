@@ -10,6 +10,7 @@ of them: moments of all windows, and, on request, a survey for checks and figure
 # and right to first order in the noise where they are not.
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -159,14 +160,17 @@ def _disturbed(record: Record, first: int) -> Record:
 def _surveyed(
     criterion: AbstractCriterion,
     equation: Equation,
-    clean: Columns,
+    noisy: NoisyColumns,
     records: tuple[Record, Record],
     windows: WindowSet,
 ) -> Surveyed:
     """Rows of windows: of an equation's columns, and of what noise adds to these; of a record
     without and with noise."""
     record, disturbed = records
-    noise, plain = (sampled_columns(equation, r, criterion.smoothness) for r in (disturbed, record))
+    clean, smoothness = noisy.columns, criterion.smoothness
+    noise = sampled_columns(equation, disturbed, smoothness)
+    # Where nothing is curved, the mean's shift is zero.
+    plain = sampled_columns(equation, record, smoothness) if noisy.curved else clean
 
     def rows(by: AbstractCriterion, columns: Columns) -> tuple[Array, Array]:
         found = by.rows_of(columns, windows)
@@ -289,15 +293,12 @@ def recording_sums(
 
     def of_chunk(here: Record, blocks: StartBlocks, begin: int) -> list[list[EquationSums]]:
         stages = [[of_equation(e, here, blocks) for e in stage] for stage in model.stages]
-        found = zip(model.equations, (of for stage in stages for of in stage))
         there = drawn if windows is None or not surveyed else _within(drawn, begin, blocks)
         if surveyed and there.start.size:
             records = here, _disturbed(here, begin)
+            found = zip(model.equations, itertools.chain(*stages))
             surveys.append(
-                [
-                    _surveyed(criterion, equation, noisy.columns, records, there)
-                    for equation, (_, noisy) in found
-                ]
+                [_surveyed(criterion, e, noisy, records, there) for e, (_, noisy) in found]
             )
 
         def blocks_first(leaf: Leaf) -> Leaf:

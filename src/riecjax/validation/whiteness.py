@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float
 from riecjax import tails
 from riecjax.estimation.estimate import Estimate
 from riecjax.leaves import finite, told
-from riecjax.records.record import Record
+from riecjax.records.record import Record, deviation
 from riecjax.refinement.output_error import OutputResiduals, noise_levels
 from riecjax.validation.residuals import autocorrelation
 
@@ -137,7 +137,7 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
         statistics[name] = max((t for t in tests if t == t), default=float("nan")) / LAGS
         rms, level = float(size[j] * sigma[j]), float(levels[j])
         chi_squared[name] = (rms / level) ** 2 if level > 0 else float("nan")
-        spread = float(np.sqrt(np.mean([np.var(np.asarray(r[name])) for r in records])))
+        spread = deviation(records, name)
         shares[name] = rms / spread if spread > 0 else float("nan")
     tests = len(residuals.labels) * len(residuals.recorded)
     threshold = tails.chi_square(LEVEL / tests, LAGS) / LAGS
