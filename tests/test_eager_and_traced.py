@@ -110,6 +110,16 @@ def test_several_recordings_of_unequal_lengths_are_the_same():
     assert_agree(*both(PLATE, records))
 
 
+def test_of_windows_whose_longest_is_not_known_blocks_stay_apart():
+    """Eagerly it is known in samples; where the time step is traced it is not."""
+    record, criterion = recorded(PLATE), rx.RIEC(rx.AllWindows(*ALL))
+    eager = rx.identify(PLATE, record, criterion, intervals="sandwich")
+    traced = jax.jit(lambda r: rx.identify(PLATE, r, criterion, intervals="sandwich"))(record)
+    assert np.max(np.abs(eager.theta - traced.theta) / np.asarray(eager.standard_errors)) < 1e-6
+    # Of other short blocks, and of about as many longer ones.
+    np.testing.assert_allclose(traced.standard_errors, eager.standard_errors, rtol=0.3)
+
+
 @pytest.mark.slow
 def test_a_hidden_mode_is_the_same():
     # Of a traced record no noise is judged by its samples.

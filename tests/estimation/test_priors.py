@@ -178,10 +178,17 @@ def test_a_prior_of_a_later_stage_of_random_windows_and_of_single_precision():
     np.testing.assert_allclose(batch.theta[1, :4], alone.theta[:4], rtol=1e-9)
     assert float(batch.theta[1, 4]) == pytest.approx(value + error, abs=0.1 * error)
     assert float(batch.standard_errors[1, 4]) == pytest.approx(error / 2**0.5, rel=0.05)
+    priors = {"m": (2.01, 1e-3)}
+
+    def traced():
+        # What is not traced is of double precision. A function each: of one that is traced in both,
+        # JAX keeps constants of the first.
+        return jax.jit(lambda of: rx.identify(BODY, of, RIEC, priors=priors, **PLAIN))(record())
+
     with jax.enable_x64(False):
-        single = rx.identify(BODY, record(), RIEC, priors={"m": (2.01, 1e-3)}, **PLAIN)
+        single = traced()
         assert single.theta.dtype == jnp.float32
-    double = rx.identify(BODY, record(), RIEC, priors={"m": (2.01, 1e-3)}, **PLAIN)
+    double = traced()
     place = NAMES.index("m")
     assert float(single.theta[place]) == pytest.approx(float(double["m"]), abs=1e-4)
     np.testing.assert_allclose(

@@ -86,18 +86,22 @@ def _equation_sums(
     noisy: NoisyColumns,
     windows: Lengths | WindowSet,
     blocks: StartBlocks,
-    constant: bool,
+    known: bool,
 ) -> EquationSums:
     """Sums of an equation's rows over windows, and what noise adds to them: over all of some
     lengths; or where a criterion has single rows, each sample's or of windows that are drawn.
 
     The closed form sums the windows that start in a block from running sums over the block and its
     reach, so that a block shorter than a window costs as much as one as long. Where some lengths
-    are longer, neighbouring blocks are summed as one, and the first of them holds the sums.
+    are longer, neighbouring blocks are summed as one, and the first of them holds the sums. Not
+    where numbers are traced: there no window is known to be short, all blocks would be one, and
+    nothing could be said of scatter.
+
+    **Arguments:** `known`, whether numbers are: then products with a constant are summed as well.
     """
     wider, narrow = 1, blocks.number
     counted = windows.lags if isinstance(windows, Lengths) else windows
-    if isinstance(windows, Lengths):
+    if isinstance(windows, Lengths) and known:
         while wider * blocks.size < windows.reach and wider < narrow:
             wider *= 2
         blocks = blocks._replace(size=wider * blocks.size, number=-(-narrow // wider))
@@ -115,7 +119,7 @@ def _equation_sums(
         return sums.moments, sums.count
 
     columns, ones = noisy.columns, None
-    if constant:
+    if known:
         # A column behind that is 1 at every sample, whose product with itself comes first.
         one = np.zeros_like(columns.values[:, :1])
         one[0] = 1.0
