@@ -1,5 +1,8 @@
 """Long records in chunks give what they give whole, and with the precision of 64 and 32 bits."""
 
+import subprocess
+import sys
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -76,3 +79,28 @@ def test_a_long_record_equals_its_running_sums_in_exact_arithmetic():
         rows = np.stack([other[lag:] - other[:-lag], walk[lag:] - walk[:-lag]])
         expected += rows @ rows.T
     np.testing.assert_allclose(found.total().moments, expected, rtol=1e-12)
+
+
+OF_A_LONG_RECORD = """
+import resource
+import numpy as np
+import riecjax as rx
+
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+rng = np.random.default_rng(0)
+record = rx.Record({f"s{i}": rng.normal(size=10**6) for i in range(8)}, 1e-3)
+terms = [rx.Term(f"p{i}", f"s{i}") for i in range(7)]
+equation, before = rx.Equation(*terms, -rx.Term(1.0, "s7")), peak()
+rx.identify(equation, record, rx.RIEC(rx.AllWindows(0.02, 0.2)))
+print(peak() - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory is in kilobytes on Linux")
+def test_a_long_record_takes_little_memory_beside_itself():
+    """Eight signals of a million samples are 64 MB; what is made of them is made by chunks."""
+    command = [sys.executable, "-c", OF_A_LONG_RECORD]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 300

@@ -116,10 +116,12 @@ def rests_of(model: Model, record: Record) -> dict[str, Rest]:
     is_batch = next(iter(record.arrays.values())).ndim != 1
     if is_batch or not is_concrete(model, record):
         return {}
-    # First what costs no call of a user's function.
+    terms = [term for equation in model.equations for term in equation.terms]
+    # First what costs least, and no call of a user's function.
+    if all(term.is_linear and isinstance(term.of, str) for term in terms):
+        return {}
     found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}
     if not found:
         return {}
-    terms = [term for equation in model.equations for term in equation.terms]
     jumping = reversing_states(terms, sorted(found), sorted(record.arrays))
     return {name: rest for name, rest in found.items() if name in jumping}
