@@ -93,16 +93,16 @@ def _equation_sums(
 
     The closed form sums the windows that start in a block from running sums over the block and its
     reach, so that a block shorter than a window costs as much as one as long. Where some lengths
-    are longer, neighbouring blocks are summed as one, and the first of them holds the sums. Not
-    where numbers are traced: there no window is known to be short, all blocks would be one, and
-    nothing could be said of scatter.
+    are longer, neighbouring blocks are summed as one, and the first of them holds the sums: not
+    all as one, or nothing could be said of scatter, and none where numbers are traced, since there
+    no window is known to be short.
 
     **Arguments:** `known`, whether numbers are: then products with a constant are summed as well.
     """
     wider, narrow = 1, blocks.number
     counted = windows.lags if isinstance(windows, Lengths) else windows
     if isinstance(windows, Lengths) and known:
-        while wider * blocks.size < windows.reach and wider < narrow:
+        while wider * blocks.size < windows.reach and 2 * wider < narrow:
             wider *= 2
         blocks = blocks._replace(size=wider * blocks.size, number=-(-narrow // wider))
 
