@@ -157,9 +157,8 @@ def estimated(
     """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
     equations, short = summary.equations(), summary.short_blocks
     window = xp.asarray(summary.criterion.block_length)
-    drawn = intervals.drawn(short.number.shape[0])
     data = _Data(equations, summary.noise_freedom, short, window)
-    given, modes = (table, drawn, constraints), None
+    given, modes = (table, intervals, constraints), None
     if not model.has_hidden:
         fit, totals = _solve(data, *given)
     elif table.per_record:

@@ -29,7 +29,7 @@ from riecjax.summaries.normal_equations import (
     ShortBlocks,
     sum_of_equations,
 )
-from riecjax.uncertainty.covariances import BlockStatistics, scores, slope
+from riecjax.uncertainty.covariances import BlockStatistics, scores
 
 
 @jax.tree_util.register_dataclass
@@ -416,14 +416,13 @@ def level_covariance(
 
     **Arguments:** `freedom` of the variances of each source.
     """
-    totals = [stage.total() for stage in statistics.blocks]
     # Sources of all records, one after the other, in place of blocks.
     of_source = []
-    for stage in statistics.short_blocks:
+    for stage in statistics.short_stages:
         assert stage.noise_of_source is not None
         moments = stage.noise_of_source.reshape(-1, *stage.moments.shape[-2:])
         of_source.append(NormalEquations(moments, np.zeros(len(moments)), stage.parameters))
     moved = scores(of_source, statistics.unknowns, statistics.values)
-    moved = solve_scaled(slope(totals, statistics.unknowns), moved.T)
+    moved = solve_scaled(statistics.slope, moved.T)
     spread = moved * xp.sqrt(2 / xp.asarray(freedom)).ravel()[None, :]
     return spread @ spread.T
