@@ -203,7 +203,7 @@ def constrained_blocks(
     """Blocks with what priors add to them, spread over all by their rows, so that scores at a
     solution add up to zero. Of what is held nothing is left but its value."""
     names, mix = blocks.parameters, holding(held, at)
-    blocks = blocks.in_columns(lambda matrix: mix @ matrix @ mix.T, names)
+    blocks = blocks.mixed(mix, names)
     total, curvature = blocks.flattened().total(), xp.where(held, 1.0, curvature)
     pull = xp.where(curvature > 0, curvature * at - (total.moment - total.gram @ at), 0.0)
     prior = diagonal_block(names, curvature, pull, 2 * pull @ at - curvature @ at**2)

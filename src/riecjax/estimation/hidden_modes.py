@@ -15,7 +15,7 @@ target D y that they leave, and only the last steps, from the best of them, are 
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -39,7 +39,6 @@ from riecjax.summaries.summary import Summary
 from riecjax.uncertainty.covariances import block_influence
 
 Values = Mapping[str, Array]
-Sums = TypeVar("Sums", bound=NormalEquations)
 DAMPINGS = (0.02, 0.06, 0.15, 0.35, 0.8)
 """Damping ratios of the grid."""
 FREQUENCIES = 48
@@ -147,40 +146,25 @@ class ModeStage(NamedTuple):
         # Derivatives of the combinations by x are central differences, which no moment enters: the
         # slope's own derivative by the moments, which the implicit function theorem asks for, is
         # exact.
-        size = at.shape[-1]
         step = float(np.finfo(at.dtype).eps) ** 0.25
-        unit = step * np.eye(size, dtype=at.dtype)
-        both = unit[:, None] + unit
-        apart = unit[:, None] - unit
-
-        def around(offsets: Float[np.ndarray, "*some shapes"]) -> list[Array]:
-            return self.mixes(at[..., *(None,) * (offsets.ndim - 1), :] + offsets)
-
-        fit = self.projected(at)
-        theta = xp.concatenate([xp.ones_like(fit.theta[..., :1]), -fit.theta], axis=-1)
+        unit = step * np.eye(at.shape[-1], dtype=at.dtype)
+        both, apart = unit[:, None] + unit, unit[:, None] - unit
+        offsets = np.zeros_like(unit[0]), unit, -unit, both, apart, -apart, -both
+        around = [self.mixes(xp.broadcast_to(at, each.shape) + each) for each in offsets]
+        theta = self.projected(at).theta
+        theta = xp.concatenate([xp.ones_like(theta[:1]), -theta])
         slope = own = mixed = inner = 0.0
-        here, above, below = self.mixes(at), around(unit), around(-unit)
-        corners = around(both), around(apart), around(-apart), around(-both)
-        for parts in zip(self.moments, here, above, below, *corners):
-            moments, mix, up, down, *corner = parts
+        for moments, mix, up, down, *corners in zip(self.moments, *around):
             first = (up - down) / (2 * step)
-            one, two, three, four = (
-                xp.einsum("...t,...tc->...c", theta[..., None, None, :], c) for c in corner
-            )
+            one, two, three, four = (theta @ corner for corner in corners)
             second = (one - two - three + four) / (4 * step**2)
-            residual = xp.einsum("...t,...tc->...c", theta, mix)
-            moved = xp.einsum("...t,...stc->...sc", theta, first)
-            left = xp.einsum("...cd,...d->...c", moments, residual)
-            rows = -mix[..., 1:, :]
-            slope = slope + 2 * xp.einsum("...sc,...c->...s", moved, left)
-            own = own + 2 * (
-                moved @ moments @ xp.swapaxes(moved, -1, -2)
-                + xp.einsum("...stc,...c->...st", second, left)
-            )
-            turned = -xp.einsum("...stc,...c->...st", first[..., 1:, :], left)
-            mixed = mixed + 2 * (moved @ moments @ xp.swapaxes(rows, -1, -2) + turned)
-            inner = inner + 2 * rows @ moments @ xp.swapaxes(rows, -1, -2)
-        return slope, own - mixed @ solve_scaled(inner, xp.swapaxes(mixed, -1, -2))
+            moved, rows = theta @ first, -mix[1:]
+            left = moments @ (theta @ mix)
+            slope = slope + 2 * moved @ left
+            own = own + 2 * (moved @ moments @ moved.T + second @ left)
+            mixed = mixed + 2 * (moved @ moments @ rows.T - first[:, 1:] @ left)
+            inner = inner + 2 * rows @ moments @ rows.T
+        return slope, own - mixed @ solve_scaled(inner, mixed.T)
 
     def energy(
         self,
@@ -475,10 +459,6 @@ def _mix(expanded: Expanded, values: Values) -> Float[Array, "1+p columns"]:
     )
 
 
-def _mixed(expanded: Expanded, mix: Array, sums: Sums) -> Sums:
-    return sums.in_columns(lambda matrix: mix @ matrix @ mix.T, expanded.all_parameters)
-
-
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _searched(
     expanded: tuple[Expanded, ...],
@@ -503,7 +483,7 @@ def _searched(
         stage = ModeStage.of(expanded, sums, known)
         at = as_asked(search(stage, bands), stage.sought)
         values = stage.values(at)
-        own = [_mixed(e, _mix(e, values), one) for e, one in zip(expanded, sums)]
+        own = [one.mixed(_mix(e, values), e.all_parameters) for e, one in zip(expanded, sums)]
         names = tuple(dict.fromkeys(name for e in expanded for name in e.all_parameters))
         influence = block_influence([sum_of_equations(own, names).flattened()], known, values)
         found = [name for name in names if name not in known]
@@ -590,5 +570,5 @@ def _in_parameters(
         noise, quadrature = (mix @ m @ mix.T for m in (survey.noise, survey.quadrature))
         survey = Survey(noise, quadrature, survey.rows @ mix.T, survey.start, survey.reach)
     sums = sums.of_bins(*band) if place is None else sums.each(of_bin, noise_of_source=of_bin)
-    sums = _mixed(expanded, mix, sums)
+    sums = sums.mixed(mix, expanded.all_parameters)
     return dataclasses.replace(sums, survey=survey, factor=None, constant=None)

@@ -88,24 +88,18 @@ FACTORED = 2**13
 
 
 def solve_rows(rows: Rows) -> Solution:
-    """Solve rows by a singular value decomposition: slower, accurate to eps times cond."""
-    scale = unit_scale(xp.sum(rows.regressors**2, axis=0))
+    """Solve rows by a singular value decomposition: slower, accurate to eps times cond (not under
+    jit)."""
+    scale = unit_scale(np.sum(rows.regressors**2, axis=0))
     matrix = rows.regressors * scale[None, :]
-    tolerance = float(xp.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)
+    tolerance = float(np.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)
     # With fewer rows than parameters the further singular values are zero.
     further = max(matrix.shape[1] - matrix.shape[0], 0)
-    _, singular_values, right = xp.linalg.svd(xp.stop_gradient(matrix), full_matrices=further > 0)
-    if xp.are_traced((matrix, rows.target)):
-        # Lineax's, for its derivative.
-        import lineax
-
-        operator = lineax.MatrixLinearOperator(matrix)
-        solver = lineax.SVD(rcond=tolerance)
-        theta = lineax.linear_solve(operator, rows.target, solver=solver, throw=False).value
-    else:
-        theta = np.linalg.lstsq(matrix, rows.target, rcond=tolerance)[0]
-    singular_values = xp.pad(singular_values, (0, further))
-    return _solution(theta * scale, singular_values[::-1], right[-1], tolerance)
+    matrix, target = np.pad(matrix, [(0, further), (0, 0)]), np.pad(rows.target, (0, further))
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    valid = sizes > tolerance * sizes[0]
+    theta = np.where(valid, left.T @ target / np.where(valid, sizes, 1.0), 0.0) @ right
+    return _solution(theta * scale, sizes[::-1], right[-1], tolerance)
 
 
 def _solution(
@@ -198,7 +192,7 @@ def _constrained(
     def solved(held: Array, values: Array, curvature: Array, moment: Array) -> Solution:
         mix, block = holding(held, values), diagonal_block(names, curvature, moment)
         if rows is None:
-            return solve(equations.in_columns(lambda m: mix @ m @ mix.T, names) + block)
+            return solve(equations.mixed(mix, names) + block)
         root = xp.sqrt(curvature)
         further = xp.where(root > 0, moment / xp.where(root > 0, root, 1.0), 0.0)
         further = xp.concatenate([further[None], xp.diag(root)])
