@@ -441,13 +441,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
         )
         for one in summary.recordings
     )
-    linear = dataclasses.replace(
-        summary.of_recordings(recordings),
-        outline=_outline(model),
-        edges=None,
-        in_law=(0, 1),
-        band=(0, 1),
-    )
+    linear = dataclasses.replace(summary.in_one_bin(recordings), outline=_outline(model))
     shapes, bands = map(list, zip(*found))
     return FoundModes(linear, shapes, bands, shown)
 
