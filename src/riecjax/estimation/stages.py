@@ -1,7 +1,6 @@
 """Linear least squares with scaled columns, and what can be said of its conditioning."""
 
 import dataclasses
-import operator
 from collections.abc import Mapping
 from typing import Any
 
@@ -141,25 +140,20 @@ class EquationFit:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
-class StageSolution:
-    """What one stage found.
+class StageSolution(EquationFit):
+    """What one stage found, and what is left of its rows.
 
-    **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
-    the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
-    per unit of its parameter, and where it acts if that is in bursts; `equations`, what is left of
-    each; `prior_curvature`, what priors add to the curvature; which are `at_bound`; `parameters`
-    found here; `stage` its place in the model.
+    **Further fields:** `solution`; `relative_size` of each regressor against the target, per unit
+    of its parameter, and where it acts if that is in bursts; `equations`, what is left of each;
+    `prior_curvature`, what priors add to the curvature; which are `at_bound`; `stage` its place in
+    the model.
     """
 
     solution: Solution
-    relative_rms: Float[Array, ""]
-    residual_rms: Float[Array, ""]
-    count: Float[Array, ""]
     relative_size: Float[Array, " p"]
     equations: tuple[EquationFit, ...]
     prior_curvature: Float[Array, " p"]
     at_bound: Bool[Array, " p"]
-    parameters: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     stage: int = dataclasses.field(metadata={"static": True})
 
     def constrain(
@@ -264,16 +258,13 @@ def solve_stages(
         size = xp.sqrt((xp.diagonal(equations.gram) + curvature) / reference)
         solutions.append(
             StageSolution(
-                solution,
-                whole.relative_rms,
-                whole.residual_rms,
-                equations.count,
-                size,
-                tuple(fits) or (whole,),
-                curvature,
-                held,
-                names,
-                i,
+                **vars(whole),
+                solution=solution,
+                relative_size=size,
+                equations=tuple(fits) or (whole,),
+                prior_curvature=curvature,
+                at_bound=held,
+                stage=i,
             )
         )
         informed[-1] = solutions[-1].constrain(blocks, found, constraints)
@@ -349,12 +340,14 @@ def over_records(equations: NormalEquations, table: ParameterTable) -> NormalEqu
     names = equations.parameters
     if not table.per_record:
         return equations
-    every = []
-    for i in range(equations.count.shape[0]):
-        record = jax.tree.map(operator.itemgetter(i), equations)
-        record = record.in_columns(lambda matrix: matrix, table.of_record(names, i))
-        every.append(record.embed(table.everywhere(names)))
-    return xp.stacked(every)
+    every = (
+        jax.tree.map(lambda leaf, i=i: leaf[i], equations) for i in range(len(equations.count))
+    )
+    called = (
+        dataclasses.replace(one, parameters=table.of_record(names, i))
+        for i, one in enumerate(every)
+    )
+    return xp.stacked([one.embed(table.everywhere(names)) for one in called])
 
 
 # How far an equation's sums bear out the noise that is taken off them, and what is unsure of it.
