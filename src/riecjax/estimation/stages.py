@@ -340,14 +340,12 @@ def over_records(equations: NormalEquations, table: ParameterTable) -> NormalEqu
     names = equations.parameters
     if not table.per_record:
         return equations
-    every = (
-        jax.tree.map(lambda leaf, i=i: leaf[i], equations) for i in range(len(equations.count))
-    )
-    called = (
-        dataclasses.replace(one, parameters=table.of_record(names, i))
-        for i, one in enumerate(every)
-    )
-    return xp.stacked([one.embed(table.everywhere(names)) for one in called])
+    every = []
+    for i in range(len(equations.count)):
+        record = jax.tree.map(lambda leaf, i=i: leaf[i], equations)
+        record = dataclasses.replace(record, parameters=table.of_record(names, i))
+        every.append(record.embed(table.everywhere(names)))
+    return xp.stacked(every)
 
 
 # How far an equation's sums bear out the noise that is taken off them, and what is unsure of it.
