@@ -153,7 +153,8 @@ class ModeStage(NamedTuple):
         around = [self.mixes(xp.broadcast_to(at, each.shape) + each) for each in offsets]
         theta = self.projected(at).theta
         theta = xp.concatenate([xp.ones_like(theta[:1]), -theta])
-        slope = own = mixed = inner = 0.0
+        none: Any = 0.0
+        slope = own = mixed = inner = none
         for moments, mix, up, down, *corners in zip(self.moments, *around):
             first = (up - down) / (2 * step)
             one, two, three, four = (theta @ corner for corner in corners)
