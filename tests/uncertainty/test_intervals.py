@@ -7,25 +7,23 @@ import pytest
 import scipy.stats
 
 from riecjax.criteria.criterion import Rows
+from riecjax.estimation.stages import solve_stages
 from riecjax.summaries.normal_equations import (
-    MOST_BLOCKS,
     NormalEquations,
     ShortBlocks,
     blocks_in_use,
 )
 from riecjax.uncertainty.covariances import (
     BlockStatistics,
-    block_influence,
+    block_statistics,
     drawn_counts,
     effective_freedom,
     jackknife_covariance,
     naive_covariance,
     politis_white,
     sandwich_covariance,
-    staged_values,
     studentized_replicates,
     uniform_draws,
-    unknowns_of,
 )
 from riecjax.uncertainty.intervals import BlockBootstrap
 
@@ -57,24 +55,10 @@ def short_blocks(columns, names) -> NormalEquations:
 
 
 def statistics_of(fine, blocks=BLOCKS, short=SETTING) -> BlockStatistics:
-    flat = [stage.flattened() for stage in fine]
-    unknowns = unknowns_of(flat, {})
-    totals = [stage.total() for stage in flat]
-    values = staged_values(totals, unknowns, {})
-    used = jnp.array([blocks])
-    merged = [stage.merged(short, used) for stage in fine]
-    return BlockStatistics(
-        unknowns,
-        {},
-        values,
-        jnp.asarray(SECONDS * SHORT / blocks),
-        used,
-        merged,
-        block_influence(merged, {}, values),
-        short,
-        fine,
-        block_influence(flat, {}, values)[None],
-    )
+    _, values = solve_stages([stage.flattened() for stage in fine], {})
+    found = block_statistics(fine, {}, values, short, jnp.asarray(SECONDS))
+    length, used = jnp.asarray(SECONDS * SHORT / blocks), jnp.array([blocks])
+    return found._replace(length=length, used=used)
 
 
 TRUTH = jnp.array([2.0, -300.0])
@@ -202,7 +186,9 @@ def test_replicates_are_refits_of_drawn_blocks_divided_by_their_sandwich():
         drawn = np.asarray(drawn_counts(one[None], statistics.used)).astype(float)[0, 0]
         assert drawn.sum() == 20
         assert not drawn[20:].any()
-        first, second = (np.asarray(stage.moments) for stage in statistics.blocks)
+        first, second = (
+            np.asarray(stage.merged(statistics.short, statistics.used).moments) for stage in fine
+        )
         totals = [np.einsum("b,bij->ij", drawn, m) for m in (first, second)]
         a = totals[0][1, 0] / totals[0][1, 1]
         b = (totals[1][2, 0] - totals[1][2, 1] * a) / totals[1][2, 2]
@@ -261,9 +247,10 @@ def test_a_variance_that_hangs_on_few_blocks_has_few_degrees_of_freedom():
     statistics = statistics_of(fine, 20)
 
     def freedom(influence):
-        padded = np.zeros((MOST_BLOCKS, influence.shape[1]))
-        padded[:20] = influence
-        return effective_freedom(statistics._replace(influence=jnp.array(padded)))
+        # Each block's in one of its short blocks.
+        spread = np.zeros((1, SHORT, influence.shape[1]))
+        spread[:, :: SHORT // 20] = influence
+        return effective_freedom(statistics._replace(short_influence=jnp.array(spread)))
 
     rng = np.random.default_rng(0)
     many = np.mean([freedom(rng.normal(size=(20, 2))) for _ in range(200)])

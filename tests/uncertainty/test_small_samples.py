@@ -11,10 +11,9 @@ from riecjax.criteria.criterion import Rows
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.covariances import (
     OVERLAP,
-    BlockStatistics,
+    block_statistics,
     few_blocks_sandwich,
     record_inflation,
-    unknowns_of,
 )
 
 STEP = 0.05
@@ -120,21 +119,9 @@ def test_expectation_and_freedom_are_those_of_the_quadratic_form_written_out(use
     fine, grams = blocks_of((y, a), 6, ("a", "b"))
     theta = np.linalg.lstsq(a, y)[0]
     values = {"a": jnp.asarray(theta[0]), "b": jnp.asarray(theta[1])}
-    flat = [fine.flattened()]
-    found = few_blocks_sandwich(
-        BlockStatistics(
-            unknowns_of(flat, {}),
-            {},
-            values,
-            jnp.array(1.0),
-            jnp.array([used]),
-            [],
-            jnp.zeros((0, 2)),
-            ShortBlocks(np.array([6]), jnp.array([1.0])),
-            [fine],
-            jnp.zeros((1, 0, 2)),
-        )
-    )
+    short = ShortBlocks(np.array([6]), jnp.array([1.0]))
+    statistics = block_statistics([fine], {}, values, short, jnp.array(1.0))
+    found = few_blocks_sandwich(statistics._replace(used=jnp.array([used])))
     beside = np.eye(6, k=1) + np.eye(6, k=-1) if used == 3 else np.zeros((6, 6))
     n, p = 6, 2
     scores_covariance = np.zeros((n, p, n, p))

@@ -353,10 +353,8 @@ class HiddenMode(eqx.Module):
         """Names of mass, stiffness and damping."""
         return tuple(f"{part}_mode{_ending(self.number)}" for part in "MKB")
 
-    @property
-    def hidden(self) -> tuple[str, ...]:
-        """Those that are no coefficient of the equations."""
-        return self.parameters
+    hidden = parameters
+    """Those that are no coefficient of the equations."""
 
     @property
     def linear(self) -> str:

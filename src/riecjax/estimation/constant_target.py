@@ -21,13 +21,14 @@
 # has a target and shares a parameter with it. All this is of the criterion's own rows, and what a
 # constant is in each of them stands for the mean.
 #
-# It asks for lengths of the columns b, a_j and angles between them, of which least squares are
-# made. Where [1, b, a] = Q R, the columns of R have the same, since Q keeps both, and R is a factor
-# of the rows' moments, R^T R. The constant is the first column of R, (c, 0, ...), so that R's first
-# row holds the means times its size c, and the rows below it stand for the deviations b', a'. With
-# the factors of several records on top of each other, the constant over all of them holds each
-# one's c_i; deviations are what is left when columns are projected off it, or off each record's
-# part of it where means are its own.
+# It asks for lengths of the columns b, a_j and angles between them, which their products tell: the
+# moments of the rows [1, b, a], G, and those of the deviations. With c^T c the product of the
+# constant with itself, and c^T b, c^T a_j those with the others, deviations have the products
+#
+#     b'^T a_j' = b^T a_j - (b^T c) (c^T a_j) / (c^T c),
+#
+# from sums over all records, or added up over records where means are each one's own. Of a share
+# they tell the square: to eps, and the share to its root.
 
 from collections.abc import Sequence
 
@@ -39,7 +40,7 @@ from riecjax.equations.expressions import constant
 from riecjax.equations.model import Model
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.findings import Finding
-from riecjax.linear_algebra import factor_of_gram
+from riecjax.linear_algebra import unit_diagonal
 from riecjax.summaries.normal_equations import EquationSums
 from riecjax.summaries.summary import Summary
 
@@ -59,10 +60,12 @@ LEAST = 0.1
 MOST_MOVED = 1e3
 """Share by which a value may be said to move at most."""
 ROUNDING = 8.0
-"""Times the root of eps: share of a column that its factor, of moments, may hold as rounding."""
-FACTORED = 1e-6
+"""Times the root of eps: share of a column, of moments, that may be rounding."""
+SUMMED = 1e-6
 """The same at least: moments over many windows are exact to 300 eps of 64 bits, measured."""
-Rows = Float[np.ndarray, " rows"]
+TARGET = ""
+"""What stands for it among the names of columns."""
+Products = Float[np.ndarray, "columns columns"]
 
 
 # Values too large to be squared are for the fit to refuse.
@@ -96,7 +99,7 @@ def _wrong_zero(seen: "_Averaged", table: ParameterTable) -> list[Finding]:
     empty if they do not, and of what an earlier stage finds."""
     names, known = {*table.everywhere(seen.equation.parameters)}, {*seen.names, *table.known}
     has_zero = any(term.of is constant for term in seen.equation.terms)
-    moves = seen.share(seen.target) > seen.rounding
+    moves = seen.share(TARGET) > seen.rounding
     if not (names <= known and seen.columns and moves) or has_zero:
         return []
     left = seen.left_by_motion()
@@ -105,9 +108,7 @@ def _wrong_zero(seen: "_Averaged", table: ParameterTable) -> list[Finding]:
     inputs = seen.inputs
     remedy = ("--unknown-offset", inputs[0]) if len(inputs) == 1 else ()
     # How far each coefficient is from that of motion alone, as a share of it in the fit.
-    columns = [*seen.columns.values()]
-    whole = _fit(seen.target, columns)
-    alone = _fit(seen.moving(seen.target), [seen.moving(column) for column in columns])
+    whole, alone = _fit(seen.products), _fit(seen.moving)
     shares = np.minimum(np.abs(alone - whole) / np.maximum(np.abs(whole), 1e-300), MOST_MOVED)
     moved = dict(zip(seen.columns, shares.tolist()))
     most = max(moved, key=lambda name: moved[name])
@@ -126,13 +127,13 @@ def _wrong_zero(seen: "_Averaged", table: ParameterTable) -> list[Finding]:
 
 def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
     """In words, that zero for all fits; empty if it does not."""
-    if np.any(seen.target):
+    if seen.size(TARGET) != 0:
         return ""
-    moving = [name for name, column in seen.columns.items() if _norm(column) > 0]
+    moving = [name for name in seen.columns if seen.size(name) > 0]
     # What other equations tell reaches this one through those that share parameters.
     linked, rest = set(seen.names), list(others)
     while near := [other for other in rest if linked & other.names]:
-        if any(np.any(other.target) for other in near):
+        if any(other.size(TARGET) != 0 for other in near):
             return ""
         linked |= {name for other in near for name in other.names}
         rest = [other for other in rest if other not in near]
@@ -148,9 +149,8 @@ def _fitted_by_zero(seen: "_Averaged", others: list["_Averaged"]) -> str:
 
 def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
     """In words, that one term alone explains the target; empty if it does not."""
-    target = seen.target
-    size = _norm(target)
-    varying = _norm(seen.moving(target))
+    size = seen.size(TARGET)
+    varying = seen.share(TARGET) * size
     # Negated, so that what is not finite is passed over.
     if not (size > 0 and varying <= CONSTANT * size):
         return ""
@@ -168,16 +168,14 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
         return ""
     for names in seen.candidates():
         hidden = [name for name in columns if name not in names and name not in elsewhere]
-        left = _left(target, [columns[name] for name in names])
+        left = seen.left(seen.products, names)
         if hidden and left <= np.hypot(varying, STILL * size):
             # Others at rest to the last digit are collinear with these, and are named as that.
-            if any(
-                _norm(columns[n]) > 0 and seen.share(columns[n]) <= seen.rounding for n in hidden
-            ):
+            if any(seen.size(n) > 0 and seen.share(n) <= seen.rounding for n in hidden):
                 return ""
             who, others = ", ".join(names), ", ".join(hidden)
             one, other = ("s" if len(group) == 1 else "" for group in (names, hidden))
-            if all(seen.rounding < seen.share(columns[name]) <= STILL for name in names):
+            if all(seen.rounding < seen.share(name) <= STILL for name in names):
                 why = (
                     f"neither the input nor what {who} multiplies varies, so {who} alone "
                     f"explain{one} the input, as a ratio of two constants that every sensor's zero "
@@ -196,11 +194,12 @@ def _fitted_by_one(seen: "_Averaged", elsewhere: set[str]) -> str:
 
 
 class _Averaged:
-    """One equation's target and regressors, one record's factor on top of the other.
+    """Products of one equation's target and regressors over all records, and how these move.
 
-    **Attributes:** `target`, what the known terms amount to, what an earlier stage finds among
-    them; `columns`, the unknown coefficients' regressors; `names` of these; `rounding`, share of a
-    column that is none of it.
+    **Attributes:** `columns`, the unknown coefficients, in order, behind the target, which is what
+    the known terms amount to, what an earlier stage finds among them; `products` of all, those of
+    their deviations (`moving`), and what of these `noise` adds; `names` of the coefficients;
+    `rounding`, share of a column that is none of it.
     """
 
     def __init__(
@@ -221,66 +220,64 @@ class _Averaged:
             for one in summary.recordings
         )
         dtype = np.asarray(recordings[0].moments).dtype
-        self.rounding = max(ROUNDING * float(np.finfo(dtype).eps) ** 0.5, FACTORED)
-        # Triangular factors of the rows `[1, target, regressors]`, and of what noise adds to them;
-        # mixes of their columns are the target less what is known, and regressors of the unknown.
+        self.rounding = max(ROUNDING * float(np.finfo(dtype).eps) ** 0.5, SUMMED)
         called = [table.of_record(one.parameters, i) for i, one in enumerate(recordings)]
-        columns = [*dict.fromkeys(n for names in called for n in names if n in self.names)]
-        rows, noise, mixes = [], [], []
-        for sums, names in zip(recordings, called):
+        self.columns = [*dict.fromkeys(n for names in called for n in names if n in self.names)]
+        # Of the rows `[1, target, regressors]`, mixes of whose columns are the target less what is
+        # known, and regressors of the unknown.
+        grams = np.zeros((len(recordings), *(2 + len(self.columns),) * 2))
+        self.noise = np.zeros(grams.shape[1:])
+        for gram, sums, names in zip(grams, recordings, called):
             one = sums.of_bins(*summary.band)
-            gram, added = np.zeros((2, *(2 + len(names),) * 2))
-            gram[0] = gram[:, 0] = np.asarray(one.constant).sum((0, 1))
-            gram[1:, 1:] = np.asarray(one.moments).sum((0, 1))
+            rows, added = np.zeros((2, *(2 + len(names),) * 2))
+            rows[0] = rows[:, 0] = np.asarray(one.constant).sum((0, 1))
+            rows[1:, 1:] = np.asarray(one.moments).sum((0, 1))
             if one.noise is not None:
                 added[1:, 1:] = np.asarray(one.noise).sum((0, 1))
-            rows.append(factor_of_gram(gram))
-            noise.append(factor_of_gram(added))
-            mixes.append(np.zeros((2 + len(names), 1 + len(columns))))
-            mixes[-1][1, 0] = 1.0
-            for mix, name in zip(mixes[-1][2:], names):
-                if name in columns:
-                    mix[1 + columns.index(name)] = 1.0
+            mix = np.zeros((len(gram), len(rows)))
+            mix[0, 0] = mix[1, 1] = 1.0
+            for place, name in enumerate(names, start=2):
+                if name in self.columns:
+                    mix[2 + self.columns.index(name), place] = 1.0
                 else:
-                    mix[0] = -float(table.known.get(name, 1.0))
-
-        def mixed(factors: list[np.ndarray]) -> tuple[Rows, dict[str, Rows]]:
-            target, *found = np.concatenate([f @ mix for f, mix in zip(factors, mixes)]).T
-            return target, dict(zip(columns, found))
-
-        (self.target, self.columns), self.noise = mixed(rows), mixed(noise)
-        # Unit vectors along what is constant over all records, or over each of them.
-        edges = np.cumsum([0, *map(len, rows)])
-        constants = np.zeros((edges[-1], len(rows)))
-        constants[edges[:-1], np.arange(len(rows))] = [factor[0, 0] for factor in rows]
+                    mix[1, place] = -float(table.known.get(name, 1.0))
+            gram += mix @ rows @ mix.T
+            self.noise += mix @ added @ mix.T
+        self.products, self.noise = grams.sum(0)[1:, 1:], self.noise[1:, 1:]
         if not table.per_record.intersection(equation.parameters):
-            constants = constants.sum(axis=1, keepdims=True)
-        sizes = np.linalg.norm(constants, axis=0)
-        self.constants = constants / np.where(sizes > 0, sizes, 1.0)
+            grams = grams.sum(0, keepdims=True)
+        means = grams[:, 0, 1:]
+        constant = np.where(grams[:, 0, 0] > 0, grams[:, 0, 0], 1.0)
+        self.moving = self.products - np.einsum("ki,kj,k->ij", means, means, 1 / constant)
 
     @property
     def inputs(self) -> list[str]:
         """Signals of its known terms."""
         return [t.of for t in self.equation.terms if not t.parameters and isinstance(t.of, str)]
 
-    def moving(self, rows: Rows) -> Rows:
-        """Rows less their mean: of each record where a parameter differs between records."""
-        return rows - self.constants @ (rows @ self.constants)
+    def size(self, name: str, products: Products | None = None) -> float:
+        """Length of a column, or of the target; of its deviations by theirs."""
+        place = 0 if name == TARGET else 1 + self.columns.index(name)
+        of = self.products if products is None else products
+        return float(np.sqrt(np.maximum(of[place, place], 0.0)))
 
-    def share(self, column: Rows) -> float:
-        """How much of a column moves."""
-        size = _norm(column)
-        return _norm(self.moving(column)) / size if size > 0 else 0.0
+    def share(self, name: str) -> float:
+        """How much of a column, or of the target, moves."""
+        size = self.size(name)
+        return self.size(name, self.moving) / size if size > 0 else 0.0
+
+    def left(self, products: Products, names: Sequence[str]) -> float:
+        """Length of what least squares on some columns leave of the target."""
+        place = [0, *(1 + self.columns.index(name) for name in names)]
+        some = products[np.ix_(place, place)]
+        return _length(some, _fit(some))
 
     def left_by_motion(self) -> float:
         """Share, rms, of how the target varies that motion does not explain, chance taken off."""
-        moving = [(self.moving(column), _norm(column)) for column in self.columns.values()]
-        there = [m for m, size in moving if _norm(m) > self.rounding * size]
-        varying = self.moving(self.target)
+        there = [name for name in self.columns if self.share(name) > self.rounding]
         # Less than rounding of the whole target is not known of what is left of it.
-        least = self.rounding * _norm(self.target)
-        left = max(_left(varying, there), least) / _norm(varying)
-        free = self.independent - 1
+        left = max(self.left(self.moving, there), self.rounding * self.size(TARGET))
+        left, free = left / self.size(TARGET, self.moving), self.independent - 1
         return left * np.sqrt(free / (free - len(there))) if free > len(there) else 1.0
 
     def left_by_means(self, left: float) -> float:
@@ -290,11 +287,8 @@ class _Averaged:
         Motion alone attenuates the coefficient of a noisy regressor where others replace it, and
         so leaves less than noise would at the coefficients of this fit.
         """
-        theta, size = _fit(self.target, [*self.columns.values()]), _norm(self.moving(self.target))
-        fitted, noise = (
-            _norm(self.moving(target - np.stack([*columns.values()], axis=1) @ theta)) / size
-            for target, columns in ((self.target, self.columns), self.noise)
-        )
+        theta, size = _fit(self.products), self.size(TARGET, self.moving)
+        fitted, noise = (_length(of, theta) / size for of in (self.moving, self.noise))
         return fitted if fitted > DISAGREEING * np.hypot(left, noise) + SLIGHT else 0.0
 
     def candidates(self) -> list[list[str]]:
@@ -304,25 +298,21 @@ class _Averaged:
             names = [n for n in self.table.everywhere(term.parameters) if n in self.columns]
             if names and names not in groups:
                 groups.append(names)
-        groups.sort(key=lambda names: max(self.share(self.columns[name]) for name in names))
-        return [*groups, [name for name, c in self.columns.items() if self.share(c) <= STILL]]
+        groups.sort(key=lambda names: max(map(self.share, names)))
+        return [*groups, [name for name in self.columns if self.share(name) <= STILL]]
 
 
-def _fit(target: Rows, columns: list[Rows]) -> Float[np.ndarray, " columns"]:
-    """Coefficients of least squares; zero for columns that are not finite."""
-    sizes = np.array([_norm(column) or 1.0 for column in columns])
-    matrix = np.stack([c / s for c, s in zip(columns, sizes)], axis=1)
-    if not np.isfinite(matrix).all():
-        return np.zeros(sizes.size)
-    return np.linalg.lstsq(matrix, target, rcond=ROUNDING * np.finfo(float).eps ** 0.5)[0] / sizes
+def _fit(products: Products) -> Float[np.ndarray, " columns"]:
+    """Coefficients of least squares on all columns but the first, the target; zero for what is not
+    finite."""
+    gram, scale = unit_diagonal(products[1:, 1:])
+    if not np.isfinite(products).all():
+        return np.zeros(scale.size)
+    least = ROUNDING**2 * np.finfo(float).eps
+    return scale * (np.linalg.pinv(gram, least, hermitian=True) @ (scale * products[1:, 0]))
 
 
-def _left(target: Rows, columns: list[Rows]) -> float:
-    """Length of what least squares leave of a target."""
-    if not columns:
-        return _norm(target)
-    return _norm(target - np.stack(columns, axis=1) @ _fit(target, columns))
-
-
-def _norm(rows: Rows) -> float:
-    return float(np.linalg.norm(rows))
+def _length(products: Products, theta: Float[np.ndarray, " columns"]) -> float:
+    """Of the target less columns times coefficients."""
+    row = np.concatenate([[1.0], -theta])
+    return float(np.sqrt(np.maximum(row @ products @ row, 0.0)))

@@ -59,7 +59,7 @@ from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number
 from riecjax.linear_algebra import eliminate, solve_scaled, unit_diagonal, unit_scale
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
-from riecjax.uncertainty.covariances import BlockStatistics, block_statistics, slope
+from riecjax.uncertainty.covariances import BlockStatistics, block_statistics
 from riecjax.uncertainty.intervals import Uncertainty
 
 Bounds = tuple[float | None, float | None]
@@ -203,7 +203,7 @@ def constrained_blocks(
     """Blocks with what priors add to them, spread over all by their rows, so that scores at a
     solution add up to zero. Of what is held nothing is left but its value."""
     names, mix = blocks.parameters, holding(held, at)
-    blocks = blocks.in_columns(lambda matrix: mix @ matrix @ mix.T, names)
+    blocks = blocks.mixed(mix, names)
     total, curvature = blocks.flattened().total(), xp.where(held, 1.0, curvature)
     pull = xp.where(curvature > 0, curvature * at - (total.moment - total.gram @ at), 0.0)
     prior = diagonal_block(names, curvature, pull, 2 * pull @ at - curvature @ at**2)
@@ -225,9 +225,9 @@ def constrained_uncertainty(
     """
     if constraints.priors:
         curvature = xp.where(held, 0.0, curvature)
-        whole = slope([stage.total() for stage in statistics.blocks], statistics.unknowns)
-        _, weight = constraints.prior([n for _, names in statistics.unknowns for n in names])
-        uncertainty = uncertainty.with_priors(*scatter_of_priors(whole, curvature, weight))
+        _, weight = constraints.prior(statistics.names)
+        scatter = scatter_of_priors(statistics.slope, curvature, weight)
+        uncertainty = uncertainty.with_priors(*scatter)
     covariance = xp.where(held[:, None] | held[None, :], xp.nan, uncertainty.covariance)
     return dataclasses.replace(uncertainty, covariance=covariance)
 
@@ -267,10 +267,9 @@ def prior_curvature(
     by_record = [s.in_blocks(lambda v: v.reshape(records, -1, *v.shape[1:])) for s in stages]
     ridge = float(np.cbrt(xp.finfo(stages[-1].moments.dtype).eps))
     statistics = block_statistics(by_record, known, values, short, longest_window, ridge)
-    totals, used = [stage.total() for stage in stages], xp.sum(statistics.used)
-    names = [name for _, found in statistics.unknowns for name in found]
-    weight = constraints.prior(names)[1]
-    whole, place = slope(totals, statistics.unknowns), slice(sum(map(len, earlier)), None)
+    total, used = stages[-1].total(), xp.sum(statistics.used)
+    weight = constraints.prior(statistics.names)[1]
+    whole, place = statistics.slope, slice(sum(map(len, earlier)), None)
     # Influences of n blocks sum to zero, which takes one of n squares.
     variance = xp.sum(statistics.influence**2, axis=0) * used / xp.maximum(used - 1, 1)
     before = xp.concatenate([*earlier, xp.zeros_like(variance[place])])
@@ -278,9 +277,9 @@ def prior_curvature(
     gram = whole[place, place]
     inverse = solve_scaled(gram, np.eye(gram.shape[0], dtype=gram.dtype), ridge)
     unit = xp.diagonal(inverse @ gram @ inverse)
-    at = xp.stack([values[name] for name in totals[-1].parameters])
-    energies = totals[-1].residual_energy(at), totals[-1].energy * xp.finfo(whole.dtype).eps
-    of_rows, rounding = (energy / xp.maximum(totals[-1].count, 1) for energy in energies)
+    at = xp.stack([values[name] for name in total.parameters])
+    energies = total.residual_energy(at), total.energy * xp.finfo(whole.dtype).eps
+    of_rows, rounding = (energy / xp.maximum(total.count, 1) for energy in energies)
     of_row = xp.where(unit > 0, variance[place] / xp.where(unit > 0, unit, 1.0), of_rows)
     column = 1 / unit_scale(xp.diagonal(gram)) ** 2
     curvature = xp.where(of_row > 0, xp.minimum(of_row * weight[place] ** 2, TIGHT * column), 0.0)

@@ -203,18 +203,16 @@ class Estimate(Tabled, eqx.Module):
         return self.table.free
 
     @property
-    def told_by_data(self) -> ParameterTable:
-        """The table in which what sits on a bound, or rests on priors, is known (not under jit)."""
+    def _by_data(self) -> Bool[np.ndarray, " p"]:
+        """Which parameters neither a bound nor a prior tells (not under jit)."""
         share, held = self.uncertainty.prior_share, np.asarray(self.at_bound)
-        held = held if share is None else held | (np.asarray(share) > MOSTLY)
-        values = {name: self.theta[j] for j, name in enumerate(self.parameters) if held[j]}
-        return self.table.settled({name: jnp.asarray(value) for name, value in values.items()})
+        return ~held if share is None else ~(held | (np.asarray(share) > MOSTLY))
 
     @property
-    def _by_data(self) -> Bool[np.ndarray, " p"]:
-        """Which parameters neither a bound nor a prior tells."""
-        told = self.told_by_data.free
-        return np.array([name in told for name in self.parameters], bool)
+    def told_by_data(self) -> ParameterTable:
+        """The table in which what sits on a bound, or rests on priors, is known (not under jit)."""
+        each = zip(self.parameters, self.theta, self._by_data)
+        return self.table.settled({n: jnp.asarray(value) for n, value, told in each if not told})
 
     @property
     def known(self) -> dict[str, Any]:
@@ -592,7 +590,8 @@ class Estimate(Tabled, eqx.Module):
                 f"of the others take it for known.",
                 parameters=tuple(names),
             )
-        rest = [name for name in self.told_by_data.known if name not in (*self.known, *names)]
+        told = zip(self.parameters, self._by_data | np.asarray(self.at_bound))
+        rest = [name for name, by_data in told if not by_data]
         if rest:
             yield Finding(
                 "rests_on_prior",

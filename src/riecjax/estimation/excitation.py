@@ -30,7 +30,6 @@ def raise_if_nothing_to_fit(table: ParameterTable, totals: Sequence[NormalEquati
                 f"{label}: every window touches a missing or masked sample. Choose a smaller beta, "
                 f"or repair the record's gaps."
             )
-    for (label, _), total in zip(table.stages, totals):
         if not bool(np.all(np.isfinite(total.moments))):
             raise DataError(
                 f"{label}: its terms are not finite numbers on this record: a division by zero, a "

@@ -146,40 +146,26 @@ class ModeStage(NamedTuple):
         # Derivatives of the combinations by x are central differences, which no moment enters: the
         # slope's own derivative by the moments, which the implicit function theorem asks for, is
         # exact.
-        size = at.shape[-1]
         step = float(np.finfo(at.dtype).eps) ** 0.25
-        unit = step * np.eye(size, dtype=at.dtype)
-        both = unit[:, None] + unit
-        apart = unit[:, None] - unit
-
-        def around(offsets: Float[np.ndarray, "*some shapes"]) -> list[Array]:
-            return self.mixes(at[..., *(None,) * (offsets.ndim - 1), :] + offsets)
-
-        fit = self.projected(at)
-        theta = xp.concatenate([xp.ones_like(fit.theta[..., :1]), -fit.theta], axis=-1)
-        slope = own = mixed = inner = 0.0
-        here, above, below = self.mixes(at), around(unit), around(-unit)
-        corners = around(both), around(apart), around(-apart), around(-both)
-        for parts in zip(self.moments, here, above, below, *corners):
-            moments, mix, up, down, *corner = parts
+        unit = step * np.eye(at.shape[-1], dtype=at.dtype)
+        both, apart = unit[:, None] + unit, unit[:, None] - unit
+        offsets = np.zeros_like(unit[0]), unit, -unit, both, apart, -apart, -both
+        around = [self.mixes(xp.broadcast_to(at, each.shape) + each) for each in offsets]
+        theta = self.projected(at).theta
+        theta = xp.concatenate([xp.ones_like(theta[:1]), -theta])
+        none: Any = 0.0
+        slope = own = mixed = inner = none
+        for moments, mix, up, down, *corners in zip(self.moments, *around):
             first = (up - down) / (2 * step)
-            one, two, three, four = (
-                xp.einsum("...t,...tc->...c", theta[..., None, None, :], c) for c in corner
-            )
+            one, two, three, four = (theta @ corner for corner in corners)
             second = (one - two - three + four) / (4 * step**2)
-            residual = xp.einsum("...t,...tc->...c", theta, mix)
-            moved = xp.einsum("...t,...stc->...sc", theta, first)
-            left = xp.einsum("...cd,...d->...c", moments, residual)
-            rows = -mix[..., 1:, :]
-            slope = slope + 2 * xp.einsum("...sc,...c->...s", moved, left)
-            own = own + 2 * (
-                moved @ moments @ xp.swapaxes(moved, -1, -2)
-                + xp.einsum("...stc,...c->...st", second, left)
-            )
-            turned = -xp.einsum("...stc,...c->...st", first[..., 1:, :], left)
-            mixed = mixed + 2 * (moved @ moments @ xp.swapaxes(rows, -1, -2) + turned)
-            inner = inner + 2 * rows @ moments @ xp.swapaxes(rows, -1, -2)
-        return slope, own - mixed @ solve_scaled(inner, xp.swapaxes(mixed, -1, -2))
+            moved, rows = theta @ first, -mix[1:]
+            left = moments @ (theta @ mix)
+            slope = slope + 2 * moved @ left
+            own = own + 2 * (moved @ moments @ moved.T + second @ left)
+            mixed = mixed + 2 * (moved @ moments @ rows.T - first[:, 1:] @ left)
+            inner = inner + 2 * rows @ moments @ rows.T
+        return slope, own - mixed @ solve_scaled(inner, mixed.T)
 
     def energy(
         self,
@@ -212,6 +198,15 @@ class ModeStage(NamedTuple):
         for element, row in self.by_element(at).items():
             found |= element.values_at(row, found)
         return found
+
+    def with_derivative(self, at: Float[Array, " shapes"]) -> Float[Array, " shapes"]:
+        """Shapes of least energy, which change with the sums as these ask for."""
+        # One more Newton step. At the minimum it is zero, and by the implicit function theorem its
+        # derivative is that of the minimum, the bend being held still: only derivatives come of it.
+        at = xp.stop_gradient(at)
+        slope, bend = self.slope_and_bend(at)
+        step = solve_scaled(xp.stop_gradient(bend), slope[:, None])[:, 0]
+        return at - (step - xp.stop_gradient(step))
 
 
 class Projected(NamedTuple):
@@ -353,19 +348,21 @@ def polished(stage: ModeStage, start: Float[Array, " shapes"]) -> Float[Array, "
 # there the stage's equations are linearised, and from then on they are as any others.
 
 
-class FoundModes(NamedTuple):
-    """Where hidden elements are, what they were found from, and what is left to be solved.
+Band = tuple[int, int]
+"""Bins of window lengths, first and one beyond the last."""
 
-    **Fields:** `equations` of each stage, linearised about them; `mixes`, of each stage the
-    combinations of its equations' columns that these are; `at`, the shapes of each stage's
-    elements; `bands`, of each stage the bins of window lengths that it is solved from, `None` for
-    all or under a trace; whether the elements are `shown` in these at all.
+
+class FoundModes(NamedTuple):
+    """Where hidden elements are, and what they were found from.
+
+    **Fields:** `summary`, linearised about them; `at`, the shapes of each stage's elements;
+    `bands`, of each stage the bins of window lengths that it is solved from, `None` for all or
+    under a trace; whether the elements are `shown` in these at all.
     """
 
-    equations: list[list[NormalEquations]]
-    mixes: list[list[Float[Array, "1+p columns"]]]
+    summary: Summary
     at: list[Float[Array, " shapes"]]
-    bands: list[tuple[int, int] | None]
+    bands: list[Band | None]
     shown: Bool[Array, ""]
 
 
@@ -395,12 +392,12 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
                 f"leave it out, or give both."
             )
     known = {name: xp.asarray(value) for name, value in given.items()}
-    found, shown = [], np.array(True)
+    found, stages, shown = [], [], np.array(True)
     equations = summary.equations()
     looked_at = is_concrete(equations, known)
     for i, expanded in enumerate(model.expanded):
         stage = ModeStage.of(expanded, equations[i], known)
-        used, at, band = equations[i], np.zeros(0), None
+        at, band, place = np.zeros(0), None, None
         if stage.sought:
             where = tuple(search_band(summary, element) for element in stage.sought)
             # The sums over the windows that tell most of the stage's elements.
@@ -409,11 +406,10 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
             every = [summary.equations(option)[i] for option in options]
             stacked: Any = xp.stacked(every)
             best, at, there = _searched(expanded, stacked, known, where, np.asarray(rank))
-            if is_concrete(best):
-                used = every[int(best)]
-                band = options[int(best)] if summary.bins else None
-            else:
-                used = jax.tree.map(lambda leaf, best=best: xp.take(leaf, best, axis=0), stacked)
+            used = jax.tree.map(lambda leaf, best=best: xp.take(leaf, best, axis=0), stacked)
+            stage = ModeStage.of(expanded, used, known)
+            place = first + best if summary.bins else None
+            band = options[int(best)] if summary.bins and is_concrete(best) else None
             shown = shown & there
             # Sums that are not finite themselves are for the fit to refuse.
             finite = looked_at and all(bool(np.isfinite(e.moments).all()) for e in equations[i])
@@ -424,17 +420,38 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
                     f"channel, or excite it.",
                     "not_excited",
                 )
+            if not looked_at:
+                at = stage.with_derivative(at)
         # What no later equation with an element asks for is left to the fit.
         later = [e for stage in model.expanded[i:] for e in stage if e.elements]
         asked = {name for e in later for name in e.all_parameters}
-        # An equation without elements, or whose values nothing asks for, stays as it is.
-        mixes = [np.eye(1 + len(e.parameters)) for e in expanded]
-        if any(e.elements for e in expanded) or asked.intersection(stage.linear):
-            used, mixes, values = _contracted(expanded, used, known, at, not looked_at)
-            known |= values
-        found.append((used, mixes, at, band))
-    equations, mixes, shapes, bands = map(list, zip(*found))
-    return FoundModes(equations, mixes, shapes, bands, shown)
+        if asked.intersection(stage.linear):
+            known |= stage.values(at)
+        stages.append((expanded, [_mix(e, known) for e in expanded], place))
+        found.append((at, band))
+    recordings = (
+        dataclasses.replace(
+            one,
+            stages=tuple(
+                tuple(
+                    _in_parameters(*equation, place, summary.band)
+                    for equation in zip(expanded, mixes, sums)
+                )
+                for (expanded, mixes, place), sums in zip(stages, one.stages)
+            ),
+        )
+        for one in summary.recordings
+    )
+    linear = dataclasses.replace(summary.in_one_bin(recordings), outline=_outline(model))
+    shapes, bands = map(list, zip(*found))
+    return FoundModes(linear, shapes, bands, shown)
+
+
+def _mix(expanded: Expanded, values: Values) -> Float[Array, "1+p columns"]:
+    """The combinations of columns that an equation about these values is."""
+    return (
+        expanded.linearised(values) if expanded.elements else np.eye(1 + len(expanded.parameters))
+    )
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -461,7 +478,7 @@ def _searched(
         stage = ModeStage.of(expanded, sums, known)
         at = as_asked(search(stage, bands), stage.sought)
         values = stage.values(at)
-        own = [_mixed(e, e.linearised(values), s) for e, s in zip(expanded, sums)]
+        own = [one.mixed(_mix(e, values), e.all_parameters) for e, one in zip(expanded, sums)]
         names = tuple(dict.fromkeys(name for e in expanded for name in e.all_parameters))
         influence = block_influence([sum_of_equations(own, names).flattened()], known, values)
         found = [name for name in names if name not in known]
@@ -480,40 +497,6 @@ def _searched(
     doubt, at = xp.each(tried, options, beside=(known, bands))
     chosen = xp.argsort(doubt, stable=True)[np.minimum(rank, doubt.shape[0] - 1)]
     return chosen, xp.take(at, chosen, axis=0), xp.isfinite(xp.take(doubt, chosen))
-
-
-def _contracted(
-    expanded: tuple[Expanded, ...],
-    sums: list[NormalEquations],
-    known: Values,
-    at: Float[Array, " shapes"],
-    moves: bool,
-) -> tuple[list[NormalEquations], list[Array], dict[str, Array]]:
-    """Normal equations of expanded columns, made those of the model's own parameters; the
-    combinations that these are; and the parameters' values, about which all are linearised.
-
-    **Arguments:** `moves`, whether anything may be differentiated: else the derivative of `at` is
-    not even compiled.
-    """
-    stage = ModeStage.of(expanded, sums, known)
-    if stage.sought and moves:
-        # One more Newton step. At the minimum it is zero, and by the implicit function theorem its
-        # derivative is that of the minimum, the bend being held still: only derivatives come of it.
-        at = xp.stop_gradient(at)
-        slope, bend = stage.slope_and_bend(at)
-        step = solve_scaled(xp.stop_gradient(bend), slope[:, None])[:, 0]
-        at = at - (step - xp.stop_gradient(step))
-    values = stage.values(at) if stage.linear else stage.given
-    mixes = [
-        e.linearised(values) if e.elements else np.eye(1 + len(e.parameters)) for e in expanded
-    ]
-    return [_mixed(*each) for each in zip(expanded, mixes, sums)], mixes, values
-
-
-def _mixed(expanded: Expanded, mix: Array, sums: NormalEquations) -> NormalEquations:
-    if not expanded.elements:
-        return sums
-    return sums.in_columns(lambda m: mix @ m @ mix.T, expanded.all_parameters)
 
 
 def search_band(summary: Summary, element: HiddenElement) -> tuple[Leaf, Leaf]:
@@ -543,9 +526,6 @@ def search_band(summary: Summary, element: HiddenElement) -> tuple[Leaf, Leaf]:
 # Their sums are combinations of the expanded columns' sums, so that whatever asks how regressors
 # are excited, drowned in noise or integrated need not know of hidden elements.
 
-Band = tuple[int, int]
-"""Bins of window lengths, first and one beyond the last."""
-
 
 def linearised(model: Model, summary: Summary, known: Values) -> Summary:
     """Sums of regressors about the hidden elements that these sums say (not under jit).
@@ -555,47 +535,35 @@ def linearised(model: Model, summary: Summary, known: Values) -> Summary:
     **Returns:** a Summary of all windows together, each stage's of those it is solved from; without
     the constant, which tells of no combination of columns.
     """
+    if not model.has_hidden or summary.outline.is_of(_outline(model)):
+        return summary
+    return find_modes(model, summary, known).summary
+
+
+def _outline(model: Model) -> Outline:
+    """Of a model's own parameters."""
     stages = tuple(
         tuple((e.equation.name, e.all_parameters) for e in stage) for stage in model.expanded
     )
-    outline = Outline(stages, model.parameter_names, tuple(model.units.items()), "")
-    if not model.has_hidden or summary.outline.is_of(outline):
-        return summary
-    found = find_modes(model, summary, known)
-    mixes = found.mixes
-    recordings = [
-        dataclasses.replace(
-            one,
-            stages=tuple(
-                tuple(
-                    _mixed_sums(e, mix, sums, band or summary.band) for e, mix, sums in zip(*parts)
-                )
-                for *parts, band in zip(model.expanded, mixes, one.stages, found.bands)
-            ),
-        )
-        for one in summary.recordings
-    ]
-    return dataclasses.replace(
-        summary,
-        recordings=tuple(recordings),
-        outline=outline,
-        edges=None,
-        in_law=(0, 1),
-        band=(0, 1),
-    )
+    return Outline(stages, model.parameter_names, tuple(model.units.items()), "")
 
 
-def _mixed_sums(
-    expanded: Expanded, mix: Float[np.ndarray, "1+p columns"], sums: EquationSums, band: Band
+def _in_parameters(
+    expanded: Expanded,
+    mix: Float[Array, "1+p columns"],
+    sums: EquationSums,
+    place: Int[Leaf, ""] | None,
+    band: Band,
 ) -> EquationSums:
-    """The sums of some bins, of combinations of their columns."""
+    """The sums of one of the bins, or of all in a band, of combinations of their columns."""
 
-    def of(matrices: Any) -> Any:
-        return mix @ np.asarray(matrices) @ mix.T
+    def of_bin(leaf: Array) -> Array:
+        return xp.take(leaf, place, axis=0)[None]
 
     survey = sums.survey
     if survey is not None:
-        noise, quadrature = of(survey.noise), of(survey.quadrature)
+        noise, quadrature = (mix @ m @ mix.T for m in (survey.noise, survey.quadrature))
         survey = Survey(noise, quadrature, survey.rows @ mix.T, survey.start, survey.reach)
-    sums = sums.of_bins(*band).in_columns(of, expanded.all_parameters)
+    sums = sums.of_bins(*band) if place is None else sums.each(of_bin, noise_of_source=of_bin)
+    sums = sums.mixed(mix, expanded.all_parameters)
     return dataclasses.replace(sums, survey=survey, factor=None, constant=None)

@@ -2,10 +2,9 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
@@ -29,12 +28,12 @@ from riecjax.estimation.stages import (
     solve_stages,
     stages_over_records,
 )
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.record import Records
 from riecjax.records.recording import explaining_errors, findings_of
 from riecjax.settings import Identify, taking
-from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
+from riecjax.summaries.normal_equations import NormalEquations
 from riecjax.summaries.summarise import summed
 from riecjax.summaries.summary import Summary, as_summary
 from riecjax.summaries.task import ready, signals_read, task
@@ -155,19 +154,14 @@ def estimated(
     constraints: Constraints = NONE,
 ) -> Estimate:
     """[`estimate`][] of what a table of parameters says, from sums that were made for the model."""
-    equations, short = summary.equations(), summary.short_blocks
-    window = xp.asarray(summary.criterion.block_length)
-    drawn = intervals.drawn(short.number.shape[0])
-    data = _Data(equations, summary.noise_freedom, short, window)
-    given, modes = (table, drawn, constraints), None
+    given, modes = (table, intervals, constraints), None
     if not model.has_hidden:
-        fit, totals = _solve(data, *given)
+        fit, totals = _solve(summary, *given)
     elif table.per_record:
         raise ModelError("per_record has no meaning yet for a model with hidden elements.")
     else:
         modes, other = (find_modes(model, summary, table.known, rank) for rank in (0, 1))
-        each = (data._replace(equations=found.equations) for found in (modes, other))
-        (fit, totals), (beside, _) = (_solve(of_shapes, *given) for of_shapes in each)
+        (fit, totals), (beside, _) = (_solve(found.summary, *given) for found in (modes, other))
         # Which lengths tell most of hidden elements is a choice among nearly equals, and what the
         # model and its integrals leave out weighs differently in each. As in an average over models
         # (Buckland, Burnham and Augustin 1997), what the choice moves is part of the variance. It
@@ -186,9 +180,10 @@ def estimated(
         if modes is None and all(s.stages[0][0].constant is not None for s in summary.recordings):
             raise_if_refused(target_findings(model, fit.told_by_data, summary))
         # The condition number is known once the Gram matrix is solved, and mostly that is all.
-        poor = modes is None and float(fit.condition_number) > gram_condition_limit(window.dtype)
-        if poor and (rows := _rows(summary, equations, table)):
-            fit, _ = _solve(data._replace(rows=rows), *given)
+        limit = gram_condition_limit(fit.theta.dtype)
+        poor = modes is None and float(fit.condition_number) > limit
+        if poor and (rows := _rows(summary, table)):
+            fit, _ = _solve(summary, *given, rows)
         raise_if_unidentifiable(fit)
     # Rows there would be without gaps are not known of another band than the criterion's.
     offered = sum(one.offered for one in summary.recordings)
@@ -206,34 +201,24 @@ def estimated(
     )
 
 
-class _Data(NamedTuple):
-    """What recordings say: sums of each stage's `equations`, or `rows` in their place; `freedom` of
-    the variances of the noise's sources; `short` blocks of time, and the longest window in seconds.
-    """
-
-    equations: list[list[NormalEquations]]
-    freedom: Float[Leaf, "records sources"]
-    short: ShortBlocks
-    longest_window: Float[Array, ""]
-    rows: list[Rows] | None = None
-
-
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _solve(
-    data: _Data,
+    summary: Summary,
     table: ParameterTable,
     intervals: AbstractIntervals,
     constraints: Constraints,
+    rows: list[Rows] | None = None,
 ) -> tuple[Estimate, list[NormalEquations]]:
-    """What recordings tell by themselves; and of each stage of the model, those that find nothing
-    included, the totals to refuse it by."""
-    equations = [[borne_out(equation) for equation in stage] for stage in data.equations]
-    known, short, longest_window = table.known, data.short, data.longest_window
+    """What recordings tell by themselves, by `rows` in place of their sums if there are some; and
+    of each stage of the model, those that find nothing included, the totals to refuse it by."""
+    equations = [[borne_out(equation) for equation in stage] for stage in summary.equations()]
+    known, short = table.known, summary.short_blocks
+    longest_window = xp.asarray(summary.criterion.block_length)
     stages, shared = stages_over_records(equations, table)
     apart = [[e.flattened() for e in stage] if len(stage) > 1 else [] for stage in shared]
     flat = [stage.flattened() for stage in stages]
     weighing = constraints, short, longest_window
-    solutions, values = solve_stages(flat, known, data.rows, apart, *weighing)
+    solutions, values = solve_stages(flat, known, rows, apart, *weighing)
     totals = [stage.total() for stage in flat]
     for solution in solutions:
         place = solution.stage
@@ -243,7 +228,7 @@ def _solve(
     uncertainty, inflation, statistics = estimate_uncertainty(
         stages, known, values, short, longest_window, common, intervals
     )
-    uncertainty = uncertainty.widened(level_covariance(statistics, data.freedom))
+    uncertainty = uncertainty.widened(level_covariance(statistics, summary.noise_freedom))
     theta, curvature, at_bound = (
         xp.concatenate(parts)
         for parts in zip(*((s.solution.theta, s.prior_curvature, s.at_bound) for s in solutions))
@@ -267,9 +252,7 @@ def _solve(
     return fit, totals
 
 
-def _rows(
-    summary: Summary, equations: list[list[NormalEquations]], table: ParameterTable
-) -> list[Rows] | None:
+def _rows(summary: Summary, table: ParameterTable) -> list[Rows] | None:
     """Triangular factors in place of each stage's rows, over its equations and all records, where
     there are some.
 
@@ -279,7 +262,7 @@ def _rows(
     if all(factor is None for factor in every):
         return None
     found = []
-    for i, stage in enumerate(equations):
+    for i, stage in enumerate(summary.equations()):
         names = tuple(dict.fromkeys(n for e in stage for n in table.everywhere(e.parameters)))
         parts = []
         for j, equation in enumerate(stage):

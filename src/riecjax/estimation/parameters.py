@@ -10,7 +10,7 @@ Names are for readers: they are written here, and what a parameter is stands in 
 
 import dataclasses
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import equinox as eqx
 import numpy as np
@@ -260,7 +260,7 @@ def require_settings(key: object, known: object, per_record: object) -> None:
     kinds = (list, tuple, set, frozenset)
     write = f"per_record=('{name}',): a tuple of names"
     require("per_record", per_record, kinds, write)
-    for name in per_record if isinstance(per_record, kinds) else ():
+    for name in cast("Collection[str]", per_record):
         require("a name in per_record", name, str, write)
 
 

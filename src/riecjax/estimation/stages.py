@@ -1,7 +1,6 @@
 """Linear least squares with scaled columns, and what can be said of its conditioning."""
 
 import dataclasses
-import operator
 from collections.abc import Mapping
 from typing import Any
 
@@ -29,7 +28,7 @@ from riecjax.summaries.normal_equations import (
     ShortBlocks,
     sum_of_equations,
 )
-from riecjax.uncertainty.covariances import BlockStatistics, scores, slope
+from riecjax.uncertainty.covariances import BlockStatistics, scores
 
 
 @jax.tree_util.register_dataclass
@@ -88,24 +87,18 @@ FACTORED = 2**13
 
 
 def solve_rows(rows: Rows) -> Solution:
-    """Solve rows by a singular value decomposition: slower, accurate to eps times cond."""
-    scale = unit_scale(xp.sum(rows.regressors**2, axis=0))
+    """Solve rows by a singular value decomposition: slower, accurate to eps times cond (not under
+    jit)."""
+    scale = unit_scale(np.sum(rows.regressors**2, axis=0))
     matrix = rows.regressors * scale[None, :]
-    tolerance = float(xp.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)
+    tolerance = float(np.finfo(matrix.dtype).eps) * max(*matrix.shape, FACTORED)
     # With fewer rows than parameters the further singular values are zero.
     further = max(matrix.shape[1] - matrix.shape[0], 0)
-    _, singular_values, right = xp.linalg.svd(xp.stop_gradient(matrix), full_matrices=further > 0)
-    if xp.are_traced((matrix, rows.target)):
-        # Lineax's, for its derivative.
-        import lineax
-
-        operator = lineax.MatrixLinearOperator(matrix)
-        solver = lineax.SVD(rcond=tolerance)
-        theta = lineax.linear_solve(operator, rows.target, solver=solver, throw=False).value
-    else:
-        theta = np.linalg.lstsq(matrix, rows.target, rcond=tolerance)[0]
-    singular_values = xp.pad(singular_values, (0, further))
-    return _solution(theta * scale, singular_values[::-1], right[-1], tolerance)
+    matrix, target = np.pad(matrix, [(0, further), (0, 0)]), np.pad(rows.target, (0, further))
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    valid = sizes > tolerance * sizes[0]
+    theta = np.where(valid, left.T @ target / np.where(valid, sizes, 1.0), 0.0) @ right
+    return _solution(theta * scale, sizes[::-1], right[-1], tolerance)
 
 
 def _solution(
@@ -147,25 +140,20 @@ class EquationFit:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, eq=False)
-class StageSolution:
-    """What one stage found.
+class StageSolution(EquationFit):
+    """What one stage found, and what is left of its rows.
 
-    **Fields:** `solution`; `relative_rms` of the residual against the target, `residual_rms` in
-    the unit of the rows; `count` of rows; `relative_size` of each regressor against the target,
-    per unit of its parameter, and where it acts if that is in bursts; `equations`, what is left of
-    each; `prior_curvature`, what priors add to the curvature; which are `at_bound`; `parameters`
-    found here; `stage` its place in the model.
+    **Further fields:** `solution`; `relative_size` of each regressor against the target, per unit
+    of its parameter, and where it acts if that is in bursts; `equations`, what is left of each;
+    `prior_curvature`, what priors add to the curvature; which are `at_bound`; `stage` its place in
+    the model.
     """
 
     solution: Solution
-    relative_rms: Float[Array, ""]
-    residual_rms: Float[Array, ""]
-    count: Float[Array, ""]
     relative_size: Float[Array, " p"]
     equations: tuple[EquationFit, ...]
     prior_curvature: Float[Array, " p"]
     at_bound: Bool[Array, " p"]
-    parameters: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     stage: int = dataclasses.field(metadata={"static": True})
 
     def constrain(
@@ -198,7 +186,7 @@ def _constrained(
     def solved(held: Array, values: Array, curvature: Array, moment: Array) -> Solution:
         mix, block = holding(held, values), diagonal_block(names, curvature, moment)
         if rows is None:
-            return solve(equations.in_columns(lambda m: mix @ m @ mix.T, names) + block)
+            return solve(equations.mixed(mix, names) + block)
         root = xp.sqrt(curvature)
         further = xp.where(root > 0, moment / xp.where(root > 0, root, 1.0), 0.0)
         further = xp.concatenate([further[None], xp.diag(root)])
@@ -270,16 +258,13 @@ def solve_stages(
         size = xp.sqrt((xp.diagonal(equations.gram) + curvature) / reference)
         solutions.append(
             StageSolution(
-                solution,
-                whole.relative_rms,
-                whole.residual_rms,
-                equations.count,
-                size,
-                tuple(fits) or (whole,),
-                curvature,
-                held,
-                names,
-                i,
+                **vars(whole),
+                solution=solution,
+                relative_size=size,
+                equations=tuple(fits) or (whole,),
+                prior_curvature=curvature,
+                at_bound=held,
+                stage=i,
             )
         )
         informed[-1] = solutions[-1].constrain(blocks, found, constraints)
@@ -356,9 +341,9 @@ def over_records(equations: NormalEquations, table: ParameterTable) -> NormalEqu
     if not table.per_record:
         return equations
     every = []
-    for i in range(equations.count.shape[0]):
-        record = jax.tree.map(operator.itemgetter(i), equations)
-        record = record.in_columns(lambda matrix: matrix, table.of_record(names, i))
+    for i in range(len(equations.count)):
+        record = jax.tree.map(lambda leaf, i=i: leaf[i], equations)
+        record = dataclasses.replace(record, parameters=table.of_record(names, i))
         every.append(record.embed(table.everywhere(names)))
     return xp.stacked(every)
 
@@ -416,14 +401,13 @@ def level_covariance(
 
     **Arguments:** `freedom` of the variances of each source.
     """
-    totals = [stage.total() for stage in statistics.blocks]
     # Sources of all records, one after the other, in place of blocks.
     of_source = []
-    for stage in statistics.short_blocks:
+    for stage in statistics.short_stages:
         assert stage.noise_of_source is not None
         moments = stage.noise_of_source.reshape(-1, *stage.moments.shape[-2:])
         of_source.append(NormalEquations(moments, np.zeros(len(moments)), stage.parameters))
     moved = scores(of_source, statistics.unknowns, statistics.values)
-    moved = solve_scaled(slope(totals, statistics.unknowns), moved.T)
+    moved = solve_scaled(statistics.slope, moved.T)
     spread = moved * xp.sqrt(2 / xp.asarray(freedom)).ravel()[None, :]
     return spread @ spread.T

@@ -90,6 +90,10 @@ class NormalEquations:
             self, moments=moments, parameters=parameters, noise=noise, noise_of_source=of_source
         )
 
+    def mixed(self, mix: Float[Array, "*blocks some columns"], parameters: tuple[str, ...]) -> Self:
+        """The same of these combinations of columns, the first of which is the target."""
+        return self.in_columns(lambda matrix: mix @ matrix @ xp.swapaxes(mix, -1, -2), parameters)
+
     def with_noise(self, noise: Leaf | None, of_source: Leaf | None = None) -> Self:
         """The same moments, of which this is noise."""
         return dataclasses.replace(self, noise=noise, noise_of_source=of_source)
@@ -164,7 +168,7 @@ class NormalEquations:
         regressors = xp.broadcast_to(regressors, (*target.shape[:-2], *regressors.shape))
         mix = xp.concatenate([target, regressors], axis=-2)
         names = tuple(self.parameters[j] for j in free)
-        return self.in_columns(lambda matrix: mix @ matrix @ xp.swapaxes(mix, -1, -2), names)
+        return self.mixed(mix, names)
 
     @classmethod
     def of_rows(

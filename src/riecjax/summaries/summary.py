@@ -188,14 +188,14 @@ class Summary(Shown, eqx.Module):
     def merge_length_bins(self) -> "Summary":
         """The same without bins of window lengths: the sums of those in use, in one (not under
         jit)."""
-        return dataclasses.replace(
-            self.of_recordings(
-                one.of_equations(lambda sums: sums.of_bins(*self.band)) for one in self.recordings
-            ),
-            edges=None,
-            in_law=(0, 1),
-            band=(0, 1),
+        return self.in_one_bin(
+            one.of_equations(lambda sums: sums.of_bins(*self.band)) for one in self.recordings
         )
+
+    def in_one_bin(self, recordings: Iterable[RecordingSums]) -> "Summary":
+        """The same of other recordings, which have no bins of window lengths."""
+        whole = self.of_recordings(recordings)
+        return dataclasses.replace(whole, edges=None, in_law=(0, 1), band=(0, 1))
 
     def coarsen_blocks(self, most: int) -> "Summary":
         """The same with at most so many blocks of time for each recording, neighbours added up (not

@@ -152,29 +152,67 @@ class BlockStatistics(NamedTuple):
 
     **Fields:**
 
-    - `unknowns`, `known`, `values`: what each stage finds, what is given, everything by name.
+    - `unknowns`, `values`: what each stage finds, and everything by name.
     - `length`: seconds to a block; `used`, how many blocks each record is cut into.
-    - `blocks`: normal equations of each stage, as many blocks of each record along the
-      leading axis, of which those beyond `used` are empty; `influence` of each.
-    - `short`: the short blocks of time that these are made of; `short_blocks`, their normal
-      equations, leading axes `(records, short blocks)`, and `short_influence`.
+    - `short`: the short blocks of time that these are made of; `short_stages`, their normal
+      equations, with leading axes `(records, short blocks)`, as have their `short_scores`,
+      `short_slopes` and `short_influence`.
     """
 
     unknowns: Unknowns
-    known: dict[str, Array]
     values: dict[str, Array]
     length: Float[Array, ""]
     used: Int[Array, " records"]
-    blocks: list[NormalEquations]
-    influence: Float[Array, "blocks p"]
     short: ShortBlocks
-    short_blocks: list[NormalEquations]
+    short_stages: list[NormalEquations]
+    short_scores: Float[Array, "records short p"]
+    short_slopes: Float[Array, "records short p p"]
     short_influence: Float[Array, "records short p"]
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Of what is found, in order."""
+        return tuple(name for _, found in self.unknowns for name in found)
+
+    @property
     def estimate(self) -> Float[Array, " p"]:
-        """The values of what is found, in order."""
-        return as_vector(self.unknowns, self.values)
+        """The values of what is found."""
+        return xp.stack([self.values[name] for name in self.names])
+
+    @property
+    def slope(self) -> Float[Array, "p p"]:
+        """That of the scores' sum."""
+        return self.short_slopes.sum((0, 1))
+
+    def in_blocks(
+        self, used: Int[Array, " records"] | None = None, most: int = MOST_BLOCKS
+    ) -> tuple[Float[Array, "blocks p"], Float[Array, "blocks p p"]]:
+        """Scores and slopes of longer blocks, as many of each record along the leading axis, of
+        which those beyond `used` are empty: they add up over short ones."""
+        used = self.used if used is None else used
+        scored, slopes = self.short_scores, self.short_slopes
+        return (
+            sum_blocks(scored, self.short, used, most),
+            sum_blocks(slopes, self.short, used, most),
+        )
+
+    @property
+    def influence(self) -> Float[Array, "blocks p"]:
+        """Of such blocks, on the estimate."""
+        return sum_blocks(self.short_influence, self.short, self.used)
+
+    @property
+    def rows(self) -> tuple[Float[Array, "p p"], list[Float[Array, " p"]]]:
+        """Which parameters are found by one stage, ones among zeros; and of the stage of each what
+        is left of its rows at the estimate, as energy, the target's energy, and how many it has."""
+        place = np.repeat(np.arange(len(self.unknowns)), [len(n) for _, n in self.unknowns])
+        told = []
+        for i, _ in self.unknowns:
+            total = self.short_stages[i].flattened().total()
+            at = xp.stack([self.values[name] for name in total.parameters])
+            told.append((total.residual_energy(at), total.energy, total.count))
+        together = (place[:, None] == place).astype(float)
+        return together, [xp.stack(each)[place] for each in zip(*told)]
 
 
 def block_statistics(
@@ -190,23 +228,14 @@ def block_statistics(
     **Arguments:** `stages`, normal equations with leading axes `(records, short blocks)`;
     `values`, their solution, by name; `ridge` of the slope, with its diagonal scaled to ones.
     """
-    flat = block_influence([stage.flattened() for stage in stages], known, values, ridge)
-    influence = flat.reshape(short.number.shape[0], -1, flat.shape[-1])
+    unknowns = unknowns_of(stages, known)
+    scored, slopes = scores(stages, unknowns, values), slope(stages, unknowns)
+    influence = influence_of(scored, slopes.sum((0, 1)), ridge)
     length = block_length(short, longest_window, politis_white(influence, short))
     used = blocks_in_use(short, length)
-    blocks = [stage.merged(short, used) for stage in stages]
+    named = dict(values)
     return BlockStatistics(
-        unknowns_of(blocks, known),
-        dict(known),
-        dict(values),
-        length,
-        used,
-        blocks,
-        # Scores add up over short blocks, and so does their influence.
-        sum_blocks(influence, short, used),
-        short,
-        list(stages),
-        influence,
+        unknowns, named, length, used, short, list(stages), scored, slopes, influence
     )
 
 
@@ -222,46 +251,26 @@ def unknowns_of(stages: Sequence[NormalEquations], known: Mapping[str, Array]) -
     return unknowns
 
 
-def staged_values(
-    totals: list[NormalEquations], unknowns: Unknowns, known: Mapping[str, Array]
-) -> dict[str, Array]:
-    """Every parameter by name, from the stages' normal equations (without an axis of blocks, with
-    any others)."""
-    found = dict(known)
-    for i, names in unknowns:
-        stage = totals[i].fix(found)
-        theta = solve_scaled(stage.gram, stage.moment[..., None])[..., 0]
-        found |= dict(zip(names, xp.moveaxis(theta, -1, 0)))
-    return found
-
-
-def as_vector(unknowns: Unknowns, values: Mapping[str, Array]) -> Float[Array, "*batch p"]:
-    """The values of all unknowns, in the order in which they are found."""
-    return xp.stack([values[name] for _, names in unknowns for name in names], axis=-1)
-
-
 def scores(
     stages: Sequence[NormalEquations], unknowns: Unknowns, values: Mapping[str, Array]
-) -> Float[Array, "*batch blocks p"]:
-    """For each block of the leading axis, the sum of regressors times residuals."""
+) -> Float[Array, "*blocks p"]:
+    """For each block, the sum of regressors times residuals."""
     parts = []
     for i, names in unknowns:
         blocks = stages[i]
         own = np.array([blocks.parameters.index(name) for name in names])
-        own_values = xp.broadcast_arrays(*(values[name] for name in blocks.parameters))
-        at = xp.stack(own_values, axis=-1)
+        at = xp.stack([values[name] for name in blocks.parameters])
         clean = blocks.clean[..., 1 + own, :]
-        clean = clean.reshape((1,) * (at.ndim + 2 - clean.ndim) + clean.shape)
-        parts.append(clean[..., 0] - xp.einsum("...bij,...j->...bi", clean[..., 1:], at))
+        parts.append(clean[..., 0] - clean[..., 1:] @ at)
     return xp.concatenate(parts, axis=-1)
 
 
-def slope(totals: Sequence[NormalEquations], unknowns: Unknowns) -> Float[Array, "*batch p p"]:
-    """Derivative of the scores' sum with respect to all unknowns, negated."""
+def slope(stages: Sequence[NormalEquations], unknowns: Unknowns) -> Float[Array, "*blocks p p"]:
+    """Derivative of each block's scores with respect to all unknowns, negated."""
     names = [name for _, found in unknowns for name in found]
     rows = []
     for i, found in unknowns:
-        equations = totals[i]
+        equations = stages[i]
         own = np.array([equations.parameters.index(name) for name in found])
         # Behind the columns stands one of zeros, for what does not occur in this stage.
         place = {name: j for j, name in enumerate(equations.parameters)}
@@ -272,16 +281,21 @@ def slope(totals: Sequence[NormalEquations], unknowns: Unknowns) -> Float[Array,
     return xp.concatenate(rows, axis=-2)
 
 
-def block_influence(
-    stages: list[NormalEquations],
-    known: Mapping[str, Array],
-    values: Mapping[str, Array],
-    ridge: float = 0.0,
-) -> Float[Array, "blocks p"]:
+def influence_of(
+    scored: Float[Array, "*blocks p"], whole: Float[Array, "p p"], ridge: float = 0.0
+) -> Float[Array, "*blocks p"]:
     """How far each block of time moves each parameter of all stages, slope^-1 times its score."""
+    flat = scored.reshape(-1, scored.shape[-1])
+    return solve_scaled(whole, flat.T, ridge).T.reshape(scored.shape)
+
+
+def block_influence(
+    stages: Sequence[NormalEquations], known: Mapping[str, Array], values: Mapping[str, Array]
+) -> Float[Array, "blocks p"]:
+    """The influence of blocks along the leading axis of stages' normal equations."""
     unknowns = unknowns_of(stages, known)
-    totals = [stage.total() for stage in stages]
-    return solve_scaled(slope(totals, unknowns), scores(stages, unknowns, values).T, ridge).T
+    whole = slope(stages, unknowns).sum(0)
+    return influence_of(scores(stages, unknowns, values), whole)
 
 
 # Covariances: the jackknife, a HAC sandwich, and least squares' own.
@@ -310,20 +324,19 @@ def jackknife_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     `sum_r (n_r - 1) / n_r sum_b d_b d_b^T` over the n_r blocks of record r, d_b the change of the
     estimate without block b.
     """
-    unknowns, used, found = statistics.unknowns, statistics.used, statistics.estimate
-    totals = [stage.total() for stage in statistics.blocks]
-    scale = unit_scale(xp.diagonal(slope(totals, unknowns)))
+    used, whole = statistics.used, statistics.slope
+    scale = unit_scale(xp.diagonal(whole))
     least = 1e4 * xp.finfo(scale.dtype).eps
 
     # Solved for the change itself: without the block, the scores at the estimate sum to minus its
     # own, and nothing is lost by subtracting two estimates that agree in most of their digits.
-    block_scores = scores(statistics.blocks, unknowns, statistics.values)
-    left = slope(totals, unknowns)[None] - slope(statistics.blocks, unknowns)
+    block_scores, slopes = statistics.in_blocks()
+    left = whole[None] - slopes
     matrices = left * (scale[:, None] * scale[None, :])[None]
     change, pivots = eliminate_with_pivots(matrices, -(block_scores * scale[None])[..., None])
     # Where only this block tells of a parameter, nothing is known without it.
     known = pivots.min(axis=-1, keepdims=True) > least
-    moved = xp.where(known, change[..., 0] * scale[None], -found[None])
+    moved = xp.where(known, change[..., 0] * scale[None], -statistics.estimate[None])
     most = most_used(used)
     factor = xp.repeat((used - 1) / used, most)
     place = np.tile(np.arange(most), used.shape[0])
@@ -365,24 +378,10 @@ def _overlapping_blocks(
 
 def naive_covariance(statistics: BlockStatistics) -> Float[Array, "p p"]:
     """sigma^2 (A^T A)^-1 of each stage, as if all rows were independent."""
-    parts = []
-    for i, names in statistics.unknowns:
-        total = statistics.blocks[i].total()
-        others = {n: statistics.values[n] for n in total.parameters if n not in names}
-        equations = total.fix(others)
-        theta = xp.stack([statistics.values[name] for name in names])
-        freedom = xp.maximum(equations.count - len(names), 1)
-        variance = equations.residual_energy(theta) / freedom
-        identity = np.eye(len(names), dtype=variance.dtype)
-        parts.append(variance * solve_scaled(equations.gram, identity))
-    return block_diagonal(parts)
-
-
-def block_diagonal(parts: Sequence[Float[Array, "q q"]]) -> Float[Array, "p p"]:
-    """A matrix with these along its diagonal."""
-    ends = np.cumsum([len(part) for part in parts])
-    beside = [[(0, 0), (end - len(part), ends[-1] - end)] for end, part in zip(ends, parts)]
-    return xp.concatenate([xp.pad(part, room) for part, room in zip(parts, beside)])
+    together, (left, _, count) = statistics.rows
+    variance = left / xp.maximum(count - together.sum(0), 1)
+    identity = np.eye(len(left), dtype=left.dtype)
+    return variance[:, None] * solve_scaled(together * statistics.slope, identity)
 
 
 def effective_freedom(statistics: BlockStatistics) -> Float[Array, " p"]:
@@ -496,28 +495,20 @@ def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
 
     Long blocks are halved where short blocks are short enough.
     """
-    unknowns, values = statistics.unknowns, statistics.values
     short, used = statistics.short, statistics.used
     records = short.number.shape[0]
     most = max(MOST_HALVES // records, 2)
     halves = xp.minimum(2 * used, xp.minimum(short.number, most))
-    stages = [stage.merged(short, halves, most) for stage in statistics.short_blocks]
+    scored, each = statistics.in_blocks(halves, most)
     most = most_used(halves, most)
-    totals = [stage.total() for stage in stages]
-    whole, scale = unit_diagonal(slope(totals, unknowns))
+    whole, scale = unit_diagonal(statistics.slope)
     inverse = eliminate(whole, np.eye(scale.shape[0], dtype=whole.dtype))
-    each = slope(stages, unknowns)
     each = each * (scale[:, None] * scale[None, :])[None]
-    # Of one row's error, between parameters of one stage; zero between stages.
-    parts = []
-    for i, names in unknowns:
-        at = xp.stack([values[name] for name in totals[i].parameters])
-        # Exact data leave no more than rounding.
-        rounding = xp.finfo(at.dtype).eps * totals[i].energy
-        left = xp.maximum(totals[i].residual_energy(at), rounding)
-        share = left / xp.maximum(totals[i].count, 1)
-        parts.append(share * np.ones((len(names), len(names))))
-    variance = block_diagonal(parts)
+    # Of one row's error, between parameters of one stage; zero between stages. Exact data leave no
+    # more than rounding.
+    together, (left, energy, count) = statistics.rows
+    left = xp.maximum(left, xp.finfo(left.dtype).eps * energy)
+    variance = together * (left / xp.maximum(count, 1))[:, None]
     largest = xp.max(variance)
     largest = xp.where(largest > 0, largest, 1.0)
     working = each * (variance / largest)[None]
@@ -546,9 +537,9 @@ def few_blocks_sandwich(statistics: BlockStatistics) -> FewBlocks:
         return xp.trace(form), (form * form.T).sum()
 
     seen, scatter = xp.each(expected, rows, beside=(working, near))
-    moved = (scores(stages, unknowns, values) * scale[None, :]) @ rows.T
+    moved = (scored * scale[None, :]) @ rows.T
     shown = moved.T @ (moved + beside @ moved / 2)
-    alike = largest * xp.max(xp.stack([total.count for total in totals])) / xp.sum(halves)
+    alike = largest * xp.max(count) / xp.sum(halves)
     together = xp.trace(shown) + TOLD_BY_NONE * alike
     together = together / (xp.sum(seen) + TOLD_BY_NONE)
     share = xp.sqrt(seen + TOLD_BY_OTHERS)
@@ -588,33 +579,32 @@ def studentized_replicates(
 
     **Arguments:** `draws`, see [`uniform_draws`][].
     """
-    unknowns, used, found = statistics.unknowns, statistics.used, statistics.estimate
-    stages = [NormalEquations(s.clean, s.count, s.parameters) for s in statistics.blocks]
+    used, found = statistics.used, statistics.estimate
+    block_scores, slopes = statistics.in_blocks()
+    identity = np.eye(len(found), dtype=found.dtype)
 
     def replicates(
         drawn: Float[Array, "some records blocks_of_record"],
     ) -> Float[Array, "some p"]:
         count = drawn_counts(drawn, used).astype(found.dtype)
         weights = count.reshape(count.shape[0], -1)
-        totals = [s.in_blocks(lambda blocks: xp.tensordot(weights, blocks, 1)) for s in stages]
-        again = staged_values(totals, unknowns, statistics.known)
         # Elimination with every block's score on the right would take half as long again.
-        curvature = slope(totals, unknowns)
-        identity = np.eye(curvature.shape[-1], dtype=curvature.dtype)
-        inverse = xp.swapaxes(solve_scaled(curvature, identity), -1, -2)
-        score = (scores(stages, unknowns, again) @ inverse).reshape(*count.shape, -1)
+        inverse = solve_scaled(xp.tensordot(weights, slopes, 1), identity)
+        # Scores are linear in theta: by how much it moves, and what they are from there.
+        moved = (inverse @ (weights @ block_scores)[..., None])[..., 0]
+        score = block_scores[None] - xp.tensordot(moved, slopes, axes=(1, 2))
+        score = (score @ xp.swapaxes(inverse, -1, -2)).reshape(*count.shape, -1)
         total = xp.einsum("krb,krbp->krp", count, score)
         squares = xp.einsum("krb,krbp->krp", count, score**2)
         mean = total**2 / count.sum(axis=-1)[..., None]
         error = xp.sqrt(xp.maximum(squares - mean, 0.0).sum(axis=1))
-        moved = as_vector(unknowns, again) - found[None]
         usable = (error > 0) & xp.isfinite(error) & xp.isfinite(moved)
         return xp.where(usable, moved / xp.where(usable, error, 1.0), np.nan)
 
     # So many of them as divide all.
     some = next(size for size in range(AT_ONCE, 0, -1) if len(draws) % size == 0)
     grouped = draws.reshape(-1, some, *draws.shape[1:])
-    found_each = xp.each(replicates, grouped, beside=(statistics.values, stages))
+    found_each = xp.each(replicates, grouped, beside=(found, block_scores))
     return found_each.reshape(len(draws), -1)
 
 

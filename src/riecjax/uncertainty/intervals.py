@@ -17,7 +17,7 @@ from riecjax import arrays as xp
 from riecjax import tails
 from riecjax.arrays import Array
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, is_number
+from riecjax.leaves import is_number
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.covariances import (
     BlockStatistics,
@@ -143,10 +143,6 @@ class AbstractIntervals(eqx.Module):
     def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
         """Covariance of the estimates, and what intervals need besides."""
 
-    def drawn(self, records: int) -> "AbstractIntervals":
-        """The same for so many records, with what it draws at random drawn."""
-        return self
-
 
 class BlockBootstrap(AbstractIntervals):
     """Studentized bootstrap over blocks of time (the default).
@@ -157,7 +153,7 @@ class BlockBootstrap(AbstractIntervals):
     jackknife's: each block is left out once, and everything solved again.
 
     **Arguments:** `replicates`; `seed` of the draw, which moves the ends of an interval by a
-    percent or two of its width. (`draws` are what is drawn, see [`uniform_draws`][].)
+    percent or two of its width.
 
     **Raises:** `ModelError` for fewer than 100 replicates.
 
@@ -167,7 +163,6 @@ class BlockBootstrap(AbstractIntervals):
 
     replicates: int = eqx.field(static=True, default=2000)
     seed: int = eqx.field(static=True, default=0)
-    draws: Float[Leaf, "replicates records blocks_of_record"] | None = None
 
     def __check_init__(self):
         if self.replicates < 100:
@@ -177,20 +172,13 @@ class BlockBootstrap(AbstractIntervals):
 
     def uncertainty(self, statistics: BlockStatistics) -> Uncertainty:
         """Jackknife covariance, and studentized replicates."""
-        drawn = self.drawn(statistics.used.shape[0])
+        draws = uniform_draws(self.seed, self.replicates, statistics.used.shape[0])
         return with_few_blocks(
             statistics,
             jackknife_covariance(statistics),
-            studentized_replicates(statistics, drawn.draws),
+            studentized_replicates(statistics, draws),
             f"studentized block bootstrap, {self.replicates} replicates",
         )
-
-    def drawn(self, records: int) -> "BlockBootstrap":
-        """With the blocks of each replicate drawn, see [`uniform_draws`][]."""
-        if self.draws is not None:
-            return self
-        draws = uniform_draws(self.seed, self.replicates, records)
-        return BlockBootstrap(self.replicates, 0, draws)
 
 
 class Sandwich(AbstractIntervals):
