@@ -119,6 +119,19 @@ def forget_compiled_functions() -> Iterator[None]:
         room = MOST_MAPS // MAPS_EACH
 
 
+@contextlib.contextmanager
+def in_32_bit() -> Iterator[None]:
+    """JAX in single precision, and nothing that was traced before or in it is kept.
+
+    Of a function that is traced in both, as all lambdas under `eqx.filter_jit` are, JAX 0.10 keeps
+    constants in the type of the first: the other's numbers then come out as exact as that.
+    """
+    jax.clear_caches()
+    with jax.enable_x64(False):
+        yield
+    jax.clear_caches()
+
+
 @pytest.fixture(autouse=True)
 def command_line(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """A whole command runs in an empty folder. To draw its pictures takes more than half: those

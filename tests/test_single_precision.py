@@ -1,3 +1,5 @@
+import contextlib
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -5,6 +7,7 @@ import numpy as np
 import pytest
 
 import riecjax as rx
+from conftest import in_32_bit
 from nightly import nightly
 from riecjax.criteria.windows import WindowSet
 
@@ -61,7 +64,7 @@ traced = eqx.filter_jit(identified)
 def test_32_bit_is_close_to_64_bit_and_says_that_it_is_32_bit(criterion):
     found, codes = {}, {}
     for bits in (64, 32):
-        with jax.enable_x64(bits == 64):
+        with in_32_bit() if bits == 32 else contextlib.nullcontext():
             record = rx.Record.from_samples(shaken_under_weight(), time_step=STEP)
             asked = (weight_equation(), record, criterion(), jax.random.key(1))
             fit = traced(*asked)
@@ -109,7 +112,7 @@ def test_more_windows_than_32_bit_integers_hold_are_counted(weight, longest, gap
     criterion = rx.RIEC(rx.AllWindows(1e-3, 1e-3 * longest), weight)
     found = {}
     for bits in (64, 32):
-        with jax.enable_x64(bits == 64):
+        with in_32_bit() if bits == 32 else contextlib.nullcontext():
             record = rx.Record.from_samples(samples_of_many(gap), time_step=1e-3)
             found[bits] = rx.identify(equation, record, criterion, intervals=rx.Naive())
         assert float(found[bits].stages[0].count) == pytest.approx(expected, rel=1e-6)

@@ -11,6 +11,7 @@ import pytest
 from tests.machines import MACHINES, Shape
 
 import riecjax as rx
+from conftest import in_32_bit
 from nightly import nightly
 from riecjax.summaries.one_pass import stage_normal_equations
 
@@ -53,7 +54,7 @@ def test_a_million_samples_in_32_bit_agree_with_64_bit():
     arrays = arrays_of(10**6, offset=1.5)
     criterion = rx.RIEC(rx.AllWindows(0.05, 0.5, longest_samples=64))
     exact = rx.identify(EQUATION, rx.Record(arrays, STEP), criterion)
-    with jax.enable_x64(False):
+    with in_32_bit():
         record = rx.Record({n: v.astype(np.float32) for n, v in arrays.items()}, np.float32(STEP))
         single = eqx.filter_jit(rx.identify)(EQUATION, record, criterion)
         assert single.theta.dtype == jnp.float32

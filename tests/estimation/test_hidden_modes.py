@@ -13,6 +13,7 @@ from tests.machines import body as driven
 from tests.machines import body_with_mode as motion
 
 import riecjax as rx
+from conftest import in_32_bit
 from nightly import nightly
 from riecjax.estimation import mode_evidence
 from riecjax.estimation.check import raise_if_not_carried
@@ -185,7 +186,7 @@ def test_gradients_are_those_of_differences(with_mode):
 def test_in_32_bit_modes_are_found_to_a_percent():
     record = recorded(motion(True))
     criterion = rx.identify(MODEL, record).criterion
-    with jax.enable_x64(False):
+    with in_32_bit():
         estimate = jax.jit(lambda record: rx.identify(MODEL, record, criterion))(record)
     assert estimate.theta.dtype == np.float32
     for name in ("m", "M_mode", "K_mode"):

@@ -11,6 +11,7 @@ import pytest
 from tests.machines import SHORT, tones
 
 import riecjax as rx
+from conftest import in_32_bit
 from riecjax.equations.model import as_model
 from riecjax.estimation.constraints import Constraints, sides_of_bounds
 from riecjax.summaries.normal_equations import NormalEquations
@@ -181,11 +182,10 @@ def test_a_prior_of_a_later_stage_of_random_windows_and_of_single_precision():
     priors = {"m": (2.01, 1e-3)}
 
     def traced():
-        # What is not traced is of double precision. A function each: of one that is traced in both,
-        # JAX keeps constants of the first.
+        # What is not traced is of double precision.
         return jax.jit(lambda of: rx.identify(BODY, of, RIEC, priors=priors, **PLAIN))(record())
 
-    with jax.enable_x64(False):
+    with in_32_bit():
         single = traced()
         assert single.theta.dtype == jnp.float32
     double = traced()

@@ -7,6 +7,7 @@ import pytest
 from tests.machines import MACHINES, Shape
 
 import riecjax as rx
+from conftest import in_32_bit
 from nightly import nightly
 from riecjax.criteria.windows import StartBlocks
 from riecjax.summaries.summary import load
@@ -142,7 +143,7 @@ def test_in_32_bit_as_much_is_taken_off(test_function, error):
         return noise_of(summed(rx.Record(arrays, dtype(STEP)))).sum((0, 1))
 
     exact = added(np.float64)
-    with jax.enable_x64(False):
+    with in_32_bit():
         rough = added(np.float32)
     assert rough.dtype == np.float32
     size = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
