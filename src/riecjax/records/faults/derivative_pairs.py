@@ -48,6 +48,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from riecjax.errors import DataError
 from riecjax.findings import Finding, line_taken_off, option_for
 from riecjax.leaves import is_concrete
+from riecjax.records.faults.once import once
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.faults.sampled_signal import ENOUGH
 from riecjax.records.preparation.filtering import with_local_derivative
@@ -72,7 +73,8 @@ LOWEST_BINS = 8
 MOST_NOISE = 0.2
 """Share of what tells the gain that may be noise."""
 ITERATIONS, ROUGH_ITERATIONS = 14, 4
-"""Steps of a fit, and the first of them, which weigh all frequencies as `ROUGHLY` noisy."""
+"""Steps of a fit at the most, and those of them at the start that weigh all frequencies as `ROUGHLY`
+noisy."""
 ROUGHLY = 0.01
 """Share of a signal's deviation."""
 NEAR = 0.7
@@ -163,6 +165,7 @@ def fit_pair(
     even = Left(rough, np.array([0.0, np.pi]), np.ones(2))
     whole, fit = 0, None
     theta = np.array([0.0, 1.0, 0.0, 0.0] if start is None else start[:4])
+    first = start is None and known is None
     if start is None and not lagged:
         # From the peak of the longest piece's correlation; 0 where the correlation there is near
         # the peak: what is so near needs no start nearer.
@@ -176,7 +179,7 @@ def fit_pair(
             whole = int(lags[np.argmax(penalised)])
     steady, at = None, 0
     for iteration in range(steps):
-        first = start is None and known is None and iteration < ROUGH_ITERATIONS
+        first = first and iteration < ROUGH_ITERATIONS
         if abs(theta[0]) > 1 and not lagged:
             whole, theta[0] = whole + round(theta[0]), theta[0] - round(theta[0])
         if steady is None or at != whole:
@@ -190,8 +193,10 @@ def fit_pair(
         if fit is None:
             return None
         step, theta = fit[:4] - theta, np.array(fit[:4])
-        if not first and np.all(np.abs(step) < 1e-3 * fit.errors):
-            break
+        if np.all(np.abs(step) < 1e-3 * fit.errors):
+            if not first:
+                break
+            first = False
     return fit and fit._replace(delay=whole + fit.delay)
 
 
@@ -268,18 +273,24 @@ def _shifted(piece: Piece, whole: int) -> Piece:
 RISE = np.polynomial.Polynomial([0, 1, -1]) ** 3
 RISE /= RISE.integ()(1)
 """The slope of a step from 0 to 1, which is smooth at both ends."""
+STEP = (RISE.integ(), RISE, RISE.deriv())
+"""That step, its slope and its curvature."""
 
 
 def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
-    """A taper `shift` samples on, its slope and its curvature: a step of degree 7 at either end."""
+    """A taper `shift` samples on, its slope and its curvature: a step of degree 7 at either end.
+
+    **Arguments:** `shift`, of less than `MARGIN` samples.
+    """
     edge = min(max(n // 8, 16), EDGE)
-    at, last = np.arange(n) + shift - MARGIN, n - 1 - 2 * MARGIN
-    near = np.minimum(at, last - at)
+    reach, last = edge + 2 * MARGIN, n - 1 - 2 * MARGIN
     taper = np.zeros((3, n))
-    taper[0, near >= edge] = 1.0
-    rising = np.flatnonzero((near > 0) & (near < edge))
-    u, side = near[rising] / edge, np.where(2 * at[rising] < last, 1, -1) / edge
-    taper[:, rising] = RISE.integ()(u), RISE(u) * side, RISE.deriv()(u) * side**2
+    taper[0, reach : n - reach] = 1.0
+    ends = np.concatenate([np.arange(reach), np.arange(n - reach, n)])
+    at = ends + shift - MARGIN
+    u = np.clip(np.minimum(at, last - at) / edge, 0.0, 1.0)
+    side = np.where(2 * at < last, 1, -1) / edge
+    taper[:, ends] = [of(u) * side**order for order, of in enumerate(STEP)]
     return taper
 
 
@@ -717,6 +728,7 @@ def compare(record: Record, relation: Relation) -> Pair | None:
     return _compared(relation, columns, np.asarray(record.elapsed), float(record.time_step))
 
 
+@once
 @np.errstate(all="ignore")
 def _compared(
     relation: Relation, columns: dict[str, Samples], time: Samples, step: float
@@ -855,10 +867,10 @@ def _filled(values: np.ndarray) -> np.ndarray:
     """Spikes and short gaps replaced by local cubics."""
     found, half = values.copy(), 4
     if values.size > 2 * half + 1:
-        around = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1)
-        off = np.abs(values[half:-half] - np.median(around[:, 2:-2], axis=1))
-        near = np.delete(around, half + np.arange(-1, 2), axis=1)
-        spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=1)) + half
+        around = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1).T
+        off = np.abs(values[half:-half] - _median_of_five(*around[2:-2]))
+        near = np.delete(around, half + np.arange(-1, 2), axis=0)
+        spikes = np.flatnonzero(off > SPIKE * np.ptp(near, axis=0)) + half
         if spikes.size <= MOST_SPIKES * values.size:
             found[spikes] = np.nan
     gaps = np.isnan(found)
@@ -866,6 +878,15 @@ def _filled(values: np.ndarray) -> np.ndarray:
         at, short = np.arange(found.size), gaps & (run_lengths(gaps) <= SHORT_GAP)
         found[short] = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])(at[short])
     return found
+
+
+def _median_of_five(a: Samples, b: Samples, c: Samples, d: Samples, e: Samples) -> Samples:
+    """Of each sample's; twenty times as fast as by sorting. NaN where one is."""
+    # Neither the least of two pairs nor the largest is the middle of five: of each two pairs the
+    # larger of the lower ones and the smaller of the upper ones are left, and the fifth.
+    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    return np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e))
 
 
 def _low_pass(pieces: Sequence[Piece], count: int, delayed: PairFit) -> PairFit | None:
@@ -1008,6 +1029,7 @@ def is_motion(record: Record, signal: str, others: Iterable[str]) -> bool:
 
 
 # Values too large to be squared are for the fit to refuse.
+@once
 @np.errstate(over="ignore", invalid="ignore")
 def _best_lag(values: np.ndarray, rates: np.ndarray, step: float) -> tuple[float, float] | None:
     """The highest correlation of increments with integrals of their rates over any lag, and there
@@ -1264,7 +1286,9 @@ def filter_between(signal: Samples, other: Samples, noise: float) -> Taps | None
             some = columns[kept, inner]
             taps = np.linalg.lstsq(some.T @ some, some.T @ target[kept], rcond=1e-14)[0]
             left = target - columns[:, inner] @ taps
-            kept = np.abs(left) <= FAR * np.median(np.abs(left[kept]))
+            before, kept = kept, np.abs(left) <= FAR * np.median(np.abs(left[kept]))
+            if (kept == before).all():
+                break
         through = noise / scale * np.linalg.norm(np.convolve(taps, [1, -2, 1]))
         # Taps that make more noise than there is fit motion alone, which few waves are.
         there = np.sqrt(np.mean(target**2))

@@ -30,6 +30,7 @@ from jaxtyping import Bool, Float, Int
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
+from riecjax.records.faults.once import once
 from riecjax.records.faults.sampled_signal import (
     LAST_DIGITS,
     ROUNDING,
@@ -138,6 +139,7 @@ class Spikes(NamedTuple):
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
+@once
 @np.errstate(all="ignore")
 def find_spikes(values: Samples) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
