@@ -166,18 +166,20 @@ def fit_pair(
     whole, fit = 0, None
     theta = np.array([0.0, 1.0, 0.0, 0.0] if start is None else start[:4])
     first = start is None and known is None
+    steady, at = None, 0
     if start is None and not lagged:
         # From the peak of the longest piece's correlation; 0 where the correlation there is near
         # the peak: what is so near needs no start nearer.
         longest = max(pieces, key=lambda p: p.x.size)
-        size = longest.x.size
-        bins = _Steady.of([longest], size).bins(0.0, rough)
+        size, steady = longest.x.size, _Steady.of([longest], count)
+        bins = steady.bins(0.0, rough)
         correlation = np.fft.irfft(np.append(bins.rate * bins.motion.conj() / bins.noise, 0.0))
         lags = np.arange(-(size // 8), size // 8 + 1)
         penalised = correlation[lags] * (1 - np.abs(lags) / size)
         if penalised[size // 8] <= NEAR * np.max(penalised):
             whole = int(lags[np.argmax(penalised)])
-    steady, at = None, 0
+        # Of a single piece as it is, transforms are there already.
+        steady = steady if len(pieces) == 1 else None
     for iteration in range(steps):
         first = first and iteration < ROUGH_ITERATIONS
         if abs(theta[0]) > 1 and not lagged:
@@ -273,8 +275,9 @@ def _shifted(piece: Piece, whole: int) -> Piece:
 RISE = np.polynomial.Polynomial([0, 1, -1]) ** 3
 RISE /= RISE.integ()(1)
 """The slope of a step from 0 to 1, which is smooth at both ends."""
-STEP = (RISE.integ(), RISE, RISE.deriv())
-"""That step, its slope and its curvature."""
+_STEPS = (each.coef for each in (RISE.integ(), RISE, RISE.deriv()))
+STEP = np.array([*itertools.zip_longest(*_STEPS, fillvalue=0.0)])
+"""Coefficients of that step, of its slope and of its curvature, by power."""
 
 
 def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
@@ -290,7 +293,7 @@ def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
     at = ends + shift - MARGIN
     u = np.clip(np.minimum(at, last - at) / edge, 0.0, 1.0)
     side = np.where(2 * at < last, 1, -1) / edge
-    taper[:, ends] = [of(u) * side**order for order, of in enumerate(STEP)]
+    taper[:, ends] = np.polynomial.polynomial.polyval(u, STEP) * side ** np.arange(3)[:, None]
     return taper
 
 
