@@ -73,7 +73,7 @@ LOWEST_BINS = 8
 MOST_NOISE = 0.2
 """Share of what tells the gain that may be noise."""
 ITERATIONS, ROUGH_ITERATIONS = 14, 4
-"""Steps of a fit at the most, and those of them at the start that weigh all frequencies as `ROUGHLY`
+"""Steps of a fit at the most, and the first of them, which weigh all frequencies as `ROUGHLY`
 noisy."""
 ROUGHLY = 0.01
 """Share of a signal's deviation."""
