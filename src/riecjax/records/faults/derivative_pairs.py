@@ -123,28 +123,6 @@ class PairFit(NamedTuple):
     lagged: bool = False
 
 
-class _Bins(NamedTuple):
-    """Transforms of all pieces by ascending frequency, and the power of noise expected there."""
-
-    omega: Float[np.ndarray, " bins"]
-    motion: Complex[np.ndarray, " bins"]
-    slope: Complex[np.ndarray, " bins"]
-    """Of `motion` over the delay."""
-    rate: Complex[np.ndarray, " bins"]
-    second: Complex[np.ndarray, " bins"]
-    """Of v's derivative."""
-    zero: Complex[np.ndarray, "bins 2"]
-    noise: Float[np.ndarray, " bins"]
-    noise_of_motion: Float[np.ndarray, " bins"]
-    energy: Float[np.ndarray, " bins"]
-    """Of the taper."""
-    lowest: Bool[np.ndarray, " bins"]
-    shared: float
-    """Times by which variances grow as tapers tie neighbouring bins together."""
-    near: Int[np.ndarray, "2 bins"]
-    """First and last neighbour over which each frequency is smoothed."""
-
-
 def fit_pair(
     pieces: Sequence[Piece],
     count: int,
@@ -172,8 +150,8 @@ def fit_pair(
         # the peak: what is so near needs no start nearer.
         longest = max(pieces, key=lambda p: p.x.size)
         size, steady = longest.x.size, _Steady.of([longest], count)
-        bins = steady.bins(0.0, rough)
-        correlation = np.fft.irfft(np.append(bins.rate * bins.motion.conj() / bins.noise, 0.0))
+        there = steady.delayed(0.0, rough)
+        correlation = np.fft.irfft(np.append(steady.rate * there.motion.conj() / there.noise, 0.0))
         lags = np.arange(-(size // 8), size // 8 + 1)
         penalised = correlation[lags] * (1 - np.abs(lags) / size)
         if penalised[size // 8] <= NEAR * np.max(penalised):
@@ -190,8 +168,7 @@ def fit_pair(
                 return None
             steady, at = _Steady.of(moved, count), whole
         expected, noise = (even, rough) if first else (known, levels)
-        bins = steady.bins(0.0 if lagged else theta[0], noise)
-        fit = _step(bins, theta, lagged, expected, noise)
+        fit = _step(steady, theta, lagged, expected, noise)
         if fit is None:
             return None
         step, theta = fit[:4] - theta, np.array(fit[:4])
@@ -211,10 +188,11 @@ def _levels(pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _step(
-    bins: _Bins, theta: np.ndarray, lagged: bool, known: Left | None, levels: np.ndarray
+    bins: "_Steady", theta: np.ndarray, lagged: bool, known: Left | None, levels: np.ndarray
 ) -> PairFit | None:
     """The fit after one step of Gauss and Newton."""
-    motion, rate, zero, slope = bins.motion, bins.rate, bins.zero, bins.slope
+    motion, slope, noise, of_motion = bins.delayed(0.0 if lagged else theta[0], levels)
+    rate, zero = bins.rate, bins.zero
     if lagged and theta[0] >= 0:
         # v + T v' is what came in; divided by 1 + i omega T its noise stays what it was.
         pole = 1 / (1 + 1j * bins.omega * theta[0])
@@ -223,24 +201,24 @@ def _step(
     elif lagged:
         motion = motion + theta[0] * slope
     error = rate - theta[1] * motion - zero @ theta[2:]
-    left = _power(error) / bins.noise
+    left = _power(error) / noise
     smoothed = (
         _smoothed(bins.near, left)
         if known is None
         else np.interp(bins.omega, known.omega, known.smoothed)
     )
-    smoothed = np.maximum(smoothed, 1e-26 * np.max(_power(rate) / bins.noise))
-    power = _smoothed(bins.near, _power(motion) / bins.noise)
+    smoothed = np.maximum(smoothed, 1e-26 * np.max(_power(rate) / noise))
+    power = _smoothed(bins.near, _power(motion) / noise)
     counted = (power > CARRIED * smoothed) | bins.lowest
     # Real and imaginary part have half the power each; at frequency zero all of it is real.
-    weight = np.where(counted, np.where(bins.omega > 0, 2, 1) / (smoothed * bins.noise), 0.0)
+    weight = np.where(counted, np.where(bins.omega > 0, 2, 1) / (smoothed * noise), 0.0)
     rows = np.array([theta[1] * slope, motion, *zero.T, error])[:, counted]
     # The real part of what conjugates make is that of real and imaginary parts by themselves.
     rows = np.concatenate([np.real(rows), np.imag(rows)], axis=1)
     products = (rows * np.tile(weight[counted], 2)) @ rows.T
     normal, right = products[:-1, :-1], products[:-1, -1]
     # Of a signal without noise the level expected is that of its own curvature.
-    of_noise = float(weight @ np.minimum(bins.noise_of_motion, smoothed * bins.noise))
+    of_noise = float(weight @ np.minimum(of_motion, smoothed * noise))
     scale = np.sqrt(np.diag(normal))
     if not (np.isfinite(scale).all() and scale.all()) or of_noise > MOST_NOISE * normal[1, 1]:
         return None
@@ -253,8 +231,8 @@ def _step(
     step[0] = np.clip(step[0], -0.8 * usual, 0.8 * usual)
     # The noise of the motion goes with the gain, and through the filter.
     size = (1 + (bins.omega * theta[0]) ** 2) ** -np.sign(theta[0]) if lagged else 1.0
-    more = (size * theta[1] ** 2 - 1) * bins.noise_of_motion
-    unlike = smoothed * bins.noise / bins.energy / (1 + more / bins.noise)
+    more = (size * theta[1] ** 2 - 1) * of_motion
+    unlike = smoothed * noise / bins.energy / (1 + more / noise)
     errors = np.sqrt(np.diag(covariance) * bins.shared)
     after = Left(levels, bins.omega, smoothed, left, unlike)
     delay, gain, offset, drift = (theta + step).tolist()
@@ -298,11 +276,13 @@ def _taper(n: int, shift: float) -> Float[np.ndarray, "3 n"]:
 
 
 class _Steady(NamedTuple):
-    """What no delay changes of the transforms of pieces, by ascending frequency.
+    """Of the transforms of all pieces, by ascending frequency, what no delay changes.
 
-    **Fields:** those of `_Bins` by their names; `sloped`, what a taper's slope adds to its `energy`
-    at each frequency; `order`, frequencies of all pieces one after the other, sorted; and `near`,
-    the first and last neighbour over which each is smoothed.
+    **Fields:** transforms of v, the `rate`, of its derivative, the `second`, and of an offset and a
+    drift, `zero`; `energy` of the tapers, and what their slope adds to it at each frequency,
+    `sloped`; whether a bin is among the `lowest` of its piece; `shared`, times by which variances
+    grow as tapers tie neighbouring bins together; `order`, frequencies of all pieces one after the
+    other, sorted; `near`, the first and last neighbour over which each is smoothed.
     """
 
     pieces: Sequence[Piece]
@@ -343,8 +323,8 @@ class _Steady(NamedTuple):
         shared = float(total * fourth / squares**2)
         return cls._make([pieces, sizes, *sorted_columns, shared, order, near])
 
-    def bins(self, delay: float, levels: np.ndarray) -> _Bins:
-        """The transforms with v so late, and noise of these levels."""
+    def delayed(self, delay: float, levels: np.ndarray) -> "_Delayed":
+        """What of them changes with v so late, and noise of these levels."""
         parts = []
         for (_, x, _, u), size in zip(self.pieces, self.sizes):
             moved = _taper(x.size, delay)
@@ -362,8 +342,17 @@ class _Steady(NamedTuple):
         of_motion = levels[0] ** 2 * (self.omega**2 * self.energy + self.sloped)
         of_motion += levels[2] ** 2 * self.energy
         noise = of_motion + (levels[1] ** 2 + 1e-30) * self.energy
-        steady = self.rate, self.second, self.zero, noise, of_motion, self.energy, self.lowest
-        return _Bins(self.omega, motion, slope, *steady, self.shared, self.near)
+        return _Delayed(motion, slope, noise, of_motion)
+
+
+class _Delayed(NamedTuple):
+    """Transforms of what v should be at a delay, their `slope` over it, and the power of noise that
+    is expected of them, and of it that of the `motion`."""
+
+    motion: Complex[np.ndarray, " bins"]
+    slope: Complex[np.ndarray, " bins"]
+    noise: Float[np.ndarray, " bins"]
+    noise_of_motion: Float[np.ndarray, " bins"]
 
 
 def _neighbours(omega: np.ndarray) -> Int[np.ndarray, "2 bins"]:
@@ -816,10 +805,11 @@ def _held(
     pieces = list(_pieces(columns, 0, count, breaks, MOST_SAMPLES // (1 + several)))
     if several and pieces:
         # Size of v over that of what it should be, with its sign, to begin with; 1 unless far off.
-        bins = _Steady.of(pieces, pieces[0].x.size).bins(0.0, _levels(pieces)[1])
-        weight = np.where(bins.lowest, 0.0, 1 / bins.noise_of_motion)
-        both = float(np.real(weight @ (bins.rate * bins.motion.conj())))
-        motion, rate = (float(weight @ np.abs(one) ** 2) for one in (bins.motion, bins.rate))
+        bins = _Steady.of(pieces, pieces[0].x.size)
+        expected, *_, of_motion = bins.delayed(0.0, _levels(pieces)[1])
+        weight = np.where(bins.lowest, 0.0, 1 / of_motion)
+        both = float(np.real(weight @ (bins.rate * expected.conj())))
+        motion, rate = (float(weight @ np.abs(one) ** 2) for one in (expected, bins.rate))
         size = both / motion
         size = size if both**2 > NEAR**2 * motion * rate and not 0.5 < size < 2 else 1.0
         columns[1] /= size
