@@ -867,9 +867,14 @@ def _filled(values: np.ndarray) -> np.ndarray:
         if spikes.size <= MOST_SPIKES * values.size:
             found[spikes] = np.nan
     gaps = np.isnan(found)
-    if gaps.any() and np.sum(~gaps) > 4:
-        at, short = np.arange(found.size), gaps & (run_lengths(gaps) <= SHORT_GAP)
-        found[short] = scipy.interpolate.Akima1DInterpolator(at[~gaps], found[~gaps])(at[short])
+    known, short = np.flatnonzero(~gaps), np.flatnonzero(gaps & (run_lengths(gaps) <= SHORT_GAP))
+    behind = np.searchsorted(known, short)
+    # Two samples on each side, by Lagrange. Splines of SciPy's take a fifth of a second to import.
+    inside = (behind >= 2) & (behind <= known.size - 2)
+    near = known[behind[inside, None] + np.arange(-2, 2)]
+    to, apart = short[inside, None, None] - near[:, None], near[..., None] - near[:, None]
+    shares = np.divide(to, apart, out=np.ones(apart.shape), where=apart != 0)
+    found[short[inside]] = np.sum(np.prod(shares, axis=2) * found[near], axis=1)
     return found
 
 
