@@ -17,44 +17,32 @@ KEPT = 2**6
 """Answers of a search that are kept: of the signals of a recording or two."""
 
 
-class _Asked:
-    """Arguments, compared by what arrays among them hold; they are held until they are taken."""
-
-    def __init__(self, given: tuple[Any, ...]) -> None:
-        leaves, structure = jax.tree.flatten(given)
-        self._key = structure, *map(_content, leaves)
-        self._given = [given]
-
-    def take(self) -> tuple[Any, ...]:
-        """The arguments, once: what is kept of a call is no reason to keep its samples."""
-        return self._given.pop()
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Asked) and self._key == other._key
-
-
-def _content(leaf: Any) -> Any:
-    if not isinstance(leaf, np.ndarray):
-        return leaf
-    digest = hashlib.sha1(np.ascontiguousarray(leaf), usedforsecurity=False).digest()
-    return leaf.shape, leaf.dtype.str, digest
-
-
 def once(search: Callable[Given, Answer]) -> Callable[Given, Answer]:
     """A function of samples that answers from memory if it is asked the same again.
 
-    Samples are compared by their digest, which takes a thousandth of the time that a search takes.
+    Samples are compared by their digest, which takes a thousandth of the time that a search takes,
+    and keeps none of them.
     """
-
-    @functools.lru_cache(KEPT)
-    def answer(asked: _Asked) -> Any:
-        return search(*asked.take())
+    # An answer in a tuple of its own: it may be `None`.
+    kept: dict[Any, tuple[Answer]] = {}
 
     @functools.wraps(search)
-    def asked(*given: Given.args, **_: Given.kwargs) -> Answer:
-        return answer(_Asked(given))
+    def asked(*given: Given.args, **named: Given.kwargs) -> Answer:
+        leaves, structure = jax.tree.flatten((given, named))
+        key = structure, *map(_content, leaves)
+        found = kept.get(key)
+        if found is None:
+            found = kept[key] = (search(*given, **named),)
+            for oldest in list(kept)[:-KEPT]:
+                kept.pop(oldest, None)
+        return found[0]
 
     return asked
+
+
+def _content(leaf: Any) -> Any:
+    """What it is compared by."""
+    if not isinstance(leaf, np.ndarray):
+        return leaf
+    digest = hashlib.sha1(leaf.tobytes(), usedforsecurity=False).digest()
+    return leaf.shape, leaf.dtype.str, digest
