@@ -173,10 +173,11 @@ def words(document: dict[str, Any]) -> str:
         ]
     if (found := document.get("each")) is not None:
         said += [
-            f"\n**Each recording**, of {found['recordings']}: to read it and `identify` from it "
-            f"takes {1e3 * found['identify_seconds']:.0f} ms of one core. In a fleet with one "
-            f"worker it takes {1e3 * found['fleet_seconds']:.0f} ms of all processes together: "
-            f"their start, checks of sensors, a look for drift, all sums on disk and the report "
+            f"\n**Each recording**, of {found['recordings']}, beside other work: to read it and "
+            f"`identify` from it takes {1e3 * found['identify_seconds']:.0f} ms of one core. In a "
+            f"fleet with one worker it takes {1e3 * found['fleet_seconds']:.0f} ms of all "
+            f"processes together: their start, checks of sensors, a look for drift, all sums on "
+            f"disk and the report "
             f"included.",
         ]
     if (found := document.get("breaks")) is not None:
