@@ -24,6 +24,18 @@ TINY = 1e-300
 """In place of a size of zero, which nothing is a share of."""
 
 
+class PlainMethods:
+    """What a module of Equinox's derives from for methods as Python binds them.
+
+    Equinox makes a pytree of each method that is looked up, so that it may be an argument of what
+    is traced; that takes fifty times as long, and what is asked hundreds of times of a recording
+    is called, not passed on: `jax.jit(type(term).functions)(term, x)` in place of
+    `jax.jit(term.functions)(x)`.
+    """
+
+    __getattribute__ = object.__getattribute__
+
+
 def as_leaf(value: ArrayLike | Array) -> Leaf:
     """A float array of the value; JAX arrays pass unchanged."""
     if isinstance(value, jax.Array):

@@ -17,7 +17,7 @@ from tests.machines import drag_fleet as drives
 import riecjax as rx
 from nightly import nightly
 from riecjax.fleets import engine as module
-from riecjax.fleets.engine import Cluster, Engine, Here, Lost, engine
+from riecjax.fleets.engine import Each, Lost, engine
 from riecjax.models.catalogue import object_of_file
 
 BESIDE = """
@@ -50,27 +50,25 @@ MODEL = rx.Equation(
 """
 
 
-def answers(runs: Engine, task: Callable[[list[int]], Any]) -> dict:
+def answers(each: Each, task: Callable[[list[int]], Any]) -> dict:
     """To three numbers, each answer or why there is none."""
     found = {}
-    for numbers, answer in runs.each(task, range(3), lambda _: module.LARGEST):
+    for numbers, answer in each(task, range(3), lambda _: module.LARGEST):
         found |= zip(numbers, [answer] if isinstance(answer, Lost) else answer)
     return found
 
 
 def test_without_processes_tasks_are_done_here():
-    runs = engine(0, None)
-    assert isinstance(runs, Here)
-    assert answers(runs, squares) == {n: n**2 for n in range(3)}
+    with engine(0) as each:
+        assert answers(each, squares) == {n: n**2 for n in range(3)}
 
 
 @pytest.mark.slow
 def test_processes_that_end_cost_no_task_and_one_that_ends_all_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "LOST_WORKERS", 2)
-    with Cluster(2) as runs:
-        assert runs.workers == 2
-        assert answers(runs, partial(dies_at_first, tmp_path)) == {n: n for n in range(3)}
-        found = answers(runs, dies)
+    with engine(2) as each:
+        assert answers(each, partial(dies_at_first, tmp_path)) == {n: n for n in range(3)}
+        found = answers(each, dies)
     assert isinstance(found.pop(1), Lost)
     assert found == {0: 0, 2: 2}
 
@@ -101,12 +99,12 @@ def test_a_model_that_cannot_be_sent_or_read_elsewhere_is_said(monkeypatch):
     here = ModuleType("only_here")
     exec("def drag(signals): return signals", vars(here))
     monkeypatch.setitem(sys.modules, "only_here", here)
-    with Cluster(1) as runs:
+    with engine(1) as each:
         with pytest.raises(rx.ModelError, match=r"cannot be sent to other processes: .*workers=0"):
-            answers(runs, partial(print, threading.Lock()))
+            answers(each, partial(print, threading.Lock()))
         with pytest.raises(rx.DataError, match=r"cannot read the model: ModuleNotFound.*only_here"):
-            answers(runs, here.drag)
-        assert answers(runs, squares) == {n: n**2 for n in range(3)}
+            answers(each, here.drag)
+        assert answers(each, squares) == {n: n**2 for n in range(3)}
 
 
 def started() -> tuple[subprocess.Popen[str], str]:
@@ -124,10 +122,10 @@ def started() -> tuple[subprocess.Popen[str], str]:
 def test_a_scheduler_that_is_killed_ends_the_run_in_words():
     process, address = started()
     try:
-        with Cluster(scheduler=address) as runs:
+        with engine(scheduler=address) as each:
             process.send_signal(signal.SIGKILL)
             with pytest.raises(rx.DataError, match=r"is gone\. What was summed is kept"):
-                answers(runs, squares)
+                answers(each, squares)
     finally:
         process.kill()
         process.communicate()
@@ -135,8 +133,10 @@ def test_a_scheduler_that_is_killed_ends_the_run_in_words():
 
 def test_a_scheduler_that_does_not_answer_is_said(monkeypatch):
     monkeypatch.setattr(module, "WAITS", 1.0)
-    with pytest.raises(rx.DataError, match=r"no scheduler of Dask answers at tcp://127\.0\.0\.1:9"):
-        Cluster(scheduler="tcp://127.0.0.1:9")
+    silent = "tcp://127.0.0.1:9"
+    refused = pytest.raises(rx.DataError, match=f"no scheduler of Dask answers at {silent}")
+    with refused, engine(scheduler=silent):
+        raise AssertionError("it answered")
 
 
 def test_processes_that_do_not_start_are_said(monkeypatch):
@@ -146,5 +146,5 @@ def test_processes_that_do_not_start_are_said(monkeypatch):
         raise RuntimeError("Nanny failed to start.")
 
     monkeypatch.setattr(distributed, "LocalCluster", failing)
-    with pytest.raises(rx.DataError, match="processes do not start: Nanny failed"):
-        Cluster(1)
+    with pytest.raises(rx.DataError, match="processes do not start: Nanny failed"), engine(1):
+        raise AssertionError("they started")

@@ -19,7 +19,7 @@ from riecjax.arrays import Array
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.expressions import Expression, called, combined, evaluate, source_of
 from riecjax.errors import DataError, ModelError, require, users_code
-from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number
+from riecjax.leaves import Leaf, PlainMethods, as_leaf, is_concrete, is_number
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 
@@ -44,7 +44,7 @@ def _number(what: str, value: Any) -> Leaf:
 _factor = partial(_number, "the factor in front of a term")
 
 
-class AbstractTerm(eqx.Module):
+class AbstractTerm(PlainMethods, eqx.Module):
     """One or several columns of an equation: `factor x d^k/dt^k f_j(of)`, of a coefficient each.
 
     A class of your own names its `parameters` and says what its columns are: by `functions` of

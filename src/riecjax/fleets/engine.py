@@ -67,72 +67,70 @@ def batches(items: Iterable[Item], size: Callable[[Item], int], most: int) -> It
         yield batch
 
 
-class Here(contextlib.AbstractContextManager):
-    """This process, one task after the other."""
-
-    def each(
-        self, task: Task[Item], items: Iterable[Item], size: Callable[[Item], int]
-    ) -> Iterator[tuple[list[Item], Any]]:
-        """Some items at a time with the answer to them; see [`Cluster.each`][]."""
-        return ((batch, task(batch)) for batch in batches(items, size, TOGETHER))
-
-    def __exit__(self, *_: object) -> None:
-        """Nothing to end."""
+Each = Callable[[Task[Any], Iterable[Any], Callable[[Any], int]], Iterator[tuple[list[Any], Any]]]
+"""Some items at a time with the answer to them; see [`Cluster.each`][]."""
 
 
-class Cluster(contextlib.AbstractContextManager):
-    """Processes of this machine, one a core, or the workers of a scheduler elsewhere."""
+@contextlib.contextmanager
+def engine(workers: int | None = None, scheduler: str | None = None) -> Iterator[Each]:
+    """Where tasks run: so many processes of this machine, one a core unless it is said, none of
+    them for this one; or the workers of a scheduler elsewhere.
 
-    def __init__(self, workers: int | None = None, scheduler: str | None = None):
-        """Start the processes, or connect.
+    **Raises:** `DataError` where the processes do not start, or the scheduler does not answer.
+    """
+    if scheduler is None and workers == 0:
+        yield lambda task, items, size: ((b, task(b)) for b in batches(items, size, TOGETHER))
+        return
+    import dask.config
+    import distributed
 
-        **Raises:** `DataError` where the scheduler does not answer.
-        """
-        import dask.config
-        import distributed
-
-        self._scheduler = scheduler
-        self._processes: Any = None
-        with contextlib.ExitStack() as opened:
-            # What Dask logs of lost workers is told by the tasks that they cost.
-            log = logging.getLogger("distributed")
-            opened.callback(log.setLevel, log.level)
-            log.setLevel(logging.CRITICAL)
-            opened.enter_context(dask.config.set(SETTINGS))
-            try:
-                if scheduler is None:
-                    settings = {
-                        "n_workers": workers,
-                        "threads_per_worker": 1,
-                        "processes": True,
-                        # Not at a port that another fleet may have.
-                        "dashboard_address": "127.0.0.1:0",
-                        "scheduler_kwargs": {"dashboard": False},
-                        "host": "127.0.0.1",
-                        "local_directory": opened.enter_context(
-                            tempfile.TemporaryDirectory(prefix="riecjax-")
-                        ),
-                        "silence_logs": logging.CRITICAL,
-                    }
-                    self._processes = opened.enter_context(distributed.LocalCluster(**settings))
-                self._client = opened.enter_context(
-                    distributed.Client(
-                        scheduler or self._processes,
-                        timeout=WAITS,
-                        set_as_default=False,
-                        heartbeat_interval="2s",
-                    )
+    with contextlib.ExitStack() as opened:
+        # What Dask logs of lost workers is told by the tasks that they cost.
+        log = logging.getLogger("distributed")
+        opened.callback(log.setLevel, log.level)
+        log.setLevel(logging.CRITICAL)
+        opened.enter_context(dask.config.set(SETTINGS))
+        try:
+            processes = scheduler or opened.enter_context(
+                distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    # Not at a port that another fleet may have.
+                    dashboard_address="127.0.0.1:0",
+                    scheduler_kwargs={"dashboard": False},
+                    host="127.0.0.1",
+                    local_directory=opened.enter_context(
+                        tempfile.TemporaryDirectory(prefix="riecjax-")
+                    ),
+                    silence_logs=logging.CRITICAL,
                 )
-            except (OSError, ValueError, TimeoutError, RuntimeError) as error:
-                why = " ".join(str(error).split()).removesuffix(".")
-                raise DataError(
-                    f"no scheduler of Dask answers at {scheduler}: {why}."
-                    if scheduler
-                    else f"Dask's processes do not start: {why}. A script calls rx.fleet below "
-                    f"'if __name__ == \"__main__\":', since they import it."
-                ) from None
-            self._open = opened.pop_all()
-        self.workers = max(len(self._client.scheduler_info()["workers"]), 1)
+            )
+            client = opened.enter_context(
+                distributed.Client(
+                    processes, timeout=WAITS, set_as_default=False, heartbeat_interval="2s"
+                )
+            )
+        except (OSError, ValueError, TimeoutError, RuntimeError) as error:
+            why = " ".join(str(error).split()).removesuffix(".")
+            raise DataError(
+                f"no scheduler of Dask answers at {scheduler}: {why}."
+                if scheduler
+                else f"Dask's processes do not start: {why}. A script calls rx.fleet below "
+                f"'if __name__ == \"__main__\":', since they import it."
+            ) from None
+        started = max(len(client.scheduler_info()["workers"]), 1)
+        yield Cluster(client, started, None if scheduler else processes, scheduler).each
+
+
+class Cluster(NamedTuple):
+    """A client of Dask's with so many workers, the processes that were started for it, or else the
+    address of its scheduler."""
+
+    client: Any
+    workers: int
+    processes: Any
+    scheduler: str | None
 
     def each(
         self, task: Task[Item], items: Iterable[Item], size: Callable[[Item], int]
@@ -175,11 +173,11 @@ class Cluster(contextlib.AbstractContextManager):
         from distributed.comm.core import CommClosedError
 
         running: dict[Any, list[Item]] = {}
-        done = distributed.as_completed(loop=self._client.loop)
+        done = distributed.as_completed(loop=self.client.loop)
 
         def hand_over(count: int) -> None:
             for batch in itertools.islice(waiting, count):
-                future = self._client.submit(_by_worker, sent, batch, pure=False)
+                future = self.client.submit(_by_worker, sent, batch, pure=False)
                 running[future] = batch
                 done.add(future)
 
@@ -189,13 +187,13 @@ class Cluster(contextlib.AbstractContextManager):
             while not done.has_ready():
                 with done.thread_condition:
                     done.thread_condition.wait(0.1)
-                if self._processes is None or self._processes.scheduler.workers:
+                if self.processes is None or self.processes.scheduler.workers:
                     alive = time.monotonic()
                 elif time.monotonic() - alive > 2 * WAITS:
                     raise self._gone()
                 # One that ends while it starts, as on a busy machine, does not come back by itself.
-                if self._processes is not None and len(self._processes.workers) < self.workers:
-                    self._processes.scale(self.workers)
+                if self.processes is not None and len(self.processes.workers) < self.workers:
+                    self.processes.scale(self.workers)
             future = next(done)
             hand_over(1)
             if future.status == "cancelled":  # as all are whose scheduler has ended
@@ -210,17 +208,11 @@ class Cluster(contextlib.AbstractContextManager):
             yield running.pop(future), answer
 
     def _gone(self) -> DataError:
-        gone = (
-            f"the scheduler at {self._scheduler} is" if self._scheduler else "Dask's processes are"
-        )
+        gone = f"the scheduler at {self.scheduler} is" if self.scheduler else "Dask's processes are"
         return DataError(
             f"{gone} gone. What was summed is kept: run the same command again, which goes on from "
             f"there."
         )
-
-    def __exit__(self, *given: Any) -> None:
-        """End the client, and the processes that were started."""
-        self._open.__exit__(*given)
 
 
 def _by_worker(sent: bytes, items: list[Any]) -> Any:
@@ -242,11 +234,3 @@ def _arrived(sent: bytes) -> Task[Any]:
         return deserialize_bytes(sent)
     except Exception as error:
         raise DataError(f"a process of Dask's cannot read the model: {reason_of(error)}") from error
-
-
-Engine = Here | Cluster
-
-
-def engine(workers: int | None, scheduler: str | None) -> Engine:
-    """Where tasks run: `workers` processes, none of them for this one; or a scheduler's workers."""
-    return Here() if scheduler is None and workers == 0 else Cluster(workers, scheduler)

@@ -13,7 +13,7 @@ from riecjax.equations import as_model, with_rests
 from riecjax.errors import require
 from riecjax.extensions import require_packages
 from riecjax.fleets import kept
-from riecjax.fleets.engine import Engine, Lost, engine
+from riecjax.fleets.engine import Each, Lost, engine
 from riecjax.fleets.groups import Entry, estimated, grouped, named
 from riecjax.fleets.order import DONE, Order, Row, lost, sum_up
 from riecjax.fleets.report import Fleet
@@ -81,17 +81,17 @@ def fleet(
             order = asked.fitted(sources)
         kept.make_folder(folder)
         store = None if has_table else kept.SumStore(folder, order)
-        runs = stack.enter_context(engine(settings.workers, settings.scheduler))
+        each = stack.enter_context(engine(settings.workers, settings.scheduler))
         changed: list[str] = []
         if store is not None:
             pieces = [*order.pieces_of(sources)]
-            _sum(order, pieces, store, runs, tell)
+            _sum(order, pieces, store, each, tell)
             table = store.finish([piece.identity for piece in pieces])
             later = [piece for piece in order.pieces_of(look()) if piece.identity not in store]
             changed = sorted({piece.source.name for piece in later})
         rows = (row.without_sums for row in kept.read_rows(table))
         pairs = named(rows, settings.keys, settings.allow_duplicates)
-        entries, over_time = _estimate(order, pairs, kept.read_rows(table), runs, tell)
+        entries, over_time = _estimate(order, pairs, kept.read_rows(table), each, tell)
         if settings.out is not None:
             kept.write_batches(folder / kept.ESTIMATES, Entry, [[*entries, *over_time]], {})
     found = Fleet(
@@ -109,7 +109,7 @@ def fleet(
 
 
 def _sum(
-    order: Order, pieces: Sequence[Piece], store: kept.SumStore, runs: Engine, tell: Progress
+    order: Order, pieces: Sequence[Piece], store: kept.SumStore, each: Each, tell: Progress
 ) -> None:
     """Keep the rows of all pieces, of which those that are kept already are not summed again.
 
@@ -121,7 +121,7 @@ def _sum(
         return
     done, samples = len(pieces) - len(lacking), 0
     tell("summing", done, len(pieces), samples)
-    for some, rows in runs.each(functools.partial(sum_up, order), lacking, lambda p: p.source.size):
+    for some, rows in each(functools.partial(sum_up, order), lacking, lambda p: p.source.size):
         if isinstance(rows, Lost):
             rows = [lost(piece, f"{piece.source.name}: {rows.why}.") for piece in some]
         failures = [row.status for row in rows if row.status != DONE]
@@ -137,7 +137,7 @@ def _estimate(
     order: Order,
     pairs: Sequence[tuple[str, Row]],
     whole: Iterable[Row],
-    runs: Engine,
+    each: Each,
     tell: Progress,
 ) -> tuple[list[Entry], list[Entry]]:
     """Entries of all groups, and of all spans of time; of rows that have no sums, why.
@@ -148,7 +148,7 @@ def _estimate(
     done, entries, over_time = 0, [], []
     tell("estimating", 0, count, 0)
     groups = grouped(pairs, whole, order.settings.keys, order.settings.span is not None)
-    for some, answers in runs.each(
+    for some, answers in each(
         functools.partial(estimated, order), groups, lambda group: group.size
     ):
         if isinstance(answers, Lost):

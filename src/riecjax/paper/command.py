@@ -46,7 +46,7 @@ def command(given: Given) -> None:
     from riecjax.paper.charts import study_charts
     from riecjax.paper.claims import evaluate_claims
     from riecjax.paper.report import print_reproduction, reproduction_document, reproduction_page
-    from riecjax.paper.reproduction import FULL, QUICK, run_study, write_variations
+    from riecjax.paper.reproduction import FULL, QUICK, run_study
     from riecjax.reporting import emit, require_folder
 
     if out is not None:
@@ -58,9 +58,6 @@ def command(given: Given) -> None:
         study = run_study(scale, key, shapes, progress.count)
         progress.count("statements", 0, 1)
         claims = evaluate_claims(study.parts)
-    others, further = {}, study.further
-    if further is not None:
-        others["variations.parquet"] = functools.partial(write_variations, further.variations)
     emit(
         reproduction_document(study, claims, seed=given.seed),
         as_json=given.as_json,
@@ -68,5 +65,4 @@ def command(given: Given) -> None:
         show=print_reproduction,
         charts=functools.partial(study_charts, study, shapes),
         page=reproduction_page,
-        others=others,
     )

@@ -4,15 +4,12 @@ Parameters of identified models are arrays whose last axis is in the order of [`
 """
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Array, Bool, Float, Key
 
 import riecjax as rx
@@ -41,7 +38,6 @@ from riecjax.simulation import (
 from riecjax.studies import over_keys
 from riecjax.summaries import NormalEquations, stage_normal_equations
 from riecjax.validation import percentage_error
-from riecjax.whole_files import stamp
 
 TRUE_MASSES = {"M_us": 30.0, "M_s": 300.0}
 TRUE = {**TRUE_MASSES, "K_t": 180e3, "K_s": 20e3}
@@ -455,46 +451,6 @@ class VariedStudy(NamedTuple):
         errors = self.cases[case].errors[:, :, models, INPUTS.index(where)].sum(axis=-1)
         kept = self.cases[case].successful[:, :, models] & np.isfinite(errors)
         return np.where(kept, errors, np.inf).mean(axis=-1)
-
-
-def variations_table(study: VariedStudy) -> pa.Table:
-    """A row for each case, road, bandwidth, method and draw of windows.
-
-    Errors are infinite where a model lost its solution.
-    """
-    tables = []
-    for case, varied in study.cases.items():
-        roads, bandwidths, models = varied.successful.shape
-        # DOLS has no draws; RIEC's are numbered.
-        methods = [("DOLS", 0), *(("RIEC", draw) for draw in range(models - 1))]
-        road, band, model = (axis.ravel() for axis in np.indices((roads, bandwidths, models)))
-        parameters = varied.parameters.reshape(-1, len(PARAMETERS))
-        simulated = varied.successful.ravel()
-        errors = varied.errors.reshape(simulated.size, -1)
-        errors = np.where(simulated[:, None] & np.isfinite(errors), errors, np.inf)
-        states = range(1, 1 + len(VALIDATED_STATES))
-        names = [f"{where} p_{i} [%]" for where in INPUTS for i in states]
-        columns = {
-            "case": [case] * road.size,
-            "road": road.astype(np.int32),
-            "bandwidth [Hz]": study.bandwidths[band],
-            "method": [methods[m][0] for m in model],
-            "draw": np.array([methods[m][1] for m in model], np.int32),
-            **{f"{n} [{UNITS[n]}]": parameters[:, i] for i, n in enumerate(PARAMETERS)},
-            **{name: errors[:, i] for i, name in enumerate(names)},
-            "simulated": simulated,
-        }
-        tables.append(pa.table(columns))
-    return pa.concat_tables(tables)
-
-
-def write_variations(study: VariedStudy, file: Path) -> None:
-    """The table as one Parquet file, whose pages have checksums and which bears a [`stamp`][].
-
-    **Raises:** `OSError` for a file that cannot be written.
-    """
-    table = variations_table(study).replace_schema_metadata({b"riecjax": stamp(file)})
-    pq.write_table(table, file, write_page_checksum=True)
 
 
 BANDWIDTHS = (6.0, 15.0, 30.0)

@@ -14,6 +14,7 @@ so covariances between signals, and between samples of one, all follow from the 
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
@@ -300,12 +301,18 @@ def usual_size(contrasts: Float[Leaf, "*batch n"]) -> Float[Leaf, "*batch"]:
     # take longer than all else. Drawn at random, they miss no phase of what is periodic.
     some = sizes
     if (n := sizes.shape[-1]) > SORTED:
-        some = sizes[..., np.random.default_rng(0).choice(n, SORTED, replace=False)]
+        some = sizes[..., _drawn(n)]
         some = xp.where(xp.isnan(some).all(-1, keepdims=True), 0.0, some)
     # Of a normal law, 6e-5 lie beyond four standard deviations, and 1e-3 of the squares' sum.
     kept = sizes <= 4 * xp.nanmedian(some, axis=-1, keepdims=True) / NORMAL
     share = xp.sum(xp.where(kept, sizes, 0.0) ** 2, -1) / xp.maximum(xp.sum(kept, -1), 1)
     return xp.sqrt(share / 0.9989)
+
+
+@functools.lru_cache
+def _drawn(count: int) -> Int[np.ndarray, " some"]:
+    """`SORTED` of so many places, each once; the same whenever it is asked."""
+    return np.random.default_rng(0).choice(count, SORTED, replace=False)
 
 
 # A record has hundreds of them, which JAX takes apart faster than Equinox's modules.

@@ -310,7 +310,7 @@ def _curve(
         samples = variable[valid][:MOST_POINTS], left[:MOST_POINTS]
     x = variable if sampled.present is None else variable[np.asarray(sampled.present)]
     grid = np.linspace(x.min(), x.max(), GRID)
-    functions = np.asarray(eqx.filter_jit(term.functions)(jnp.asarray(grid)))
+    functions = np.asarray(eqx.filter_jit(type(term).functions)(term, jnp.asarray(grid)))
     values = np.array([float(estimate[name]) for name in term.parameters])
     # sqrt(b(x)^T C b(x)): the covariance of the coefficients, those held at a value left out.
     free = [i for i, name in enumerate(term.parameters) if name in estimate.parameters]

@@ -30,6 +30,7 @@ from jaxtyping import Bool, Float, Int
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
+from riecjax.records.faults.once import once
 from riecjax.records.faults.sampled_signal import (
     LAST_DIGITS,
     ROUNDING,
@@ -138,6 +139,7 @@ class Spikes(NamedTuple):
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
+@once
 @np.errstate(all="ignore")
 def find_spikes(values: Samples) -> Spikes:
     """The spikes of a signal, NaN where samples are missing."""
@@ -186,19 +188,22 @@ def _judged(
         usual = np.median(around[around > 0]) if np.any(around > 0) else 0.0
         around = np.maximum(np.where(np.isnan(around), usual, around), STEADIEST * usual)
         noise = np.maximum(around, quantum)
-        # Motion that no polynomial follows: what a fifth reaches nearby, in differences and off the
-        # polynomials, which 5 % of spikes hardly raise.
-        bends = _by_block(sixth, TAIL_BLOCK, sixth.size, _fifth)
-        followed = local.gain * _by_block(local.off(cleaned), TAIL_BLOCK, scaled.size, _fifth)
         large = np.zeros(scaled.size, bool)
-        large[half:-half] = sixth > np.maximum(SUSPECT * noise[half:-half], 2 * bends)
+        large[half:-half] = sixth > SUSPECT * noise[half:-half]
+        if large.any():
+            # Motion that no polynomial follows: what a fifth reaches nearby, which 5 % of spikes
+            # hardly raise; below the same off the polynomials.
+            bends = _by_block(sixth, TAIL_BLOCK, sixth.size, _fifth)
+            large[half:-half] &= sixth > 2 * bends
         of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
         pairs = of_two > LARGE * noise[half : -half - 1]
         if pairs.any() and np.median(noise) > local.error(cleaned) / 2:
             large[half : -half - 1] |= pairs
-        # The first and last three samples stand in the middle of no difference.
-        near = np.convolve(large, np.ones(DIFFERENCE_ORDER + 1), "same") > 0
-        near &= local.stands_out(cleaned)
+        near = large
+        if large.any():
+            # The first and last three samples stand in the middle of no difference.
+            near = np.convolve(large, np.ones(DIFFERENCE_ORDER + 1), "same") > 0
+            near &= local.stands_out(cleaned)
         suspects = np.flatnonzero((near | ends) & ~np.isnan(cleaned) & (sizes == 0))
         if not 0 < suspects.size <= MOST_SUSPECTS * scaled.size:
             break
@@ -209,14 +214,17 @@ def _judged(
         noise_of_kept[anew] = noise[anew]
         fit, scale, *_ = kept[:, suspects]
         off = np.abs(scaled[suspects] - fit)
+        beyond = off > SPIKE * scale
+        if beyond.any():
+            rest = _by_block(local.off(cleaned), TAIL_BLOCK, scaled.size, _fifth)
+            beyond &= off > USUAL_TAIL * local.gain * rest[suspects]
+        if not beyond.any():
+            break
         # A spike spoils the polynomials of its neighbours: the largest first.
         largest = np.zeros(scaled.size + 2 * BESIDE)
-        beyond = off > np.maximum(SPIKE * scale, USUAL_TAIL * followed[suspects])
         largest[suspects + BESIDE] = np.where(beyond, off, 0.0)
         nearby = np.lib.stride_tricks.sliding_window_view(largest, 2 * BESIDE + 1).max(axis=1)
         new = beyond & (off >= nearby[suspects])
-        if not new.any():
-            break
         sizes[suspects[new]], cleaned[suspects[new]] = (off / scale)[new], fit[new]
         reach = np.arange(-BESIDE - LONGEST, BESIDE + LONGEST + 1)
         kept[0, np.clip(suspects[new][:, None] + reach, 0, scaled.size - 1)] = np.nan

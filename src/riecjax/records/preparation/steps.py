@@ -80,6 +80,8 @@ def prepare(
         *((differentiate, (signal, name)) for name, signal in p.derivatives.items()),
     ]
     for step, asked in steps:
+        if asked == ({},):  # of no signal
+            continue
         ops = dict(step.ops(record, *asked))
         record = record.through(ops)
         words += words_of(ops)
