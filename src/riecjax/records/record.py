@@ -18,7 +18,7 @@ from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.extensions import require_packages
-from riecjax.leaves import is_concrete
+from riecjax.leaves import PlainMethods, is_concrete
 from riecjax.records.signal import Noise, Signal, SignalNoise, both
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn
@@ -49,7 +49,7 @@ class Signals(UserDict[str, Array]):
         return super().__getitem__(name)
 
 
-class Record(Drawn, eqx.Module):
+class Record(PlainMethods, Drawn, eqx.Module):
     """Uniformly sampled, named signals of one recording.
 
     A record is a pytree: its arrays trace, vmap and differentiate. Build one from user data with
