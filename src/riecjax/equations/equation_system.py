@@ -28,10 +28,10 @@ Hidden modes, and springs in series, are written out: their states are further o
 forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_elements`).
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -44,26 +44,17 @@ from riecjax.equations.expressions import Expression, label_of, signals_read
 from riecjax.equations.hidden_elements import HiddenState, SpringElement
 from riecjax.equations.term import AbstractTerm, made_by, reversing_states
 from riecjax.errors import ModelError, users_code
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
 
+if TYPE_CHECKING:
+    from riecjax.equations.model import Model
+
 Motion = tuple[str, ...]
 """A signal, and the names of its derivatives up to the leading one."""
-
-
-class WrittenOut(NamedTuple):
-    """Equations with hidden elements written out in them.
-
-    **Fields:** `equations`; `rates`, expressions for the derivatives of further states; `hidden`
-    states of the elements; `springs` in series with force elements.
-    """
-
-    equations: tuple[Equation, ...]
-    rates: Mapping[str, Expression]
-    hidden: tuple[HiddenState, ...]
-    springs: tuple[SpringElement, ...]
 
 
 def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
@@ -273,21 +264,34 @@ class EquationSystem(AbstractSystem):
 
 
 def read_system(
+    model: "Model",
     label: str,
-    written: WrittenOut,
-    values: dict[str, Array],
-    inputs: frozenset[str],
-    listed: tuple[str, ...],
+    values: Mapping[str, Leaf | float],
+    rates: Mapping[str, Expression],
+    inputs: Sequence[str],
     units: Mapping[str, str],
 ) -> EquationSystem:
-    """The system of equations that are to be simulated, forces of hidden elements among them.
+    """The system that a model's equations describe, its hidden elements written out in them.
 
-    **Arguments:** `listed`, signals in the model's order, which is that of states.
-
-    **Raises:** `ModelError` if they cannot be, whatever their coefficients; see
-    [`equation_system`][].
+    **Raises:** `ModelError` if they cannot be simulated; see [`equation_system`][].
     """
-    equations, rates, hidden, springs = written
+    given = {**model.known, **values}
+    if unset := [name for name in model.parameter_names if name not in given]:
+        raise ModelError(f"{label}: no value is given for {', '.join(unset)}.")
+    numbers = {name: xp.asarray(given[name], float) for name in model.parameter_names}
+    for name, number in numbers.items():
+        if number.shape != ():
+            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
+    rates = {**{memory.state: memory for memory in model.memories}, **rates}
+    equations, hidden = model.equations, []
+    springs = tuple(SpringElement.of(spring, equations) for spring in model.springs)
+    for spring in springs:
+        equations = tuple(map(spring.written_out, equations))
+    for mode in model.modes:
+        equations, of_mode, of_mass = mode.written_out(equations)
+        rates |= of_mode
+        hidden += of_mass
+    hidden += (spring.state for spring in springs)
     # State signals in order of appearance, each with its longest chain of derivatives.
     differentiated = [term for equation in equations for term in equation.terms if term.derivative]
     moving = [
@@ -367,8 +371,9 @@ def read_system(
             f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
             f"unknown(s) ({', '.join(unknowns)}). {remedy}"
         )
-    carried = [state.name for state in hidden]
-    place = {name: i for i, name in enumerate((*listed, "", *carried))}
+    # States in the model's order, those of hidden elements last.
+    listed, carried = (*model.signals, *model.inputs), [state.name for state in hidden]
+    place = {name: i for i, name in enumerate((*(q.name for q in listed), "", *carried))}
     lower = (name for motion in motions for name in motion[:-1])
     unsorted = dict.fromkeys((*lower, *rates, *carried))
     states = sorted(unsorted, key=lambda name: place.get(name, place[""]))
@@ -407,13 +412,14 @@ def read_system(
     )
     # A derivative of a state has its name from the simulation, others the recorded one.
     derivatives = {f"d{name}" for name in states}
+    stated = {q.name: q.unit for q in listed if q.unit} | {s.name: s.unit for s in hidden}
 
     def with_units(names: Iterable[str]) -> Quantities:
-        return tuple((name, units.get(name, "")) for name in names)
+        return tuple((name, units.get(name, stated.get(name, ""))) for name in names)
 
-    return EquationSystem(
+    system = EquationSystem(
         equations=equations,
-        values=values,
+        values=numbers,
         springs=springs,
         states=with_units(states),
         inputs=with_units(driving),
@@ -421,10 +427,13 @@ def read_system(
         motions=motions,
         rates=tuple(rates.items()),
         unknowns=unknowns,
-        hidden=hidden,
+        hidden=tuple(hidden),
         reversing=reversing_states(terms, states, (*states, *unknowns, *driving)),
         implicit=implicit,
     )
+    if is_concrete(equations, numbers):
+        require_solvable(label, system)
+    return system
 
 
 def require_solvable(label: str, system: EquationSystem) -> None:
