@@ -10,7 +10,6 @@ windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Self
 
@@ -230,13 +229,11 @@ class AbstractCriterion(eqx.Module):
 
         **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
         """
-        if not (noisy.white or noisy.coloured):
-            return None
 
-        weights_of = functools.partial(
-            self.test_function.noise_weights, noisy.columns, blocks=blocks
-        )
-        return noise_moments(noisy, windows, blocks, weights_of, products)
+        def white_weights() -> Array | None:
+            return self.test_function.noise_weights(noisy.columns, windows, blocks)
+
+        return noise_moments(noisy, blocks, white_weights, products)
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
@@ -255,8 +252,7 @@ class DOLS(AbstractCriterion):
 
     def noisy_columns(self, equation: Equation, record: Record) -> NoisyColumns:
         """An equation's columns, as if there was no noise."""
-        columns = sampled_columns(equation, record, self.smoothness)
-        return NoisyColumns(columns, {}, {}, (), Noise())
+        return noisy_columns(equation, record, self.smoothness, Noise())
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -313,7 +309,6 @@ class RIEC(AbstractCriterion):
 
         **Raises:** `ModelError` unless 0 < low < high.
         """
-        Boxcar().lengths_of_band(band)  # refuses what is no band
         weight = test_function or Boxcar()
         require("the test function", weight, AbstractTestFunction, "rx.Hat(), an object")
         return cls(AllWindows(*weight.lengths_of_band(band)), weight)

@@ -36,7 +36,7 @@ from jaxtyping import Float
 from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.criteria.all_windows import Points, Runs, interval_weights
-from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet, sum_over_bins
+from riecjax.criteria.windows import LagBins, StartBlocks, sum_over_bins
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
 
@@ -213,26 +213,29 @@ SIGNS = np.random.default_rng(7).integers(0, 2, (PROBES, 2**16), np.int8) * 2 - 
 
 def noise_moments(
     noisy: NoisyColumns,
-    windows: LagBins | WindowSet,
     blocks: StartBlocks,
-    weights_of: Callable[[LagBins | WindowSet], NoiseWeights | None],
+    white_weights: Callable[[], NoiseWeights | None],
     products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]],
-) -> tuple[
-    Float[Array, "*bins blocks columns columns"], Float[Array, "*bins sources columns columns"]
-]:
+) -> (
+    tuple[
+        Float[Array, "*bins blocks columns columns"], Float[Array, "*bins sources columns columns"]
+    ]
+    | None
+):
     """What noise adds to the moments of an equation, and what each of its sources adds to those of
-    all blocks.
+    all blocks; `None` without any.
 
-    **Arguments:** `windows`, the law of all that start in the blocks, or those drawn; `weights_of`
-    white noise at each sample, without which there is no closed form; `products`, sums of outer
-    products of the rows that columns make, for blocks of starts.
+    **Arguments:** `white_weights`, of white noise at each sample, if there is a closed form;
+    `products`, sums of outer products of the rows that columns make, for blocks of starts.
     """
+    if not (noisy.white or noisy.coloured):
+        return None
     columns, noise = noisy.columns, noisy.noise
     width = columns.values.shape[1]
 
     # What is white, and at last what is added where columns are curved.
     squares = [*((1.0, movement) for movement in noisy.white.values()), *noisy.curved]
-    weights = weights_of(windows) if squares else None
+    weights = white_weights() if squares else None
     if weights is None:
         unit = np.ones(1)
         added = [times * _probed([(m, unit)], columns, products) for times, m in squares]

@@ -509,7 +509,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
 
         def of_length(bin_: LagBins) -> tuple[Array, Array]:
             at = self._whole(columns, bin_.first, blocks).astype(columns.values.dtype)
-            return at, self._weights(bin_.first, columns)
+            return at, self._weights(bin_.first, at.size, columns.time_step.astype(at.dtype))
 
         def of_law(law: LagBins) -> NoiseWeights:
             orders = self.smoothness + 1
@@ -536,16 +536,16 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
                 for order, part in enumerate(columns.values)
             ]
         )
-        n = columns.sample_count
+        n, step = columns.sample_count, columns.time_step.astype(values.dtype)
         size = xp.fft_size(n)
         spectrum = xp.fft.rfft(values, size, axis=-1)
 
         def everywhere(length: Leaf) -> Float[Array, "columns n"]:
             # Classes with arrays of their own cannot be looked up.
-            if xp.are_traced(length, columns.time_step) or jax.tree.leaves(self):
-                weights = xp.fft.rfft(self._weights(length, columns), size, axis=-1)
+            if xp.are_traced(length, step) or jax.tree.leaves(self):
+                weights = xp.fft.rfft(self._weights(length, n, step), size, axis=-1)
             else:
-                weights = _spectrum(self, int(length), n, float(columns.time_step))
+                weights = _spectrum(self, int(length), n, float(step))
             product = (spectrum * xp.conj(weights)[:, None, :]).sum(axis=0)
             return xp.fft.irfft(product, size, axis=-1)[:, :n]
 
@@ -572,17 +572,11 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         nearest = xp.round((drawn - lengths[0]) / xp.where(spacing > 0, spacing, 1.0))
         return xp.clip(nearest.astype(np.int32), 0, self.lengths - 1)
 
-    def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "1+s n"]:
-        """h psi_k at the samples of a window of `length` samples, k from 0 to the smoothness s."""
-        n, step = columns.sample_count, columns.time_step
-        if xp.are_traced(length, step):
-            return self._at_samples(length, n, step.astype(columns.values.dtype))
-        # No more than the window is worked through.
-        rows = self._at_samples(length, min(int(length) + 1, n), step)
-        return np.pad(rows, ((0, 0), (0, n - rows.shape[1])))
-
-    def _at_samples(self, length: Int[Leaf, ""], count: int, step: Leaf) -> Float[Array, "1+s n"]:
-        """h psi_k at so many samples."""
+    def _weights(self, length: Int[Leaf, ""], count: int, step: Leaf) -> Float[Array, "1+s n"]:
+        """h psi_k at the samples of a window of `length` samples, k from 0 to the smoothness s; at
+        so many samples where the length is traced, else at no more than the window has."""
+        if not xp.are_traced(length, step):
+            count = min(int(length) + 1, count)
         sample = np.arange(count)
         # By whole numbers: at the window's end |tau| is 1 but for rounding, and a compiler may
         # evaluate |tau| < 1 twice, once with fused multiply-adds, so that the masks differ.
@@ -619,7 +613,7 @@ def _spectrum(
     weight: AbstractSmoothTestFunction, length: int, count: int, step: float
 ) -> np.ndarray:
     """Fourier transform of h psi_k of windows of so many samples, among `count` samples."""
-    rows = weight._at_samples(np.asarray(length), min(length + 1, count), np.asarray(step))
+    rows = weight._weights(np.asarray(length), count, np.asarray(step))
     return np.fft.rfft(rows, xp.fft_size(count), axis=-1)
 
 
