@@ -9,11 +9,13 @@ from riecjax import Boxcar, Bump, Hat
 from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet
 from riecjax.equations.noisy_columns import Columns
 
-N, STEP = 40, 0.1
+N, STEP = 80, 0.1
 LAW = LagBins(np.array([5, 7]), np.array([6, 9]), np.array([1.5, 0.5]))
+LONG = LagBins(np.array([14, 17]), np.array([16, 19]), np.array([1.5, 0.5]))
+"""Where the ends of quadrature of high order do not overlap."""
 BUMPS = LagBins(np.array([9, 12]), np.array([9, 12]), np.array([1.5, 0.5]))
 PRESENT = np.ones(N, bool)
-PRESENT[[1, 23]] = False
+PRESENT[[9, 23]] = False
 
 
 def windows(test_function, law, present, blocks):
@@ -66,10 +68,15 @@ def of_bump(bump, values, found):
 
 
 @pytest.mark.parametrize("present", [None, PRESENT])
-@pytest.mark.parametrize("test_function", [Boxcar(2), Boxcar(4), Hat(2), Hat(4), Bump(3)], ids=repr)
+@pytest.mark.parametrize(
+    "test_function",
+    [Boxcar(2), Boxcar(4), Boxcar(8), Hat(2), Hat(4), Hat(6), Hat(8), Bump(3)],
+    ids=repr,
+)
 def test_weights_are_those_of_windows_one_by_one(test_function, present):
     law = BUMPS if isinstance(test_function, Bump) else LAW
-    blocks = StartBlocks(2, 14, 2)
+    law = LONG if getattr(test_function, "quadrature", 0) > 4 else law
+    blocks = StartBlocks(8, 14, 2)
     columns = Columns(
         jnp.zeros((test_function.smoothness + 1, 1, N)),
         None if present is None else jnp.asarray(present),

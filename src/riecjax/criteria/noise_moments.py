@@ -35,7 +35,7 @@ from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.criteria.all_windows import Points, Runs, interval_weights
+from riecjax.criteria.all_windows import Points, Runs, running_integral
 from riecjax.criteria.windows import LagBins, StartBlocks, sum_over_bins
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
@@ -67,20 +67,8 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
     """W_kl of hats, k and l of 0 to 2."""
     # Beside each of the three points weights differ from a triangle and its slope, by offsets j.
     start, middle, by_half, end = points
-    # p, `twice`: what two running quadratures in a row leave at an end of a triangle, beside the
-    # triangle. With z a shift by one sample, a running quadrature is N(z) / (1 - z), where N holds
-    # the weights of one interval; a triangle from 0 on is z / (1 - z)^2. So
-    # p(z) = (N(z)^2 - z) / (1 - z)^2. The interval that ends at a sample has weights from reach - 1
-    # samples after it on, backwards: their product begins at z^(-2 (reach - 1)).
-    once = _interval_ends(quadrature)
-    first = 2 * (quadrature // 2 - 1)
-    weights = interval_weights(quadrature, first // 2)
-    product = np.convolve(weights, weights)
-    product[1 + first] -= 1.0
-    quotient, rest = np.polynomial.polynomial.polydiv(product, [1.0, -2.0, 1.0])
-    assert np.allclose(rest, 0.0, atol=1e-12)
-    twice = {j - first: float(p) for j, p in enumerate(np.asarray(quotient))}
-    ends = {j: (max(j, 0) + twice.get(j, 0.0), once[j]) for j in once}
+    once, twice = (_left_by_pulse(quadrature, times) for times in (1, 2))
+    ends = {j: (twice[j], once[j]) for j in once}
     triangle = _square_ramp(start) - 4 * _ramp(by_half) - _square_ramp(end)
     ramp = 2 * (xp.cumsum(by_half, axis=-1) - 0.5 * by_half) - _ramp(start) + _ramp(end)
     flat = _covered(start, end) - middle
@@ -91,7 +79,7 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
     ramp = ramp + _at_ends(start, -end, odd)
     flat = flat + _at_ends(start, end, _end_squares(quadrature))
     for j in once:
-        p, turn, sign = twice.get(j, 0.0), once[j] - once[-j], np.sign(j)
+        p, turn, sign = twice[j] - max(j, 0), once[j] - once[-j], np.sign(j)
         own, halves = _shifted(middle, j), _shifted(by_half, j)
         triangle = triangle - 4 * p * halves + 4 * (p**2 + abs(j) * p) * own
         ramp = ramp + (turn - sign) * halves - (abs(j) * (turn - sign) + 2 * p * turn) * own
@@ -150,19 +138,23 @@ def _at_ends(start: Array, end: Array, weights: dict[int, float]) -> Array:
     )
 
 
-def _interval_ends(quadrature: int) -> dict[int, float]:
-    """sigma_j: weight of the sample j inwards from a window's end, 1 from some j on.
+def _left_by_pulse(quadrature: int, times: int) -> dict[int, float]:
+    """What so many running quadratures in a row leave of a pulse, at j samples after it: once, the
+    weight sigma_j of the sample j inwards from a window's end, and twice, that of a ramp.
 
-    The sum of what the intervals from the end on give that sample: interval i, between samples i
-    and i + 1 from the end, weighs sample j by its weight number j - i + reach - 1.
+    Beyond these j they are those of exact integrals, 0 or 1, and 0 or j.
     """
-    reach = quadrature // 2
-    weights = np.cumsum(interval_weights(quadrature, reach - 1)).tolist()
-    return dict(zip(range(-reach, reach + 1), [0.0, *weights]))
+    far = max(quadrature - 2, 0)
+    left = np.zeros((1, 4 * quadrature + 1))
+    left[0, 2 * quadrature] = 1.0
+    for _ in range(times):
+        left = running_integral(left, quadrature)
+    around = left[0, 2 * quadrature - far : 2 * quadrature + far + 1]
+    return dict(zip(range(-far, far + 1), around.tolist()))
 
 
 def _end_squares(quadrature: int) -> dict[int, float]:
-    return {j: w**2 - (j >= 0) for j, w in _interval_ends(quadrature).items()}
+    return {j: w**2 - (j >= 0) for j, w in _left_by_pulse(quadrature, 1).items()}
 
 
 def noise_weights_of_lengths(
