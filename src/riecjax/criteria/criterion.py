@@ -150,9 +150,9 @@ class AbstractCriterion(eqx.Module):
             return None
         # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
         # n - k starts; a bin's lags have n - k on average at its middle.
-        first, last, weight = (np.asarray(leaf, float) for leaf in self.law(record))
+        first, last, _ = (np.asarray(leaf, float) for leaf in self.law(record))
         starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
-        return float(np.sum(weight * (last - first + 1) * starts))
+        return float(np.sum((last - first + 1) * starts))
 
     def between(self, alpha: float | Array, beta: float | Array) -> Self:
         """The same with windows of other lengths.
@@ -309,6 +309,7 @@ class RIEC(AbstractCriterion):
 
         **Raises:** `ModelError` unless 0 < low < high.
         """
+        Boxcar().lengths_of_band(band)  # refuses what is no band
         weight = test_function or Boxcar()
         require("the test function", weight, AbstractTestFunction, "rx.Hat(), an object")
         return cls(AllWindows(*weight.lengths_of_band(band)), weight)

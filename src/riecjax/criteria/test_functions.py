@@ -146,7 +146,9 @@ class AbstractTestFunction(eqx.Module):
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
         """The law of window lengths on a record, in multiples of `length_multiple` samples."""
-        return windows.bins(record.sample_count, record.time_step, self.length_multiple)
+        law = windows.lags(record.sample_count, record.time_step, self.length_multiple)
+        shortest, longest = (xp.asarray(lag)[None] for lag in law)
+        return LagBins(shortest, longest, np.ones(1, record.time_step.dtype))
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts.
@@ -477,13 +479,10 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         return total, valid_windows(windows, columns.present)
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
-        """The law at `lengths` window lengths, 1 on average over these."""
-        bins = windows.bins(record.sample_count, record.time_step, 1)
-        lengths = self._lengths(bins.first[0], bins.last[-1])
-        length = lengths[:, None]
-        inside = (bins.first[None, :] <= length) & (length <= bins.last[None, :])
-        weights = xp.where(inside, bins.weight[None, :], 0.0).sum(axis=1)
-        return LagBins(lengths, lengths, weights / weights.mean())
+        """`lengths` window lengths, which count alike."""
+        ends = windows.lags(record.sample_count, record.time_step)
+        lengths = self._lengths(*map(xp.asarray, ends))
+        return LagBins(lengths, lengths, np.ones(self.lengths, record.time_step.dtype))
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
