@@ -258,7 +258,6 @@ def _weighted(
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
     *bins, _, _, n = weights.shape
     total = np.zeros((*bins, blocks.number, size, size), weights.dtype)
-    unit = np.ones((1, n), weights.dtype)
 
     def products(left: Array, right: Array) -> Array:
         """By blocks, all bins side by side."""
@@ -269,15 +268,9 @@ def _weighted(
 
     for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
         one, other = np.array(movement.rows[k]), np.array(movement.rows[m])
-        weight = weights[..., k, m, None, :]
-        if left.shape[1] == right.shape[1] == 1:
-            # What is the same at every sample stands before the sum.
-            part = products(weight, unit) * (left @ right.T).reshape(
-                (1,) * (len(bins) + 1) + (len(one), len(other))
-            )
-        else:
-            left = left.reshape((1,) * len(bins) + left.shape)
-            part = products(weight * left, right * unit)
+        left = xp.broadcast_to(left, (*bins, len(one), n))
+        right = xp.broadcast_to(right, (len(other), n))
+        part = products(weights[..., k, m, None, :] * left, right)
         place = (..., one[:, None], other[None, :])
         total = xp.with_entries(total, place, total[place] + part)
         if k != m:
