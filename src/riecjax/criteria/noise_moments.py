@@ -28,7 +28,6 @@ both add up to the same.
 import dataclasses
 from collections.abc import Callable, Sequence
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -155,35 +154,6 @@ def _left_by_pulse(quadrature: int, times: int) -> dict[int, float]:
 
 def _end_squares(quadrature: int) -> dict[int, float]:
     return {j: w**2 - (j >= 0) for j, w in _left_by_pulse(quadrature, 1).items()}
-
-
-def noise_weights_of_lengths(
-    of_length: Callable[[LagBins], tuple[Float[Array, " n"], Float[Array, "orders n"]]],
-    lengths: LagBins,
-    orders: int,
-    *,
-    beside: Any,
-) -> NoiseWeights:
-    """W_kl[u] = sum over lengths and t of starts[t] w_k[u - t] w_l[u - t], by Fourier transform.
-
-    **Arguments:** `of_length`, how many windows of a length start at each sample, and the weights
-    w_k inside of them; `lengths`, bins of one each; so many `orders` k; `beside`, what `of_length`
-    closes over.
-    """
-    one, other = np.triu_indices(orders)
-
-    def products(length: LagBins) -> Array:
-        at, inside = of_length(length)
-        # No window reaches beyond the samples, so that nothing wraps around.
-        size = xp.fft_size(at.size)
-        spectrum = xp.fft.rfft(inside[one] * inside[other], size, axis=-1)
-        spectrum = xp.fft.rfft(at, size)[None] * spectrum
-        return xp.fft.irfft(spectrum, size, axis=-1)[:, : at.size]
-
-    found = sum_over_bins(lengths, products, beside=beside)
-    place = np.zeros((orders, orders), int)
-    place[one, other] = place[other, one] = np.arange(one.size)
-    return found[place]
 
 
 # What sensor noise adds to a Gram matrix of rows, in expectation.

@@ -46,7 +46,6 @@ from riecjax.criteria.noise_moments import (
     NoiseWeights,
     boxcar_noise_weights,
     hat_noise_weights,
-    noise_weights_of_lengths,
     points_of_windows,
 )
 from riecjax.criteria.windows import (
@@ -502,17 +501,26 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def noise_weights(
         self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
     ) -> NoiseWeights | None:
-        """Of all windows, from the squares of each length's weights."""
+        """Of all windows: W_kl[u] is the sum over lengths and t of w_k[u - t] w_l[u - t], as often
+        as windows of a length start at t, by Fourier transform."""
         if not isinstance(windows, LagBins):
             return None
+        orders, n = self.smoothness + 1, columns.sample_count
+        one, other = np.triu_indices(orders)
+        place = np.zeros((orders, orders), int)
+        place[one, other] = place[other, one] = np.arange(one.size)
+        # No window reaches beyond the samples, so that nothing wraps around.
+        size, dtype = xp.fft_size(n), columns.values.dtype
 
-        def of_length(bin_: LagBins) -> tuple[Array, Array]:
-            at = self._whole(columns, bin_.first, blocks).astype(columns.values.dtype)
-            return at, self._weights(bin_.first, at.size, columns.time_step.astype(at.dtype))
+        def of_length(bin_: LagBins) -> Array:
+            starts = self._whole(columns, bin_.first, blocks).astype(dtype)
+            inside = self._weights(bin_.first, n, columns.time_step.astype(dtype))
+            spectrum = xp.fft.rfft(inside[one] * inside[other], size, axis=-1)
+            spectrum = xp.fft.rfft(starts, size)[None] * spectrum
+            return xp.fft.irfft(spectrum, size, axis=-1)[:, :n]
 
         def of_law(law: LagBins) -> NoiseWeights:
-            orders = self.smoothness + 1
-            return noise_weights_of_lengths(of_length, law, orders, beside=columns)
+            return sum_over_bins(law, of_length, beside=columns)[place]
 
         return each_bin(of_law, windows, beside=columns)
 
