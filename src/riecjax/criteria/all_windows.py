@@ -2,33 +2,33 @@
 
 **The sum.** phi[t] holds the primitives of an equation's 1 + p columns at sample t, the target
 first. A window that starts at t with lag k has the row d = phi[t + k] - phi[t] (boxcar), or
-phi[t + 2 k] - 2 phi[t + k] + phi[t] (hat, 2 k samples long). For each block B of starts, and a law
-w[k] of lags, the normal equations need
+phi[t + 2 k] - 2 phi[t + k] + phi[t] (hat, 2 k samples long). For each block B of starts, and some
+lags, the normal equations need
 
-    M = sum_{t in B} sum_k w[k] d d^T,    N = sum_{t in B} sum_k w[k]
+    M = sum_{t in B} sum_k d d^T,    N = sum_{t in B} sum_k 1
 
 over the windows that end within the record and hold no missing sample. One by one that costs
 O(N K p^2) for K lags.
 
-**Boxcar.** Let windows of total weight s[u] start at sample u and of total weight e[u] end there.
-Multiplied out, the squares depend on these weights alone, and the mixed products on one sum:
+**Boxcar.** Let s[u] windows start at sample u and e[u] windows end there. Multiplied out, the
+squares depend on these numbers alone, and the mixed products on one sum:
 
     M = sum_u (s[u] + e[u]) phi[u] phi[u]^T - X - X^T,
-    X = sum_t phi[t] c[t]^T,    c[t] = sum_k w[k] phi[t + k]
+    X = sum_t phi[t] c[t]^T,    c[t] = sum_k phi[t + k]
 
-Where w is constant from lag a to lag b (a bin of a law), c[t] is w times one difference of the
-running sum S[u] = sum_{v < u} phi[v], and so are s and e of the running count R of starts:
+Over lags from a to b (a bin) c[t] is one difference of the running sum S[u] = sum_{v < u} phi[v],
+and so are s and e of the running count R of starts:
 
-    c[t] = w (S[t + b + 1] - S[t + a])
-    s[t] = w (b - a + 1),    e[u] = w (R[u - a + 1] - R[u - b])
+    c[t] = S[t + b + 1] - S[t + a]
+    s[t] = b - a + 1,    e[u] = R[u - a + 1] - R[u - b]
 
 A bin costs O(N p). The bins' s, e and c are added up before the one product of O(N p^2).
 
-**Hat.** With m[u] the weight of windows whose middle is at u, likewise
+**Hat.** With m[u] the number of windows whose middle is at u, likewise
 
     M = sum_u (s[u] + 4 m[u] + e[u]) phi[u] phi[u]^T + Y + Y^T,
-    Y = sum_t phi[t] (sum_k w[k] (phi[t + 2 k] - 2 phi[t + k]))^T
-        - 2 sum_u phi[u] (sum_k w[k] phi[u + k])^T
+    Y = sum_t phi[t] (sum_k (phi[t + 2 k] - 2 phi[t + k]))^T
+        - 2 sum_u phi[u] (sum_k phi[u + k])^T
 
 where the last sum runs over the windows with their middle at u. The sum over phi[t + 2 k] takes
 every second sample, so it is a difference of a running sum of stride 2.
@@ -239,7 +239,7 @@ def _places(like: Array) -> Int[np.ndarray, "*blocks n"]:
 
 
 class Points(NamedTuple):
-    """Weight of windows that start, have their middle (times k as well) or end at each sample."""
+    """Windows that start, have their middle (times k as well) or end at each sample."""
 
     start: Float[Array, "*blocks n"]
     middle: Float[Array, "*blocks n"]
@@ -248,8 +248,7 @@ class Points(NamedTuple):
 
     @classmethod
     def of_bin(cls, bin_: LagBins, runs: Runs, pieces: int) -> "Points":
-        """How many windows of a bin's lengths, `pieces` lags each, have their ends at each sample;
-        without weights."""
+        """How many windows of a bin's lengths, `pieces` lags each, have an end at each sample."""
         at, shortest, longest = _places(runs.last), bin_.first, bin_.last
         first, last, stop = runs
 

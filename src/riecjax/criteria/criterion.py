@@ -150,7 +150,7 @@ class AbstractCriterion(eqx.Module):
             return None
         # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
         # n - k starts; a bin's lags have n - k on average at its middle.
-        first, last, _ = (np.asarray(leaf, float) for leaf in self.law(record))
+        first, last = (np.asarray(leaf, float) for leaf in self.law(record))
         starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
         return float(np.sum((last - first + 1) * starts))
 

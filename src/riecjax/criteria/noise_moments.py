@@ -9,7 +9,7 @@ in expectation, so that W_kl, one number a sample, is all that is needed of the 
 
 **Boxcar**, from t to T. w_1 is -1 at t and 1 at T. w_0 is the time step h inside; near its ends it
 is that of the quadrature: sigma_j at j samples from t inwards, 1/2 at j = 0, of trapezoids. With
-windows of total weight s[u] that start at u and e[u] that end there, and i[u] that cover it,
+s[u] windows that start at u and e[u] that end there, and i[u] that cover it,
 
     W_11 = s + e,    W_01 = h (e - s) / 2,
     W_00 = h^2 (i + sum_j (sigma_j^2 - [j >= 0]) (s[u - j] + e[u + j])).
@@ -51,7 +51,9 @@ def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, piec
     side_by_side = LagBins(*(xp.moveaxis(leaf, -1, 0)[..., None] for leaf in lags))
     valid = valid.reshape((1,) * (lags.first.ndim - 1) + (-1,))
     runs = Runs.of(valid, blocks.first, blocks.size * blocks.number)
-    return sum_over_bins(side_by_side, lambda of: Points.of_bin(of, runs, pieces), beside=runs)
+    points = sum_over_bins(side_by_side, lambda of: Points.of_bin(of, runs, pieces), beside=runs)
+    # Their sums of sums are more than 32-bit integers hold.
+    return Points(*(number.astype(columns.values.dtype) for number in points))
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:

@@ -146,8 +146,7 @@ class AbstractTestFunction(eqx.Module):
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
         """The law of window lengths on a record, in multiples of `length_multiple` samples."""
         law = windows.lags(record.sample_count, record.time_step, self.length_multiple)
-        shortest, longest = (xp.asarray(lag)[None] for lag in law)
-        return LagBins(shortest, longest, np.ones(1, record.time_step.dtype))
+        return LagBins(*(xp.asarray(lag)[None] for lag in law))
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts.
@@ -471,9 +470,9 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             return xp.where(mine, xp.take(everywhere(length), windows.start, axis=1), 0.0)
 
         beside = (columns, windows)
-        # A length that is there twice counts half each time.
-        times = (lengths[:, None] == lengths[None, :]).sum(axis=1)
-        each = LagBins(lengths, lengths, (1 / times).astype(columns.values.dtype))
+        # A length that is there twice counts once.
+        before = np.tri(self.lengths, k=-1, dtype=bool) & (lengths[:, None] == lengths[None, :])
+        each = LagBins(lengths, lengths - before.any(axis=1))
         total = sum_over_bins(each, lambda bin_: of_length(bin_.first), beside=beside)
         return total, valid_windows(windows, columns.present)
 
@@ -481,7 +480,7 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         """`lengths` window lengths, which count alike."""
         ends = windows.lags(record.sample_count, record.time_step)
         lengths = self._lengths(*map(xp.asarray, ends))
-        return LagBins(lengths, lengths, np.ones(self.lengths, record.time_step.dtype))
+        return LagBins(lengths, lengths)
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""

@@ -21,6 +21,7 @@ cancels where x is small.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Self, TypeVar
 
@@ -65,15 +66,14 @@ def half_periods(band: tuple[float, float]) -> tuple[float, float]:
 
 
 class LagBins(NamedTuple):
-    """Stretches of window lengths that count alike.
+    """Stretches of window lengths, which all count alike.
 
     **Fields:** `first` and `last` lag of each bin, in multiples of samples, both included; empty
-    where `last < first`; `weight` of each lag in it.
+    where `last < first`.
     """
 
     first: Int[Leaf, " bins"]
     last: Int[Leaf, " bins"]
-    weight: Float[Leaf, " bins"]
 
 
 class WindowSet(NamedTuple):
@@ -417,33 +417,27 @@ def in_chunks(
 
 
 def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums], *, beside: Any) -> Sums:
-    """What all bins of a law add up to, each as often as its lags count; a bin without a lag adds
-    nothing, in no time.
+    """What all bins of a law add up to; a bin without a lag adds nothing, in no time.
 
     Of a single bin without a loop, which would be run for each equation: what several equations
     have in common is then computed once.
 
     **Arguments:** `beside`, what `of_bin` closes over.
     """
-
-    def counted(bin_: LagBins) -> Sums:
-        return jax.tree.map(lambda leaf: bin_.weight * leaf, of_bin(bin_))
-
     first = LagBins(*(leaf[0] for leaf in bins))
     if not xp.are_traced(bins, beside):
-        total = counted(first)
-        for bin_ in map(LagBins._make, zip(*(leaf[1:] for leaf in bins))):
-            if np.any(bin_.first <= bin_.last):
-                total = jax.tree.map(np.add, total, counted(bin_))
-        return total
+        held = [bin_ for bin_ in map(LagBins._make, zip(*bins)) if np.any(bin_.first <= bin_.last)]
+        if not held:
+            return jax.tree.map(np.zeros_like, of_bin(first))
+        return functools.reduce(functools.partial(jax.tree.map, np.add), map(of_bin, held))
     if bins.first.shape[0] == 1:
-        return counted(first)
-    shapes = jax.eval_shape(counted, first)
+        return of_bin(first)
+    shapes = jax.eval_shape(of_bin, first)
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
     def add(total: Sums, bin_: LagBins) -> tuple[Sums, None]:
         some = jnp.any(bin_.first <= bin_.last)
-        added = jax.lax.cond(some, counted, lambda _: nothing, bin_)
+        added = jax.lax.cond(some, of_bin, lambda _: nothing, bin_)
         return jax.tree.map(jnp.add, total, added), None
 
     # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
@@ -539,8 +533,8 @@ def law_in_bins(law: LagBins, bins: LengthBins, unit: float, most: int) -> LagBi
     end = np.where(inside, np.minimum(law.last, high), high)
     # Beyond the band the law's first entry has all of a bin.
     held = (begin <= end) & (inside | (np.arange(law.first.size) == 0))
-    parts = (np.where(held, *of) for of in ((begin, 1), (end, 0), (1.0, 0.0)))
-    return LagBins(*(part.astype(leaf.dtype) for part, leaf in zip(parts, law)))
+    dtype = law.first.dtype
+    return LagBins(np.where(held, begin, 1).astype(dtype), np.where(held, end, 0).astype(dtype))
 
 
 def each_bin(of_law: Callable[[LagBins], Any], lags: LagBins, *, beside: Any) -> Any:
