@@ -31,7 +31,7 @@ forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_eleme
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -41,17 +41,20 @@ from jaxtyping import Array, Float
 from riecjax import arrays as xp
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, label_of, signals_read
-from riecjax.equations.hidden_elements import HiddenState, SpringElement
+from riecjax.equations.hidden_elements import (
+    HiddenMode,
+    HiddenState,
+    SeriesSpring,
+    SpringElement,
+)
+from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, made_by, reversing_states
 from riecjax.errors import ModelError, users_code
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
 from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
-
-if TYPE_CHECKING:
-    from riecjax.equations.model import Model
 
 Motion = tuple[str, ...]
 """A signal, and the names of its derivatives up to the leading one."""
@@ -264,30 +267,27 @@ class EquationSystem(AbstractSystem):
 
 
 def read_system(
-    model: "Model",
     label: str,
-    values: Mapping[str, Leaf | float],
-    rates: Mapping[str, Expression],
+    equations: tuple[Equation, ...],
+    elements: tuple[Sequence[HiddenMode], Sequence[SeriesSpring]],
+    values: dict[str, Array],
+    rates: dict[str, Expression],
     inputs: Sequence[str],
+    listed: Sequence[Quantity],
     units: Mapping[str, str],
 ) -> EquationSystem:
-    """The system that a model's equations describe, its hidden elements written out in them.
+    """The system that equations describe, with hidden elements written out in them.
+
+    **Arguments:** `listed`, signals in the model's order, which is that of states.
 
     **Raises:** `ModelError` if they cannot be simulated; see [`equation_system`][].
     """
-    given = {**model.known, **values}
-    if unset := [name for name in model.parameter_names if name not in given]:
-        raise ModelError(f"{label}: no value is given for {', '.join(unset)}.")
-    numbers = {name: xp.asarray(given[name], float) for name in model.parameter_names}
-    for name, number in numbers.items():
-        if number.shape != ():
-            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
-    rates = {**{memory.state: memory for memory in model.memories}, **rates}
-    equations, hidden = model.equations, []
-    springs = tuple(SpringElement.of(spring, equations) for spring in model.springs)
+    modes, in_series = elements
+    hidden: list[HiddenState] = []
+    springs = tuple(SpringElement.of(spring, equations) for spring in in_series)
     for spring in springs:
         equations = tuple(map(spring.written_out, equations))
-    for mode in model.modes:
+    for mode in modes:
         equations, of_mode, of_mass = mode.written_out(equations)
         rates |= of_mode
         hidden += of_mass
@@ -372,7 +372,7 @@ def read_system(
             f"unknown(s) ({', '.join(unknowns)}). {remedy}"
         )
     # States in the model's order, those of hidden elements last.
-    listed, carried = (*model.signals, *model.inputs), [state.name for state in hidden]
+    carried = [state.name for state in hidden]
     place = {name: i for i, name in enumerate((*(q.name for q in listed), "", *carried))}
     lower = (name for motion in motions for name in motion[:-1])
     unsorted = dict.fromkeys((*lower, *rates, *carried))
@@ -419,7 +419,7 @@ def read_system(
 
     system = EquationSystem(
         equations=equations,
-        values=numbers,
+        values=values,
         springs=springs,
         states=with_units(states),
         inputs=with_units(driving),
@@ -431,7 +431,7 @@ def read_system(
         reversing=reversing_states(terms, states, (*states, *unknowns, *driving)),
         implicit=implicit,
     )
-    if is_concrete(equations, numbers):
+    if is_concrete(equations, values):
         require_solvable(label, system)
     return system
 

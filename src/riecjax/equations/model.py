@@ -607,8 +607,19 @@ def equation_system(
     leading coefficient is zero or the unknowns do not enter linearly.
     """
     model = as_model(model)
-    rates = model.rates if rates is None else rates
-    return read_system(model, names_of(model.equations), values, rates, inputs, units or {})
+    label, known = names_of(model.equations), {**model.known, **values}
+    if unset := [name for name in model.parameter_names if name not in known]:
+        raise ModelError(f"{label}: no value is given for {', '.join(unset)}.")
+    numbers = {name: xp.asarray(known[name], float) for name in model.parameter_names}
+    for name, number in numbers.items():
+        if number.shape != ():
+            raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
+    further: dict[str, Expression] = {memory.state: memory for memory in model.memories}
+    further |= model.rates if rates is None else rates
+    elements, listed = (model.modes, model.springs), (*model.signals, *model.inputs)
+    return read_system(
+        label, model.equations, elements, numbers, further, inputs, listed, units or {}
+    )
 
 
 def as_model(model: Equation | Model) -> Model:
