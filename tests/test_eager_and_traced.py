@@ -42,7 +42,6 @@ GAPS = (700, 701, 1800)
 CRITERIA = {
     "boxcar": (rx.RIEC(rx.AllWindows(*ALL)), ()),
     "boxcar, gaps": (rx.RIEC(rx.AllWindows(*ALL)), GAPS),
-    "a law": (rx.RIEC(rx.AllWindows(*ALL, law=[1, 2, 0.5])), ()),
     "hat": (rx.RIEC(rx.AllWindows(*ALL), rx.Hat()), ()),
     "hat, gaps": (rx.RIEC(rx.AllWindows(*ALL), rx.Hat(6)), GAPS),
     "bump": (rx.RIEC(rx.AllWindows(0.2, 0.8), rx.Bump(lengths=6)), GAPS),

@@ -120,7 +120,6 @@ CALLS = {
     "a band in two": (lambda: rx.RIEC.of_band(1, 10), "rx.RIEC.of_band((1, 10))"),
     "a band backwards": (lambda: rx.RIEC.of_band((5.0, 1.0)), "0 < low < high"),
     "a length as text": (lambda: rx.AllWindows("a", 0.5), "alpha is the text 'a'"),
-    "a law's name": (lambda: rx.AllWindows(0.1, 0.5, law="uniform"), "law=[1, 2, 1]"),
     "an odd quadrature": (lambda: rx.Boxcar(3), "quadrature must be one of"),
     "a blunt bump": (lambda: rx.Bump(2), "p of 3 or more"),
     # Simulation, refinement and studies.

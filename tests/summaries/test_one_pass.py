@@ -51,7 +51,6 @@ CRITERIA = {
     "boxcar of order 6": (rx.RIEC(rx.AllWindows(0.05, 0.5), rx.Boxcar(6)), None),
     "hat": (rx.RIEC(rx.AllWindows(0.05, 0.5), rx.Hat()), None),
     "bump": (rx.RIEC(rx.AllWindows(0.05, 0.5), rx.Bump(lengths=5)), None),
-    "a law": (rx.RIEC(rx.AllWindows(0.05, 0.5, law=[1, 2, 0.5])), None),
     "random windows": (rx.RIEC(rx.RandomWindows(0.05, 0.5, 500)), KEY),
     "dols": (rx.DOLS(), None),
 }

@@ -57,8 +57,6 @@ CRITERIA: dict[str, AbstractCriterion] = {
     "boxcar": BOXCAR,
     "hat": rx.RIEC(ALL, rx.Hat(quadrature=6)),
     "bump": rx.RIEC(ALL, rx.Bump(5, lengths=7)),
-    "stepped": rx.RIEC(rx.AllWindows(0.1, 0.6, law=[1.0, 1 / 3, 0.2]), rx.Hat()),
-    "ratios": rx.RIEC(rx.AllWindows(0.1, 0.6, law=jnp.array([1.0, 0.1]))),
     "fixed limit": rx.RIEC(rx.AllWindows(0.1, 0.6, longest_samples=100)),
     "random": rx.RIEC(rx.RandomWindows(0.1, 0.6, 300), rx.Hat()),
     "between": rx.RIEC(rx.RandomWindows(0.1, 0.6, 300, between_samples=True)),
@@ -97,7 +95,7 @@ def through_a_file(summary: rx.Summary, folder: Path) -> rx.Summary:
 @pytest.mark.parametrize("name", by_day(CRITERIA, "hat", "own"))
 def test_a_summary_comes_back_to_the_bit(name, tmp_path):
     records = [record(), record(2200, 2), record(1700, 3, 125)]
-    bins = {"bins": 9, "survey": True} if name in ("hat", "stepped", "bump") else {}
+    bins = {"bins": 9, "survey": True} if name in ("hat", "bump") else {}
     summary = rx.summarise(OSCILLATOR, records, CRITERIA[name], key=KEY, **bins)
     shorter = summary.leave_out(2.0, 5.0, recording=1)
     for kept in (summary, shorter, *([summary.between(0.13, 0.5)] if bins else [])):

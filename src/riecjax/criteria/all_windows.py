@@ -2,33 +2,33 @@
 
 **The sum.** phi[t] holds the primitives of an equation's 1 + p columns at sample t, the target
 first. A window that starts at t with lag k has the row d = phi[t + k] - phi[t] (boxcar), or
-phi[t + 2 k] - 2 phi[t + k] + phi[t] (hat, 2 k samples long). For each block B of starts, and a law
-w[k] of lags, the normal equations need
+phi[t + 2 k] - 2 phi[t + k] + phi[t] (hat, 2 k samples long). For each block B of starts, and some
+lags, the normal equations need
 
-    M = sum_{t in B} sum_k w[k] d d^T,    N = sum_{t in B} sum_k w[k]
+    M = sum_{t in B} sum_k d d^T,    N = sum_{t in B} sum_k 1
 
 over the windows that end within the record and hold no missing sample. One by one that costs
 O(N K p^2) for K lags.
 
-**Boxcar.** Let windows of total weight s[u] start at sample u and of total weight e[u] end there.
-Multiplied out, the squares depend on these weights alone, and the mixed products on one sum:
+**Boxcar.** Let s[u] windows start at sample u and e[u] windows end there. Multiplied out, the
+squares depend on these numbers alone, and the mixed products on one sum:
 
     M = sum_u (s[u] + e[u]) phi[u] phi[u]^T - X - X^T,
-    X = sum_t phi[t] c[t]^T,    c[t] = sum_k w[k] phi[t + k]
+    X = sum_t phi[t] c[t]^T,    c[t] = sum_k phi[t + k]
 
-Where w is constant from lag a to lag b (a bin of a law), c[t] is w times one difference of the
-running sum S[u] = sum_{v < u} phi[v], and so are s and e of the running count R of starts:
+Over lags from a to b (a bin) c[t] is one difference of the running sum S[u] = sum_{v < u} phi[v],
+and so are s and e of the running count R of starts:
 
-    c[t] = w (S[t + b + 1] - S[t + a])
-    s[t] = w (b - a + 1),    e[u] = w (R[u - a + 1] - R[u - b])
+    c[t] = S[t + b + 1] - S[t + a]
+    s[t] = b - a + 1,    e[u] = R[u - a + 1] - R[u - b]
 
 A bin costs O(N p). The bins' s, e and c are added up before the one product of O(N p^2).
 
-**Hat.** With m[u] the weight of windows whose middle is at u, likewise
+**Hat.** With m[u] the number of windows whose middle is at u, likewise
 
     M = sum_u (s[u] + 4 m[u] + e[u]) phi[u] phi[u]^T + Y + Y^T,
-    Y = sum_t phi[t] (sum_k w[k] (phi[t + 2 k] - 2 phi[t + k]))^T
-        - 2 sum_u phi[u] (sum_k w[k] phi[u + k])^T
+    Y = sum_t phi[t] (sum_k (phi[t + 2 k] - 2 phi[t + k]))^T
+        - 2 sum_u phi[u] (sum_k phi[u + k])^T
 
 where the last sum runs over the windows with their middle at u. The sum over phi[t + 2 k] takes
 every second sample, so it is a difference of a running sum of stride 2.
@@ -239,7 +239,7 @@ def _places(like: Array) -> Int[np.ndarray, "*blocks n"]:
 
 
 class Points(NamedTuple):
-    """Weight of windows that start, have their middle (times k as well) or end at each sample."""
+    """Windows that start, have their middle (times k as well) or end at each sample."""
 
     start: Float[Array, "*blocks n"]
     middle: Float[Array, "*blocks n"]
@@ -248,8 +248,7 @@ class Points(NamedTuple):
 
     @classmethod
     def of_bin(cls, bin_: LagBins, runs: Runs, pieces: int) -> "Points":
-        """How many windows of a bin's lengths, `pieces` lags each, have their ends at each sample;
-        without weights."""
+        """How many windows of a bin's lengths, `pieces` lags each, have an end at each sample."""
         at, shortest, longest = _places(runs.last), bin_.first, bin_.last
         first, last, stop = runs
 
@@ -269,20 +268,6 @@ class Points(NamedTuple):
         return cls(xp.where(begins, start, 0), middle, by_half, xp.where(at <= last, end, 0))
 
 
-class _Sums(NamedTuple):
-    """What a bin of lags adds to the moments of each block.
-
-    **Fields:** `inner`, the sum of phi that multiplies phi at each start; `around`, that which
-    multiplies phi at each middle, of hats; `squares`, the weight of phi phi^T at each sample;
-    `number` of windows, in each block or from each start.
-    """
-
-    inner: Float[Array, "blocks columns starts"]
-    around: Float[Array, "blocks columns n"]
-    squares: Float[Array, "#blocks n"]
-    number: Float[Array, "blocks *starts"]
-
-
 Moments = tuple[Float[Array, "blocks columns columns"], Float[Array, " blocks"]]
 """Sums of outer products of rows, and numbers of rows, for blocks of starts."""
 
@@ -295,12 +280,8 @@ def moments_in_blocks(
     **Arguments:** `primitives`, whose differences are the rows; `lags` with two axes give moments
     for each of the first, along a leading axis; `reach`: no window is longer, in samples.
     """
-    order = primitives.difference
-    if order == 1 and primitives.present is None and reach <= blocks.size:
-        return _unbroken_boxcars(primitives, lags, blocks, reach)
-    phi, valid = _referred(primitives, blocks, reach)
-    runs = Runs.of(valid, 0, blocks.size)
-    return each_bin(lambda law: moments_in_runs(phi, runs, law, order), lags, beside=phi)
+    of_all = _boxcars if primitives.difference == 1 else _hats
+    return of_all(primitives, lags, blocks, reach)
 
 
 def _referred(
@@ -335,16 +316,14 @@ def _referred(
     return xp.where(inside, phi, 0.0), valid
 
 
-def _unbroken_boxcars(
-    primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: int
-) -> Moments:
-    """Moments of all boxcar rows where no sample is missing.
+def _boxcars(primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
+    """Moments of all first differences of phi.
 
-    Every sum is a running sum, shifted by one offset for all samples, in place of one looked up at
-    limits that differ. Running sums go over pieces of four times the reach: what two of them work
-    through is little then, and they lose few digits. M is symmetric, so half of it is formed: M =
-    Z + Z^T with Z = sum_u phi[u] ((s[u] + e[u]) / 2 phi[u] - c[u])^T, one product over a block's
-    starts, and one over the samples beyond it, where s and c are zero.
+    Running sums go over pieces of four times the reach: what two of them work through is little
+    then, and they lose few digits. Where no sample is missing every sum is a running sum, shifted
+    by one offset for all samples, in place of one looked up at limits that differ. M is symmetric,
+    so half of it is formed: M = Z + Z^T with Z = sum_u phi[u] ((s[u] + e[u]) / 2 phi[u] - c[u])^T,
+    one product over a block's starts, and one over the samples beyond it, where s and c are zero.
     """
     size, number = blocks.size, blocks.number
     # Blocks to a piece, or pieces to a block.
@@ -356,29 +335,44 @@ def _unbroken_boxcars(
     size, count = size // parts, -(-number * parts // several)
     pieces = StartBlocks(blocks.first, several * size, count)
     phi, valid = _referred(primitives, pieces, reach)
-    columns, starts, end = phi.shape[1], several * size, np.arange(size + reach)[None]
-    running = running_sum(phi)
-    left = valid.sum(axis=-1)[:, None] - np.arange(starts)[None]
+    columns, starts, end = phi.shape[1], several * size, np.arange(size + reach)[None, None]
+    running, start = running_sum(phi), np.arange(starts)[None]
+    edges = range(0, starts, size)
 
     def by_block(values: Array) -> Array:
         return values.reshape(count, -1, several, size)
 
     own = by_block(phi[..., :starts])
-    beyond = [phi[..., at : at + reach] for at in range(size, starts + 1, size)]
-    beyond = xp.stack(beyond, axis=1)
+    beyond = xp.stack([phi[..., at + size : at + size + reach] for at in edges], axis=1)
+    # The last sample that a window may reach from each start, and for each sample, by blocks, the
+    # first start in its run.
+    last, first = valid.sum(axis=-1)[:, None] - 1, np.zeros((1, 1, 1), int)
+    is_broken = primitives.present is not None
+    if is_broken:
+        runs = Runs.of(valid, 0, starts)
+        last = runs.last[:, :starts]
+        first = xp.stack([runs.first[:, at : at + size + reach] - at for at in edges], axis=1)
 
-    def of_bin(bin_: LagBins) -> _Sums:
-        inner = xp.cut(running, bin_.first - 1, starts) - xp.cut(running, bin_.last, starts)
-        starting = xp.clip(left - bin_.first, 0, bin_.last - bin_.first + 1).astype(phi.dtype)
+    def of_bin(bin_: LagBins) -> tuple[Array, Array, Array]:
+        """-c and s from each start on, and e at each sample of a block."""
+        before, longest = bin_.first - 1, bin_.last
+        if is_broken:
+            high = xp.minimum(start + longest, xp.maximum(last, start + before))
+            high = xp.broadcast_to(high[:, None], (count, columns, starts))
+            upper = xp.take_along_axis(running, high, axis=-1)
+        else:
+            upper = xp.cut(running, longest, starts)
+        starting = xp.clip(last - start - before, 0, longest - before)
         latest = xp.minimum(end - bin_.first, size - 1)
-        ending = xp.maximum(latest - xp.maximum(end - bin_.last, 0) + 1, 0).astype(phi.dtype)
-        return _Sums(inner, np.zeros(1), ending, starting)
+        ending = xp.maximum(latest - xp.maximum(end - longest, xp.maximum(first, 0)) + 1, 0)
+        inner = xp.cut(running, before, starts) - upper
+        return inner, starting.astype(phi.dtype), ending.astype(phi.dtype)
 
     def of_law(law: LagBins) -> Moments:
-        total = sum_over_bins(law, of_bin, beside=phi)
-        half, starting = 0.5 * total.squares[:, None, None], by_block(total.number)
-        here = (0.5 * starting + half[..., :size]) * own + by_block(total.inner)
-        z = xp.products(xp.swapaxes(own, 1, 2), xp.swapaxes(here, 1, 2))
+        inner, starting, ending = sum_over_bins(law, of_bin, beside=phi)
+        half, starting = 0.5 * ending[:, :, None], by_block(starting)
+        mine, here = (xp.swapaxes(of, 1, 2) for of in (own, 0.5 * starting * own + by_block(inner)))
+        z = xp.products(mine, here + half[..., :size] * mine)
         z = z + xp.products(beyond, half[..., size:] * beyond)
         z = z.reshape(-1, columns, columns)[: number * parts]
         moments = (z + xp.swapaxes(z, 1, 2)).reshape(number, parts, columns, columns)
@@ -388,53 +382,50 @@ def _unbroken_boxcars(
     return each_bin(of_law, lags, beside=phi)
 
 
-def moments_in_runs(
-    phi: Float[Array, "blocks columns n"], runs: Runs, law: LagBins, difference: int
-) -> Moments:
-    """Moments of all boxcars (a first difference of phi) or hats (a second one) within runs of
-    valid samples."""
-    size, at = int(runs.stop) + 1, np.arange(phi.shape[-1])[None]
+def _hats(primitives: Primitives, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
+    """Moments of all second differences of phi."""
+    phi, valid = _referred(primitives, blocks, reach)
+    runs, size, at = Runs.of(valid, 0, blocks.size), blocks.size, np.arange(phi.shape[-1])[None]
     once = xp.pad(running_sum(phi), ((0, 0), (0, 0), (1, 0)))
-    twice = once
-    if difference == 2:  # S[i] = phi[i - 2] + phi[i - 4] + ...
-        pairs = xp.pad(phi, ((0, 0), (0, 0), (2, -at.size % 2)))
-        twice = xp.cumsum(pairs.reshape(*phi.shape[:2], -1, 2), axis=2)
-        twice = twice.reshape(*phi.shape[:2], -1)[..., : at.size + 2]
+    # S[i] = phi[i - 2] + phi[i - 4] + ...
+    pairs = xp.pad(phi, ((0, 0), (0, 0), (2, -at.size % 2)))
+    twice = xp.cumsum(pairs.reshape(*phi.shape[:2], -1, 2), axis=2)
+    twice = twice.reshape(*phi.shape[:2], -1)[..., : at.size + 2]
 
     def between(running: Array, low: Array, high: Array, stride: int) -> Array:
         """Sum of phi at `low`, `low + stride`, ... `high`; zero where `high` lies before."""
-        end = running.shape[-1] - 1
-        low = xp.clip(low, 0, end)
-        high = xp.clip(xp.maximum(high + stride, low), 0, end)
+        edge = running.shape[-1] - 1
+        low = xp.clip(low, 0, edge)
+        high = xp.clip(xp.maximum(high + stride, low), 0, edge)
         low, high = (xp.broadcast_to(i, (phi.shape[0], low.shape[-1])) for i in (low, high))
         first, last = (xp.take_along_axis(running, i[:, None], axis=-1) for i in (low, high))
         return last - first
 
-    def of_bin(bin_: LagBins) -> _Sums:
+    def of_bin(bin_: LagBins) -> tuple[Array, Array, Array, Array]:
+        """What multiplies phi at each start and at each middle, the weight of phi phi^T at each
+        sample, and the number of windows."""
         shortest, longest = bin_.first, bin_.last
-        points = Points.of_bin(bin_, runs, difference)
+        points = Points.of_bin(bin_, runs, 2)
         # From the start t: k up to the longest, with the end inside the run.
         start, last = at[:, :size], runs.last[:, :size]
-        most = xp.minimum(longest, (last - start) // difference)
-        there = (points.start[:, :size] > 0)[:, None]
-        inner, around = -between(once, start + shortest, start + most, 1), np.zeros(1)
-        if difference == 2:
-            low, high = (start + 2 * k for k in (shortest, most))
-            inner = between(twice, low, high, 2) + 2 * inner
-            # From the middle u: the start u - k and the end u + k in the run, the start in the
-            # range.
-            low = xp.maximum(shortest, at - runs.stop)
-            high = xp.minimum(longest, xp.minimum(runs.last - at, at - runs.first))
-            around = -2 * between(once, at + low, at + high, 1)
-            around = xp.where((points.middle > 0)[:, None], around, 0.0)
+        most = xp.minimum(longest, (last - start) // 2)
+        inner = between(twice, start + 2 * shortest, start + 2 * most, 2)
+        inner = inner - 2 * between(once, start + shortest, start + most, 1)
+        inner = xp.where((points.start[:, :size] > 0)[:, None], inner, 0.0)
+        # From the middle u: the start u - k and the end u + k in the run, the start in the range.
+        low = xp.maximum(shortest, at - runs.stop)
+        high = xp.minimum(longest, xp.minimum(runs.last - at, at - runs.first))
+        around = -2 * between(once, at + low, at + high, 1)
+        around = xp.where((points.middle > 0)[:, None], around, 0.0)
         squares = points.start + 4 * points.middle + points.end
         # Windows are counted in real numbers: a long record's are more than 32-bit integers hold.
         number = points.start.astype(phi.dtype).sum(axis=-1)
-        return _Sums(xp.where(there, inner, 0.0), around, squares.astype(phi.dtype), number)
+        return inner, around, squares.astype(phi.dtype), number
 
-    total = sum_over_bins(law, of_bin, beside=phi)
-    z = xp.products(phi, 0.5 * total.squares[:, None] * phi)
-    z = z + xp.products(phi[..., :size], total.inner)
-    if difference == 2:
-        z = z + xp.products(phi, total.around)
-    return z + xp.swapaxes(z, 1, 2), total.number
+    def of_law(law: LagBins) -> Moments:
+        inner, around, squares, number = sum_over_bins(law, of_bin, beside=phi)
+        z = xp.products(phi, 0.5 * squares[:, None] * phi + around)
+        z = z + xp.products(phi[..., :size], inner)
+        return z + xp.swapaxes(z, 1, 2), number
+
+    return each_bin(of_law, lags, beside=phi)

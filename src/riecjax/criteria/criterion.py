@@ -10,7 +10,6 @@ windows is RIEC; over the samples themselves, phi being a pulse, it is DOLS.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Self
 
@@ -151,9 +150,9 @@ class AbstractCriterion(eqx.Module):
             return None
         # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
         # n - k starts; a bin's lags have n - k on average at its middle.
-        first, last, weight = (np.asarray(leaf, float) for leaf in self.law(record))
+        first, last = (np.asarray(leaf, float) for leaf in self.law(record))
         starts = record.sample_count - self.test_function.length_multiple * (first + last) / 2
-        return float(np.sum(weight * (last - first + 1) * starts))
+        return float(np.sum((last - first + 1) * starts))
 
     def between(self, alpha: float | Array, beta: float | Array) -> Self:
         """The same with windows of other lengths.
@@ -230,13 +229,11 @@ class AbstractCriterion(eqx.Module):
 
         **Arguments:** `windows`, the law of all that start in the blocks, or those drawn.
         """
-        if not (noisy.white or noisy.coloured):
-            return None
 
-        weights_of = functools.partial(
-            self.test_function.noise_weights, noisy.columns, blocks=blocks
-        )
-        return noise_moments(noisy, windows, blocks, weights_of, products)
+        def white_weights() -> Array | None:
+            return self.test_function.noise_weights(noisy.columns, windows, blocks)
+
+        return noise_moments(noisy, blocks, white_weights, products)
 
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
@@ -255,8 +252,7 @@ class DOLS(AbstractCriterion):
 
     def noisy_columns(self, equation: Equation, record: Record) -> NoisyColumns:
         """An equation's columns, as if there was no noise."""
-        columns = sampled_columns(equation, record, self.smoothness)
-        return NoisyColumns(columns, {}, {}, (), Noise())
+        return noisy_columns(equation, record, self.smoothness, Noise())
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""

@@ -9,7 +9,7 @@ in expectation, so that W_kl, one number a sample, is all that is needed of the 
 
 **Boxcar**, from t to T. w_1 is -1 at t and 1 at T. w_0 is the time step h inside; near its ends it
 is that of the quadrature: sigma_j at j samples from t inwards, 1/2 at j = 0, of trapezoids. With
-windows of total weight s[u] that start at u and e[u] that end there, and i[u] that cover it,
+s[u] windows that start at u and e[u] that end there, and i[u] that cover it,
 
     W_11 = s + e,    W_01 = h (e - s) / 2,
     W_00 = h^2 (i + sum_j (sigma_j^2 - [j >= 0]) (s[u - j] + e[u + j])).
@@ -28,15 +28,14 @@ both add up to the same.
 import dataclasses
 from collections.abc import Callable, Sequence
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
-from riecjax.criteria.all_windows import Points, Runs, interval_weights
-from riecjax.criteria.windows import LagBins, StartBlocks, WindowSet, sum_over_bins
+from riecjax.criteria.all_windows import Points, Runs, running_integral
+from riecjax.criteria.windows import LagBins, StartBlocks, sum_over_bins
 from riecjax.equations.noisy_columns import Columns, Movement, NoisyColumns, is_white
 from riecjax.leaves import Leaf
 
@@ -52,7 +51,9 @@ def points_of_windows(columns: Columns, lags: LagBins, blocks: StartBlocks, piec
     side_by_side = LagBins(*(xp.moveaxis(leaf, -1, 0)[..., None] for leaf in lags))
     valid = valid.reshape((1,) * (lags.first.ndim - 1) + (-1,))
     runs = Runs.of(valid, blocks.first, blocks.size * blocks.number)
-    return sum_over_bins(side_by_side, lambda of: Points.of_bin(of, runs, pieces), beside=runs)
+    points = sum_over_bins(side_by_side, lambda of: Points.of_bin(of, runs, pieces), beside=runs)
+    # Their sums of sums are more than 32-bit integers hold.
+    return Points(*(number.astype(columns.values.dtype) for number in points))
 
 
 def boxcar_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeights:
@@ -67,20 +68,8 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
     """W_kl of hats, k and l of 0 to 2."""
     # Beside each of the three points weights differ from a triangle and its slope, by offsets j.
     start, middle, by_half, end = points
-    # p, `twice`: what two running quadratures in a row leave at an end of a triangle, beside the
-    # triangle. With z a shift by one sample, a running quadrature is N(z) / (1 - z), where N holds
-    # the weights of one interval; a triangle from 0 on is z / (1 - z)^2. So
-    # p(z) = (N(z)^2 - z) / (1 - z)^2. The interval that ends at a sample has weights from reach - 1
-    # samples after it on, backwards: their product begins at z^(-2 (reach - 1)).
-    once = _interval_ends(quadrature)
-    first = 2 * (quadrature // 2 - 1)
-    weights = interval_weights(quadrature, first // 2)
-    product = np.convolve(weights, weights)
-    product[1 + first] -= 1.0
-    quotient, rest = np.polynomial.polynomial.polydiv(product, [1.0, -2.0, 1.0])
-    assert np.allclose(rest, 0.0, atol=1e-12)
-    twice = {j - first: float(p) for j, p in enumerate(np.asarray(quotient))}
-    ends = {j: (max(j, 0) + twice.get(j, 0.0), once[j]) for j in once}
+    once, twice = (_left_by_pulse(quadrature, times) for times in (1, 2))
+    ends = {j: (twice[j], once[j]) for j in once}
     triangle = _square_ramp(start) - 4 * _ramp(by_half) - _square_ramp(end)
     ramp = 2 * (xp.cumsum(by_half, axis=-1) - 0.5 * by_half) - _ramp(start) + _ramp(end)
     flat = _covered(start, end) - middle
@@ -91,7 +80,7 @@ def hat_noise_weights(points: Points, quadrature: int, step: Leaf) -> NoiseWeigh
     ramp = ramp + _at_ends(start, -end, odd)
     flat = flat + _at_ends(start, end, _end_squares(quadrature))
     for j in once:
-        p, turn, sign = twice.get(j, 0.0), once[j] - once[-j], np.sign(j)
+        p, turn, sign = twice[j] - max(j, 0), once[j] - once[-j], np.sign(j)
         own, halves = _shifted(middle, j), _shifted(by_half, j)
         triangle = triangle - 4 * p * halves + 4 * (p**2 + abs(j) * p) * own
         ramp = ramp + (turn - sign) * halves - (abs(j) * (turn - sign) + 2 * p * turn) * own
@@ -150,48 +139,23 @@ def _at_ends(start: Array, end: Array, weights: dict[int, float]) -> Array:
     )
 
 
-def _interval_ends(quadrature: int) -> dict[int, float]:
-    """sigma_j: weight of the sample j inwards from a window's end, 1 from some j on.
+def _left_by_pulse(quadrature: int, times: int) -> dict[int, float]:
+    """What so many running quadratures in a row leave of a pulse, at j samples after it: once, the
+    weight sigma_j of the sample j inwards from a window's end, and twice, that of a ramp.
 
-    The sum of what the intervals from the end on give that sample: interval i, between samples i
-    and i + 1 from the end, weighs sample j by its weight number j - i + reach - 1.
+    Beyond these j they are those of exact integrals, 0 or 1, and 0 or j.
     """
-    reach = quadrature // 2
-    weights = np.cumsum(interval_weights(quadrature, reach - 1)).tolist()
-    return dict(zip(range(-reach, reach + 1), [0.0, *weights]))
+    far = max(quadrature - 2, 0)
+    left = np.zeros((1, 4 * quadrature + 1))
+    left[0, 2 * quadrature] = 1.0
+    for _ in range(times):
+        left = running_integral(left, quadrature)
+    around = left[0, 2 * quadrature - far : 2 * quadrature + far + 1]
+    return dict(zip(range(-far, far + 1), around.tolist()))
 
 
 def _end_squares(quadrature: int) -> dict[int, float]:
-    return {j: w**2 - (j >= 0) for j, w in _interval_ends(quadrature).items()}
-
-
-def noise_weights_of_lengths(
-    of_length: Callable[[LagBins], tuple[Float[Array, " n"], Float[Array, "orders n"]]],
-    lengths: LagBins,
-    orders: int,
-    *,
-    beside: Any,
-) -> NoiseWeights:
-    """W_kl[u] = sum over lengths and t of starts[t] w_k[u - t] w_l[u - t], by Fourier transform.
-
-    **Arguments:** `of_length`, how many windows of a length start at each sample, and the weights
-    w_k inside of them; `lengths`, bins of one each; so many `orders` k; `beside`, what `of_length`
-    closes over.
-    """
-    one, other = np.triu_indices(orders)
-
-    def products(length: LagBins) -> Array:
-        at, inside = of_length(length)
-        # No window reaches beyond the samples, so that nothing wraps around.
-        size = xp.fft_size(at.size)
-        spectrum = xp.fft.rfft(inside[one] * inside[other], size, axis=-1)
-        spectrum = xp.fft.rfft(at, size)[None] * spectrum
-        return xp.fft.irfft(spectrum, size, axis=-1)[:, : at.size]
-
-    found = sum_over_bins(lengths, products, beside=beside)
-    place = np.zeros((orders, orders), int)
-    place[one, other] = place[other, one] = np.arange(one.size)
-    return found[place]
+    return {j: w**2 - (j >= 0) for j, w in _left_by_pulse(quadrature, 1).items()}
 
 
 # What sensor noise adds to a Gram matrix of rows, in expectation.
@@ -213,26 +177,29 @@ SIGNS = np.random.default_rng(7).integers(0, 2, (PROBES, 2**16), np.int8) * 2 - 
 
 def noise_moments(
     noisy: NoisyColumns,
-    windows: LagBins | WindowSet,
     blocks: StartBlocks,
-    weights_of: Callable[[LagBins | WindowSet], NoiseWeights | None],
+    white_weights: Callable[[], NoiseWeights | None],
     products: Callable[[Columns], Float[Array, "*bins blocks columns columns"]],
-) -> tuple[
-    Float[Array, "*bins blocks columns columns"], Float[Array, "*bins sources columns columns"]
-]:
+) -> (
+    tuple[
+        Float[Array, "*bins blocks columns columns"], Float[Array, "*bins sources columns columns"]
+    ]
+    | None
+):
     """What noise adds to the moments of an equation, and what each of its sources adds to those of
-    all blocks.
+    all blocks; `None` without any.
 
-    **Arguments:** `windows`, the law of all that start in the blocks, or those drawn; `weights_of`
-    white noise at each sample, without which there is no closed form; `products`, sums of outer
-    products of the rows that columns make, for blocks of starts.
+    **Arguments:** `white_weights`, of white noise at each sample, if there is a closed form;
+    `products`, sums of outer products of the rows that columns make, for blocks of starts.
     """
+    if not (noisy.white or noisy.coloured):
+        return None
     columns, noise = noisy.columns, noisy.noise
     width = columns.values.shape[1]
 
     # What is white, and at last what is added where columns are curved.
     squares = [*((1.0, movement) for movement in noisy.white.values()), *noisy.curved]
-    weights = weights_of(windows) if squares else None
+    weights = white_weights() if squares else None
     if weights is None:
         unit = np.ones(1)
         added = [times * _probed([(m, unit)], columns, products) for times, m in squares]
@@ -263,7 +230,6 @@ def _weighted(
     """sum_u W_kl[u] m_k[u] m_l[u]^T over all orders k and l."""
     *bins, _, _, n = weights.shape
     total = np.zeros((*bins, blocks.number, size, size), weights.dtype)
-    unit = np.ones((1, n), weights.dtype)
 
     def products(left: Array, right: Array) -> Array:
         """By blocks, all bins side by side."""
@@ -274,15 +240,9 @@ def _weighted(
 
     for (k, left), (m, right) in combinations_with_replacement(movement.values.items(), 2):
         one, other = np.array(movement.rows[k]), np.array(movement.rows[m])
-        weight = weights[..., k, m, None, :]
-        if left.shape[1] == right.shape[1] == 1:
-            # What is the same at every sample stands before the sum.
-            part = products(weight, unit) * (left @ right.T).reshape(
-                (1,) * (len(bins) + 1) + (len(one), len(other))
-            )
-        else:
-            left = left.reshape((1,) * len(bins) + left.shape)
-            part = products(weight * left, right * unit)
+        left = xp.broadcast_to(left, (*bins, len(one), n))
+        right = xp.broadcast_to(right, (len(other), n))
+        part = products(weights[..., k, m, None, :] * left, right)
         place = (..., one[:, None], other[None, :])
         total = xp.with_entries(total, place, total[place] + part)
         if k != m:

@@ -46,7 +46,6 @@ from riecjax.criteria.noise_moments import (
     NoiseWeights,
     boxcar_noise_weights,
     hat_noise_weights,
-    noise_weights_of_lengths,
     points_of_windows,
 )
 from riecjax.criteria.windows import (
@@ -146,7 +145,8 @@ class AbstractTestFunction(eqx.Module):
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
         """The law of window lengths on a record, in multiples of `length_multiple` samples."""
-        return windows.bins(record.sample_count, record.time_step, self.length_multiple)
+        law = windows.lags(record.sample_count, record.time_step, self.length_multiple)
+        return LagBins(*(xp.asarray(lag)[None] for lag in law))
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all windows of the outer products of their rows, for blocks of starts.
@@ -470,20 +470,17 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
             return xp.where(mine, xp.take(everywhere(length), windows.start, axis=1), 0.0)
 
         beside = (columns, windows)
-        # A length that is there twice counts half each time.
-        times = (lengths[:, None] == lengths[None, :]).sum(axis=1)
-        each = LagBins(lengths, lengths, (1 / times).astype(columns.values.dtype))
+        # A length that is there twice counts once.
+        before = np.tri(self.lengths, k=-1, dtype=bool) & (lengths[:, None] == lengths[None, :])
+        each = LagBins(lengths, lengths - before.any(axis=1))
         total = sum_over_bins(each, lambda bin_: of_length(bin_.first), beside=beside)
         return total, valid_windows(windows, columns.present)
 
     def lags(self, windows: AllWindows, record: Record) -> LagBins:
-        """The law at `lengths` window lengths, 1 on average over these."""
-        bins = windows.bins(record.sample_count, record.time_step, 1)
-        lengths = self._lengths(bins.first[0], bins.last[-1])
-        length = lengths[:, None]
-        inside = (bins.first[None, :] <= length) & (length <= bins.last[None, :])
-        weights = xp.where(inside, bins.weight[None, :], 0.0).sum(axis=1)
-        return LagBins(lengths, lengths, weights / weights.mean())
+        """`lengths` window lengths, which count alike."""
+        ends = windows.lags(record.sample_count, record.time_step)
+        lengths = self._lengths(*map(xp.asarray, ends))
+        return LagBins(lengths, lengths)
 
     def moments(self, columns: Columns, lags: LagBins, blocks: StartBlocks, reach: int) -> Moments:
         """Sums over all starts of the outer products of rows, at `lengths` window lengths."""
@@ -503,17 +500,26 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
     def noise_weights(
         self, columns: Columns, windows: LagBins | WindowSet, blocks: StartBlocks
     ) -> NoiseWeights | None:
-        """Of all windows, from the squares of each length's weights."""
+        """Of all windows: W_kl[u] is the sum over lengths and t of w_k[u - t] w_l[u - t], as often
+        as windows of a length start at t, by Fourier transform."""
         if not isinstance(windows, LagBins):
             return None
+        orders, n = self.smoothness + 1, columns.sample_count
+        one, other = np.triu_indices(orders)
+        place = np.zeros((orders, orders), int)
+        place[one, other] = place[other, one] = np.arange(one.size)
+        # No window reaches beyond the samples, so that nothing wraps around.
+        size, dtype = xp.fft_size(n), columns.values.dtype
 
-        def of_length(bin_: LagBins) -> tuple[Array, Array]:
-            at = self._whole(columns, bin_.first, blocks).astype(columns.values.dtype)
-            return at, self._weights(bin_.first, columns)
+        def of_length(bin_: LagBins) -> Array:
+            starts = self._whole(columns, bin_.first, blocks).astype(dtype)
+            inside = self._weights(bin_.first, n, columns.time_step.astype(dtype))
+            spectrum = xp.fft.rfft(inside[one] * inside[other], size, axis=-1)
+            spectrum = xp.fft.rfft(starts, size)[None] * spectrum
+            return xp.fft.irfft(spectrum, size, axis=-1)[:, :n]
 
         def of_law(law: LagBins) -> NoiseWeights:
-            orders = self.smoothness + 1
-            return noise_weights_of_lengths(of_length, law, orders, beside=columns)
+            return sum_over_bins(law, of_length, beside=columns)[place]
 
         return each_bin(of_law, windows, beside=columns)
 
@@ -536,16 +542,16 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
                 for order, part in enumerate(columns.values)
             ]
         )
-        n = columns.sample_count
+        n, step = columns.sample_count, columns.time_step.astype(values.dtype)
         size = xp.fft_size(n)
         spectrum = xp.fft.rfft(values, size, axis=-1)
 
         def everywhere(length: Leaf) -> Float[Array, "columns n"]:
             # Classes with arrays of their own cannot be looked up.
-            if xp.are_traced(length, columns.time_step) or jax.tree.leaves(self):
-                weights = xp.fft.rfft(self._weights(length, columns), size, axis=-1)
+            if xp.are_traced(length, step) or jax.tree.leaves(self):
+                weights = xp.fft.rfft(self._weights(length, n, step), size, axis=-1)
             else:
-                weights = _spectrum(self, int(length), n, float(columns.time_step))
+                weights = _spectrum(self, int(length), n, float(step))
             product = (spectrum * xp.conj(weights)[:, None, :]).sum(axis=0)
             return xp.fft.irfft(product, size, axis=-1)[:, :n]
 
@@ -574,17 +580,11 @@ class AbstractSmoothTestFunction(AbstractTestFunction):
         nearest = xp.round((drawn - lengths[0]) * float(self.lengths - 1) / room)
         return xp.clip(nearest.astype(np.int32), 0, self.lengths - 1)
 
-    def _weights(self, length: Int[Leaf, ""], columns: Columns) -> Float[Array, "1+s n"]:
-        """h psi_k at the samples of a window of `length` samples, k from 0 to the smoothness s."""
-        n, step = columns.sample_count, columns.time_step
-        if xp.are_traced(length, step):
-            return self._at_samples(length, n, step.astype(columns.values.dtype))
-        # No more than the window is worked through.
-        rows = self._at_samples(length, min(int(length) + 1, n), step)
-        return np.pad(rows, ((0, 0), (0, n - rows.shape[1])))
-
-    def _at_samples(self, length: Int[Leaf, ""], count: int, step: Leaf) -> Float[Array, "1+s n"]:
-        """h psi_k at so many samples."""
+    def _weights(self, length: Int[Leaf, ""], count: int, step: Leaf) -> Float[Array, "1+s n"]:
+        """h psi_k at the samples of a window of `length` samples, k from 0 to the smoothness s; at
+        so many samples where the length is traced, else at no more than the window has."""
+        if not xp.are_traced(length, step):
+            count = min(int(length) + 1, count)
         sample = np.arange(count)
         # By whole numbers: at the window's end |tau| is 1 but for rounding, and a compiler may
         # evaluate |tau| < 1 twice, once with fused multiply-adds, so that the masks differ.
@@ -621,7 +621,7 @@ def _spectrum(
     weight: AbstractSmoothTestFunction, length: int, count: int, step: float
 ) -> np.ndarray:
     """Fourier transform of h psi_k of windows of so many samples, among `count` samples."""
-    rows = weight._at_samples(np.asarray(length), min(length + 1, count), np.asarray(step))
+    rows = weight._weights(np.asarray(length), count, np.asarray(step))
     return np.fft.rfft(rows, xp.fft_size(count), axis=-1)
 
 

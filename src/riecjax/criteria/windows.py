@@ -18,14 +18,10 @@ leaves q - m j starts, q = n - m k_a. The pairs before the j-th lag are
 and pair number x belongs to the lag j with P(j) <= x < P(j + 1): the whole part of a root of a
 quadratic, 4 x / (b + sqrt(b^2 - 8 m x)) with b = 2 q + m. With the root in the denominator nothing
 cancels where x is small.
-
-**Laws.** The paper draws T uniformly (eq. 14). Any other law is a weight for each length; running
-sums handle a stretch of equally weighted lengths, a bin, at once, so a law is a list of bins. Only
-ratios of weights matter to an estimate; they are scaled to 1 on average over all lags, so that sums
-count windows whatever the law.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Self, TypeVar
 
@@ -70,20 +66,14 @@ def half_periods(band: tuple[float, float]) -> tuple[float, float]:
 
 
 class LagBins(NamedTuple):
-    """Stretches of window lengths that count alike.
+    """Stretches of window lengths, which all count alike.
 
     **Fields:** `first` and `last` lag of each bin, in multiples of samples, both included; empty
-    where `last < first`; `weight` of each lag in it, 1 on average over all lags.
+    where `last < first`.
     """
 
     first: Int[Leaf, " bins"]
     last: Int[Leaf, " bins"]
-    weight: Float[Leaf, " bins"]
-
-
-def rounded(lags: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
-    """The nearest whole numbers."""
-    return xp.round(lags).astype(np.int32)
 
 
 class WindowSet(NamedTuple):
@@ -134,7 +124,7 @@ class AbstractWindows(eqx.Module):
         unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
         shortest = xp.clip(xp.divide(alpha, unit), 1, most)
         longest = xp.clip(xp.divide(beta, unit), shortest, most)
-        return rounded(shortest), rounded(longest)
+        return xp.round(shortest).astype(np.int32), xp.round(longest).astype(np.int32)
 
     @property
     def drawn(self) -> "RandomWindows":
@@ -193,7 +183,7 @@ def _band(alpha: float | Leaf, beta: float | Leaf) -> tuple[Leaf, Leaf]:
 
 
 class AllWindows(AbstractWindows):
-    """Every window on samples, from alpha to beta: all equally likely, or by a law w(T).
+    """Every window on samples, from alpha to beta, all equally likely as in eq. (14).
 
     What random windows converge to as their number grows: the same estimate without the scatter of
     a draw, in closed form (see `all_windows`). The cost does not depend on how many there are.
@@ -203,43 +193,20 @@ class AllWindows(AbstractWindows):
     **Arguments:**
 
     - `alpha`, `beta`: shortest and longest window in seconds.
-    - `law`: how much each length counts: weights of equal parts of the band, from the shortest
-      windows to the longest, of which only ratios matter; differentiable. The cost grows with
-      their number, not with that of lengths. Every length alike by default, as in eq. (14).
     - `longest_samples`: an upper limit to beta in samples, which sets the size of the blocks that
       the record is worked through in. Known where beta is a plain number; under `jit` or
       `vmap` over beta it should be given, or every block spans the record.
 
-    **Raises:** `ModelError` unless 0 < alpha < beta; for weights below zero, not finite, or all
-    zero; when it is differentiated by alpha or beta.
+    **Raises:** `ModelError` unless 0 < alpha < beta; when it is differentiated by alpha or beta.
     """
 
-    law: Leaf | None
     longest_samples: int | None = eqx.field(static=True)
 
     def __init__(
-        self,
-        alpha: float | Leaf,
-        beta: float | Leaf,
-        *,
-        law: ArrayLike | None = None,
-        longest_samples: int | None = None,
+        self, alpha: float | Leaf, beta: float | Leaf, *, longest_samples: int | None = None
     ):
         self.alpha, self.beta = _band(alpha, beta)
         self.longest_samples = longest_samples
-        if isinstance(law, str | type) or callable(law):
-            write = "law=[1, 2, 1], weights from the shortest windows to the longest"
-            require("the law", law, (), f"{write}, or leave it out for lengths that count alike")
-        self.law = None if law is None else as_leaf(law)
-        if self.law is None:
-            return
-        if self.law.ndim != 1 or not self.law.shape[0]:
-            raise ModelError("a law of window lengths in parts needs a list of weights.")
-        values = np.asarray(self.law) if is_concrete(self.law) else np.ones(1)
-        if not (np.isfinite(values).all() and (values >= 0).all() and values.any()):
-            raise ModelError(
-                "a law of window lengths needs weights of zero or more, not all zero, and finite."
-            )
 
     def fitted(self, records: Sequence[Record]) -> Self:
         """The same windows with `longest_samples` determined, if that is possible.
@@ -278,23 +245,9 @@ class AllWindows(AbstractWindows):
             wanted = max(self.longest_samples, power_of_two(sample_count / MOST_BLOCKS))
         return min(wanted, -(-sample_count // 2))
 
-    def bins(self, sample_count: int, time_step: Float[Array, ""], multiple: int) -> LagBins:
-        """The law of lags, which are multiples of so many samples: a bin for each weight."""
-        low, high = self.lags(sample_count, time_step, multiple)
-        dtype = time_step.dtype
-        if self.law is None:
-            return LagBins(low[None], high[None], np.ones(1, dtype))
-        share = xp.linspace(0.0, 1.0, self.law.shape[0] + 1)
-        # Real numbers: lags times bins may pass 32-bit integers.
-        first = low + rounded(share * (high - low + 1))
-        first, last, weight = first[:-1], first[1:] - 1, xp.asarray(self.law, dtype)
-        held = (last - first + 1).astype(dtype)
-        return LagBins(first, last, weight * (xp.sum(held) / xp.sum(weight * held)))
-
     def describe(self) -> dict[str, object]:
         """Settings, for tables and JSON."""
-        law = {} if self.law is None else {"law": np.asarray(self.law).tolist()}
-        return {**super().describe(), "windows": "all", **law}
+        return {**super().describe(), "windows": "all"}
 
 
 class RandomWindows(AbstractWindows):
@@ -464,33 +417,27 @@ def in_chunks(
 
 
 def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums], *, beside: Any) -> Sums:
-    """What all bins of a law add up to, each as often as its lags count; a bin without a lag adds
-    nothing, in no time.
+    """What all bins of a law add up to; a bin without a lag adds nothing, in no time.
 
     Of a single bin without a loop, which would be run for each equation: what several equations
     have in common is then computed once.
 
     **Arguments:** `beside`, what `of_bin` closes over.
     """
-
-    def counted(bin_: LagBins) -> Sums:
-        return jax.tree.map(lambda leaf: bin_.weight * leaf, of_bin(bin_))
-
     first = LagBins(*(leaf[0] for leaf in bins))
     if not xp.are_traced(bins, beside):
-        total = counted(first)
-        for bin_ in map(LagBins._make, zip(*(leaf[1:] for leaf in bins))):
-            if np.any(bin_.first <= bin_.last):
-                total = jax.tree.map(np.add, total, counted(bin_))
-        return total
+        held = [bin_ for bin_ in map(LagBins._make, zip(*bins)) if np.any(bin_.first <= bin_.last)]
+        if not held:
+            return jax.tree.map(np.zeros_like, of_bin(first))
+        return functools.reduce(functools.partial(jax.tree.map, np.add), map(of_bin, held))
     if bins.first.shape[0] == 1:
-        return counted(first)
-    shapes = jax.eval_shape(counted, first)
+        return of_bin(first)
+    shapes = jax.eval_shape(of_bin, first)
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
     def add(total: Sums, bin_: LagBins) -> tuple[Sums, None]:
         some = jnp.any(bin_.first <= bin_.last)
-        added = jax.lax.cond(some, counted, lambda _: nothing, bin_)
+        added = jax.lax.cond(some, of_bin, lambda _: nothing, bin_)
         return jax.tree.map(jnp.add, total, added), None
 
     # In reverse mode each bin is computed again: storing all would take bins x columns x samples.
@@ -578,20 +525,16 @@ class LengthBins(NamedTuple):
 
 
 def law_in_bins(law: LagBins, bins: LengthBins, unit: float, most: int) -> LagBins:
-    """A law of lags, cut into bins: two axes, bins and what each holds of the law.
-
-    Inside the band lengths count by the law; beyond it all alike.
-    """
+    """A law of lags, cut into bins: two axes, bins and what each holds of the law."""
     low, high = (ends[:, None] for ends in bins.lags(unit, most))
     at, law = np.arange(low.size)[:, None], LagBins(*map(np.asarray, law))
     inside = (bins.band[0] <= at) & (at < bins.band[1])
     begin = np.where(inside, np.maximum(law.first, low), low)
     end = np.where(inside, np.minimum(law.last, high), high)
-    weight = np.where(inside, law.weight, 1.0)
-    # Beyond the band the first entry has all of a bin.
+    # Beyond the band the law's first entry has all of a bin.
     held = (begin <= end) & (inside | (np.arange(law.first.size) == 0))
-    parts = (np.where(held, *of) for of in ((begin, 1), (end, 0), (weight, 0.0)))
-    return LagBins(*(part.astype(leaf.dtype) for part, leaf in zip(parts, law)))
+    dtype = law.first.dtype
+    return LagBins(np.where(held, begin, 1).astype(dtype), np.where(held, end, 0).astype(dtype))
 
 
 def each_bin(of_law: Callable[[LagBins], Any], lags: LagBins, *, beside: Any) -> Any:

@@ -167,19 +167,15 @@ class Friction(AbstractBasis):
 
     - `asymmetric`: separate coefficients for each direction.
     - `stribeck`: Stribeck speed in the velocity's unit, or `None` for none.
-    - `smooth`: width over which sign(v) goes from -1 to 1, as tanh(v / smooth), in the
-      velocity's unit; `None` for the sign itself.
 
-    **Raises:** `ModelError` unless speeds are positive.
+    **Raises:** `ModelError` unless the speed is positive.
     """
 
     asymmetric: bool = eqx.field(static=True, kw_only=True, default=False)
     stribeck: Leaf | None = eqx.field(converter=_leaf_or_none, kw_only=True, default=None)
-    smooth: Leaf | None = eqx.field(converter=_leaf_or_none, kw_only=True, default=None)
 
     def __check_init__(self):
         _require_positive("the Stribeck speed", self.stribeck)
-        _require_positive("the smoothing width", self.smooth)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -190,19 +186,17 @@ class Friction(AbstractBasis):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "functions n"]:
         """Every function at every velocity."""
-        direction = xp.sign(x) if self.smooth is None else xp.tanh(x / self.smooth)
+        direction = xp.sign(x)
         sides = (x > 0, x < 0) if self.asymmetric else (True,)
         functions = [xp.where(side, of, 0.0) for side in sides for of in (x, direction)]
         if self.stribeck is not None:
-            functions.append(direction * _near_standstill(x, self.stribeck))
+            functions += [*Stribeck(self.stribeck)(x)]
         return xp.stack(functions)
 
 
-def friction(
-    *, asymmetric: bool = False, stribeck: float | None = None, smooth: float | None = None
-) -> Friction:
+def friction(*, asymmetric: bool = False, stribeck: float | None = None) -> Friction:
     """A basis of friction functions; see [`Friction`][]."""
-    return Friction(asymmetric=asymmetric, stribeck=stribeck, smooth=smooth)
+    return Friction(asymmetric=asymmetric, stribeck=stribeck)
 
 
 class AbstractShape(AbstractBasis):
@@ -261,11 +255,7 @@ class Stribeck(AbstractShape):
 
     def __call__(self, x: Float[Array, " n"]) -> Float[Array, "1 n"]:
         """sign(x) exp(-(x / width)^2)."""
-        return (xp.sign(x) * _near_standstill(x, self.width))[None]
-
-
-def _near_standstill(x: Float[Array, " n"], speed: Leaf) -> Float[Array, " n"]:
-    return xp.exp(-((x / speed) ** 2))
+        return (xp.sign(x) * xp.exp(-((x / self.width) ** 2)))[None]
 
 
 def _require_positive(what: str, size: Leaf | None) -> None:

@@ -1,24 +1,20 @@
 """An equation of motion, linear in its parameters."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.equations.expressions import (
-    Expression,
-    evaluate,
-    label_of,
-    read_expression,
-    signals_read,
-)
+from riecjax.equations.expressions import evaluate, label_of, read_expression, signals_read
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, from_elsewhere, samples_of
 from riecjax.errors import ModelError, require
 from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Signals
+from riecjax.records.signal import Signal
 from riecjax.shows import Shown
 
 PROBE = 64
@@ -162,42 +158,31 @@ def mixing_expressions(equations: Iterable[Equation], record: Record) -> list[st
     what fills it up. Each is tried on samples from all over the record, and on halves of these;
     and so is what a class of terms from elsewhere makes.
     """
-    tried: list[tuple[str, Expression | AbstractTerm]] = []
+    tried: list[tuple[str, Callable[..., Signal]]] = []
     for equation in equations:
         for expression in (*(term.of for term in equation.terms), equation.where):
             if callable(expression):
-                tried.append((f"{equation.name}: {label_of(expression)}", expression))
+                label = label_of(expression)
+                tried.append((f"{equation.name}: {label}", partial(evaluate, expression)))
         for term in equation.terms:
             if from_elsewhere(type(term)) or from_elsewhere(type(term.basis)):
-                tried.append((f"{equation.name}: {type(term).__name__}", term))
+                label = type(term).__name__
+                tried.append((f"{equation.name}: {label}", partial(samples_of, term, order=0)))
     if not tried:
         return []
     at = np.linspace(0, record.sample_count - 1, PROBE).astype(int)
     arrays = {name: np.asarray(values)[at] for name, values in record.arrays.items()}
-    labels, functions = zip(*tried)
-    try:
-        alone = _each_by_itself(functions, Record(arrays, record.time_step))
-    except ModelError:  # told of the whole record, where it is summed
-        return []
-    return [label for label, good in zip(labels, alone) if not good]
+    thinned, half = Record(arrays, record.time_step), PROBE // 2
+    parts = [thinned, thinned.part(0, half), thinned.part(half, PROBE)]
 
-
-def _each_by_itself(functions: tuple[Expression | AbstractTerm, ...], record: Record) -> list[bool]:
-    half = PROBE // 2
-    parts = [record, record.part(0, half), record.part(half, PROBE)]
-
-    def alone(function: Expression | AbstractTerm) -> bool:
-        samples = (
-            samples_of(function, part, 0)
-            if isinstance(function, AbstractTerm)
-            else evaluate(function, part)
-            for part in parts
-        )
-        whole, *halves = (np.asarray(signal.values) for signal in samples)
+    def mixes(samples: Callable[..., Signal]) -> bool:
+        whole, *halves = (np.asarray(samples(record=part).values) for part in parts)
         # Of differences of large numbers, compilers may round halves otherwise than the whole.
         size = np.max(np.abs(whole), where=np.isfinite(whole), initial=0.0)
         both = np.concatenate(halves, axis=-1)
-        close = np.isclose(whole, both, rtol=1e-9, atol=1e-9 * size, equal_nan=True)
-        return bool(close.all())
+        return not np.allclose(whole, both, rtol=1e-9, atol=1e-9 * size, equal_nan=True)
 
-    return [alone(function) for function in functions]
+    try:
+        return [label for label, samples in tried if mixes(samples)]
+    except ModelError:  # told of the whole record, where it is summed
+        return []

@@ -28,10 +28,10 @@ Hidden modes, and springs in series, are written out: their states are further o
 forces stand in the equations (`HiddenMode` and `SpringElement` of `hidden_elements`).
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -41,9 +41,16 @@ from jaxtyping import Array, Float
 from riecjax import arrays as xp
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, label_of, signals_read
-from riecjax.equations.hidden_elements import HiddenState, SpringElement
+from riecjax.equations.hidden_elements import (
+    HiddenMode,
+    HiddenState,
+    SeriesSpring,
+    SpringElement,
+)
+from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, made_by, reversing_states
 from riecjax.errors import ModelError, users_code
+from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
@@ -51,19 +58,6 @@ from riecjax.simulation.system import AbstractSystem, Inputs, Quantities, State
 
 Motion = tuple[str, ...]
 """A signal, and the names of its derivatives up to the leading one."""
-
-
-class WrittenOut(NamedTuple):
-    """Equations with hidden elements written out in them.
-
-    **Fields:** `equations`; `rates`, expressions for the derivatives of further states; `hidden`
-    states of the elements; `springs` in series with force elements.
-    """
-
-    equations: tuple[Equation, ...]
-    rates: Mapping[str, Expression]
-    hidden: tuple[HiddenState, ...]
-    springs: tuple[SpringElement, ...]
 
 
 def expression_read(term: AbstractTerm, motions: tuple[Motion, ...]) -> Expression:
@@ -274,20 +268,30 @@ class EquationSystem(AbstractSystem):
 
 def read_system(
     label: str,
-    written: WrittenOut,
+    equations: tuple[Equation, ...],
+    elements: tuple[Sequence[HiddenMode], Sequence[SeriesSpring]],
     values: dict[str, Array],
-    inputs: frozenset[str],
-    listed: tuple[str, ...],
+    rates: dict[str, Expression],
+    inputs: Sequence[str],
+    listed: Sequence[Quantity],
     units: Mapping[str, str],
 ) -> EquationSystem:
-    """The system of equations that are to be simulated, forces of hidden elements among them.
+    """The system that equations describe, with hidden elements written out in them.
 
     **Arguments:** `listed`, signals in the model's order, which is that of states.
 
-    **Raises:** `ModelError` if they cannot be, whatever their coefficients; see
-    [`equation_system`][].
+    **Raises:** `ModelError` if they cannot be simulated; see [`equation_system`][].
     """
-    equations, rates, hidden, springs = written
+    modes, in_series = elements
+    hidden: list[HiddenState] = []
+    springs = tuple(SpringElement.of(spring, equations) for spring in in_series)
+    for spring in springs:
+        equations = tuple(map(spring.written_out, equations))
+    for mode in modes:
+        equations, of_mode, of_mass = mode.written_out(equations)
+        rates |= of_mode
+        hidden += of_mass
+    hidden += (spring.state for spring in springs)
     # State signals in order of appearance, each with its longest chain of derivatives.
     differentiated = [term for equation in equations for term in equation.terms if term.derivative]
     moving = [
@@ -367,8 +371,9 @@ def read_system(
             f"{label} cannot be simulated: {len(equations)} equation(s) for {len(unknowns)} "
             f"unknown(s) ({', '.join(unknowns)}). {remedy}"
         )
+    # States in the model's order, those of hidden elements last.
     carried = [state.name for state in hidden]
-    place = {name: i for i, name in enumerate((*listed, "", *carried))}
+    place = {name: i for i, name in enumerate((*(q.name for q in listed), "", *carried))}
     lower = (name for motion in motions for name in motion[:-1])
     unsorted = dict.fromkeys((*lower, *rates, *carried))
     states = sorted(unsorted, key=lambda name: place.get(name, place[""]))
@@ -407,11 +412,12 @@ def read_system(
     )
     # A derivative of a state has its name from the simulation, others the recorded one.
     derivatives = {f"d{name}" for name in states}
+    stated = {q.name: q.unit for q in listed if q.unit} | {s.name: s.unit for s in hidden}
 
     def with_units(names: Iterable[str]) -> Quantities:
-        return tuple((name, units.get(name, "")) for name in names)
+        return tuple((name, units.get(name, stated.get(name, ""))) for name in names)
 
-    return EquationSystem(
+    system = EquationSystem(
         equations=equations,
         values=values,
         springs=springs,
@@ -421,10 +427,13 @@ def read_system(
         motions=motions,
         rates=tuple(rates.items()),
         unknowns=unknowns,
-        hidden=hidden,
+        hidden=tuple(hidden),
         reversing=reversing_states(terms, states, (*states, *unknowns, *driving)),
         implicit=implicit,
     )
+    if is_concrete(equations, values):
+        require_solvable(label, system)
+    return system
 
 
 def require_solvable(label: str, system: EquationSystem) -> None:

@@ -23,19 +23,13 @@ import numpy as np
 
 from riecjax import arrays as xp
 from riecjax.equations.equation import Equation, first_stated, require_agreement
-from riecjax.equations.equation_system import (
-    EquationSystem,
-    WrittenOut,
-    read_system,
-    require_solvable,
-)
+from riecjax.equations.equation_system import EquationSystem, read_system
 from riecjax.equations.expressions import Expression, constant, relation_of, signals_read
 from riecjax.equations.hidden_elements import (
     Expanded,
     HiddenElement,
     HiddenMode,
     SeriesSpring,
-    SpringElement,
     force_elements,
     why_no_element,
 )
@@ -613,34 +607,19 @@ def equation_system(
     leading coefficient is zero or the unknowns do not enter linearly.
     """
     model = as_model(model)
-    listed, label = (*model.signals, *model.inputs), names_of(model.equations)
-    known: dict[str, Any] = {**model.known, **values}
-    names = model.parameter_names
-    if unset := [name for name in names if name not in known]:
+    label, known = names_of(model.equations), {**model.known, **values}
+    if unset := [name for name in model.parameter_names if name not in known]:
         raise ModelError(f"{label}: no value is given for {', '.join(unset)}.")
-    numbers = {name: xp.asarray(known[name], float) for name in names}
+    numbers = {name: xp.asarray(known[name], float) for name in model.parameter_names}
     for name, number in numbers.items():
         if number.shape != ():
             raise ModelError(f"{label}: {name} must be one number; it has shape {number.shape}.")
     further: dict[str, Expression] = {memory.state: memory for memory in model.memories}
     further |= model.rates if rates is None else rates
-    equations, hidden = model.equations, []
-    springs = tuple(SpringElement.of(spring, equations) for spring in model.springs)
-    for spring in springs:
-        equations = tuple(map(spring.written_out, equations))
-    for mode in model.modes:
-        equations, of_mode, states = mode.written_out(equations)
-        further |= of_mode
-        hidden += states
-    hidden += (spring.state for spring in springs)
-    order = tuple(quantity.name for quantity in listed)
-    given = {quantity.name: quantity.unit for quantity in listed if quantity.unit}
-    given |= {state.name: state.unit for state in hidden} | dict(units or {})
-    written = WrittenOut(equations, further, tuple(hidden), springs)
-    system = read_system(label, written, numbers, frozenset(inputs), order, given)
-    if is_concrete(equations, numbers):
-        require_solvable(label, system)
-    return system
+    elements, listed = (model.modes, model.springs), (*model.signals, *model.inputs)
+    return read_system(
+        label, model.equations, elements, numbers, further, inputs, listed, units or {}
+    )
 
 
 def as_model(model: Equation | Model) -> Model:

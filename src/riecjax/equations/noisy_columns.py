@@ -31,7 +31,7 @@ r with each source, and what is left at one sample is a sum of three squares,
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -107,36 +107,7 @@ def sampled_columns(equation: Equation, record: Record, smoothness: int) -> Colu
     **Raises:** `DataError` for a missing signal or derivative, `ModelError` for a class of terms
     that fails or makes another shape.
     """
-    read = [
-        samples_of(term, record, max(term.derivative - smoothness, 0)) for term in equation.terms
-    ]
-    return columns_of_terms(equation, record, smoothness, read)
-
-
-def columns_of_terms(
-    equation: Equation, record: Record, smoothness: int, read: Sequence[Signal]
-) -> Columns:
-    """The columns that samples of each of an equation's terms add up to."""
-    names = equation.parameters
-
-    def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
-        orders = (min(term.derivative, smoothness) for term in equation.terms)
-        rows = _rows(zip(equation.terms, orders, each), names)
-        zero = xp.zeros_like(next(iter(next(iter(rows.values())).values())))
-        return xp.stack(
-            [
-                xp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
-                for order in range(smoothness + 1)
-            ]
-        )
-
-    sampled: Any = combined(sums, *read)
-    if equation.where is not None:
-        # Present only where the equation is to be trusted.
-        mask = evaluate(equation.where, record)
-        holds = Signal(mask.values, mask.values.astype(bool))
-        sampled = combined(lambda values, *_: values, sampled, mask, holds)
-    return Columns(sampled.values, sampled.present, record.time_step, names)
+    return noisy_columns(equation, record, smoothness, Noise()).columns
 
 
 Key = tuple[str, str]
@@ -209,14 +180,18 @@ class _Curved(NamedTuple):
     squares: tuple[tuple[float, Float[Array, "columns samples"]], ...]
 
 
-def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyColumns:
+def noisy_columns(
+    equation: Equation, record: Record, smoothness: int, noise: Noise | None = None
+) -> NoisyColumns:
     """The columns of an equation as of [`sampled_columns`][], less what noise adds to their mean.
 
-    **Raises:** `DataError` for a missing signal or derivative.
+    **Arguments:** `noise`, by default the record's.
+
+    **Raises:** as that does.
     """
+    noise = record.noise if noise is None else noise
     # Along which signals move together: ("white", source) or ("coloured", signal).
-    noise = record.noise
-    read = equation.signals_read(record, smoothness, masked=False)
+    read = equation.signals_read(record, smoothness, masked=False) if noise.kernels else set()
     directions: dict[Key, Direction] = {}
     variances: Direction = {}
     for name in sorted(read):
@@ -242,9 +217,27 @@ def noisy_columns(equation: Equation, record: Record, smoothness: int) -> NoisyC
             bends.setdefault(keys, []).append(tuple((term, order, v) for v in squares))
         clean.append(sampled)
     names = equation.parameters
+
+    def sums(*each: Float[Array, "columns n"]) -> Float[Array, "orders columns n"]:
+        orders = (min(term.derivative, smoothness) for term in equation.terms)
+        rows = _rows(zip(equation.terms, orders, each), names)
+        zero = xp.zeros_like(next(iter(next(iter(rows.values())).values())))
+        return xp.stack(
+            [
+                xp.stack([rows.get(order, {}).get(row, zero) for row in range(1 + len(names))])
+                for order in range(smoothness + 1)
+            ]
+        )
+
+    samples: Any = combined(sums, *clean)
+    if equation.where is not None:
+        # Present only where the equation is to be trusted.
+        mask = evaluate(equation.where, record)
+        holds = Signal(mask.values, mask.values.astype(bool))
+        samples = combined(lambda values, *_: values, samples, mask, holds)
     movements = {key: Movement.of(parts, names) for key, parts in moves.items() if parts}
     return NoisyColumns(
-        columns_of_terms(equation, record, smoothness, clean),
+        Columns(samples.values, samples.present, record.time_step, names),
         {name: m for (kind, name), m in movements.items() if kind == "white"},
         {name: m for (kind, name), m in movements.items() if kind == "coloured"},
         tuple(
@@ -271,6 +264,8 @@ def _term_noise(
 ) -> tuple[dict[Key, Array], dict[tuple[Key, ...], _Curved]]:
     """How a term's columns of these values move along each direction, and what bends in them along
     which."""
+    if not directions:
+        return {}, {}
     signals = record.signals
     expression = term.expression(record, order)
     read_expression(expression, signals)

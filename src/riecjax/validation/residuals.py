@@ -607,7 +607,7 @@ def loop_of(
     ends = [column(error.error), column(error.target)]
     energy = float(np.sum(ends[1] ** 2))
     part = np.arange(ends[0].size) * PARTS // max(ends[0].size, 1) % 2
-    best: Loop | None = None
+    loops: list[Loop] = []
     for motion in (motion for motion in motions if motion.velocity):
         kinds, columns = [], ends[:1]
         for kind, signals in _regressors(motion, unread, records):
@@ -618,17 +618,15 @@ def loop_of(
         rows = np.stack(columns, axis=1)
         grams = [rows[part == i].T @ rows[part == i] for i in (0, 1)]
         base = [1 + i for i, kind in enumerate(kinds) if kind is None]
-        before, largest = _left(grams, base), None
-        for i, kind in enumerate(kinds):
-            if kind is None or not before > 0 or not energy > 0:
-                continue
-            gained = before - _left(grams, [*base, 1 + i])
-            size = float(np.sqrt(max(gained, 0) / energy))
-            if gained / before > max(NOTABLE_GAIN, 0.0 if largest is None else largest.gain):
-                largest = replace(kind, gain=gained / before, size=size)
-        if largest is not None and (best is None or largest.size > best.size):
-            best = largest
-    return best
+        before = _left(grams, base)
+        if not (before > 0 and energy > 0):
+            continue
+        offered = ((1 + i, kind) for i, kind in enumerate(kinds) if kind is not None)
+        gained = [(before - _left(grams, [*base, at]), kind) for at, kind in offered]
+        much, kind = max(gained, key=lambda one: one[0])
+        if much > NOTABLE_GAIN * before:
+            loops.append(replace(kind, gain=much / before, size=float(np.sqrt(much / energy))))
+    return max(loops, key=lambda loop: loop.size, default=None)
 
 
 def _regressors(

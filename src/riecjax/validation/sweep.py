@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float, Int, Key
 
@@ -324,12 +323,13 @@ def sweep_of_sums(
     short = summary.short_blocks
     # Blocks are those of the longest windows at every length, so that estimates compare pairwise.
     used = blocks_in_use(short, np.asarray(FEWEST_WINDOWS * ends[-1, 1]))
-    every = [summary.equations(pair) for pair in pairs]
-    equations = jax.tree.map(lambda *leaves: np.stack(leaves), *every)
+    every = [_estimates(summary.equations(pair), table, short, used) for pair in pairs]
+    *found, held = map(np.stack, zip(*every))
+    known = (held >= SHARE_OF_BLOCKS * np.max(held)) & (held > 0)
     return WindowSweep(
         ends[:, 0],
         ends[:, 1],
-        *_estimates(equations, table, short, used),
+        *(np.where(known.reshape(-1, *(1,) * (of.ndim - 1)), of, np.nan) for of in found),
         block_count=xp.sum(used),
         table=table,
         stage_names=tuple(label for label, names in table.stages if names),
@@ -394,21 +394,16 @@ def _estimates(
     table: ParameterTable,
     short: ShortBlocks,
     used: Int[Array, " records"],
-) -> tuple[Array, ...]:
-    """What a `WindowSweep` holds: theta, influence, relative r.m.s. and the noise's."""
-
-    def at_length(own: list[list[NormalEquations]]) -> tuple[Array, ...]:
-        shared, _ = stages_over_records(own, table)
-        stages = [stage.merged(short, used) for stage in shared]
-        solutions, values = solve_stages(stages, table.known)
-        return (
-            xp.concatenate([stage.solution.theta for stage in solutions]),
-            block_influence(stages, table.known, values),
-            xp.stack([stage.relative_rms for stage in solutions]),
-            xp.stack([stage.equations[0].noise_rms for stage in solutions]),
-            xp.min(xp.stack([xp.sum(stage.count > 0) for stage in stages])),
-        )
-
-    *found, held = xp.each(at_length, equations)
-    known = (held >= SHARE_OF_BLOCKS * xp.max(held)) & (held > 0)
-    return tuple(xp.where(known.reshape(-1, *(1,) * (of.ndim - 1)), of, xp.nan) for of in found)
+) -> tuple[np.ndarray, ...]:
+    """What a `WindowSweep` holds of one length, theta, influence, relative r.m.s. and the noise's,
+    and in how many blocks each stage has windows."""
+    shared, _ = stages_over_records(equations, table)
+    stages = [stage.merged(short, used) for stage in shared]
+    solutions, values = solve_stages(stages, table.known)
+    return (
+        np.concatenate([stage.solution.theta for stage in solutions]),
+        block_influence(stages, table.known, values),
+        np.array([stage.relative_rms for stage in solutions]),
+        np.array([stage.equations[0].noise_rms for stage in solutions]),
+        np.min([np.sum(stage.count > 0) for stage in stages]),
+    )

@@ -39,94 +39,35 @@ def integrated(weight, record, windows):
     return weight.integrals(sampled_columns(EQUATION, record, weight.smoothness), windows)
 
 
-def one_by_one(record, weight, length_weights):
-    """Weighted least squares over every window; `length_weights`: samples to weight."""
+def one_by_one(record, weight):
+    """Least squares over every window."""
     columns = 1 + len(EQUATION.parameters)
     total = np.zeros((columns, columns))
-    for samples, w in length_weights.items():
+    multiple = weight.length_multiple
+    lengths = [6, 14, 22, 30] if isinstance(weight, Bump) else range(6, 31, multiple)
+    for samples in lengths:
         # One shape for all lengths: windows past the last start are drawn again, and left out.
         every = np.arange(record.sample_count)
         start = np.minimum(every, record.sample_count - samples - 1)
         windows = WindowSet(jnp.asarray(start), jnp.asarray(start + samples))
         integrals, whole = integrated(weight, record, windows)
         rows = np.asarray(integrals)[:, np.asarray(whole) & (start == every)]
-        total = total + w * rows @ rows.T
+        total = total + rows @ rows.T
     return np.linalg.solve(total[1:, 1:], total[1:, 0])
 
 
-STEPS = [1.0, 0.0, 3.0]
-
-
-def length_weights(law, weight):
-    """Of lengths in samples: equal parts of the band have a stepped law's weights."""
-    multiple = weight.length_multiple
-    lengths = multiple * np.arange(6 // multiple, 30 // multiple + 1)
-    if isinstance(weight, Bump):
-        lengths = np.array([6, 14, 22, 30])
-    edges = np.round(np.linspace(0, 1, 4) * lengths.size).astype(int)
-    steps = STEPS if law is STEPS else [1.0] * 3
-    parts = zip(steps, edges[:-1], edges[1:])
-    return {int(k): w for w, a, b in parts for k in lengths[a:b] if w > 0}
-
-
 @pytest.mark.parametrize(
-    ("law", "weight"),
-    [
-        (STEPS, Boxcar()),
-        (None, Boxcar(4)),
-        (STEPS, Bump(4, lengths=4)),
-        *nightly(
-            [
-                (STEPS, Hat(4)),
-                (None, Hat(6)),
-                (None, Bump(4, lengths=4)),
-            ]
-        ),
-    ],
-    ids=lambda part: getattr(part, "__name__", str(part)),
+    "weight", [Boxcar(4), Bump(4, lengths=4), *nightly([Boxcar(), Hat(4), Hat(6)])], ids=str
 )
-def test_the_estimate_is_that_of_every_window_one_by_one(law, weight):
-    record = record_of(offset=50.0 if law is None else 0.0)
-    found = fit(EQUATION, record, RIEC(AllWindows(ALPHA, BETA, law=law), weight), noise="none")
-    expected = one_by_one(record, weight, length_weights(law, weight))
-    np.testing.assert_allclose(found.theta, expected, rtol=1e-8)
-
-
-def test_a_flat_law_is_no_law_whatever_its_size():
-    plain = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA)))
-    law = 7.0 * np.ones(5)
-    same = fit(EQUATION, record_of(), RIEC(AllWindows(ALPHA, BETA, law=law)))
-    np.testing.assert_allclose(same.theta, plain.theta, rtol=1e-9)
-    np.testing.assert_allclose(same.stages[0].count, plain.stages[0].count, rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_estimates_differentiate_in_the_law():
-    record, weights = record_of(), jnp.array([1.0, 2.0, 0.5])
-
-    def mass(weights):
-        windows = AllWindows(ALPHA, BETA, law=weights, longest_samples=32)
-        return fit(EQUATION, record, RIEC(windows))["m"]
-
-    slope = jax.grad(mass)(weights)
-    for i in range(3):
-        step = jnp.zeros(3).at[i].set(1e-4)
-        difference = (mass(weights + step) - mass(weights - step)) / 2e-4
-        assert float(slope[i]) == pytest.approx(float(difference), rel=1e-5)
-    # Only ratios of weights matter.
-    assert float(slope @ weights) == pytest.approx(0.0, abs=1e-9 * float(mass(weights)))
-
-
-@pytest.mark.parametrize("law", [[], [0.0, 0.0], [1.0, -1.0], [1.0, np.nan], [[1.0]]], ids=str)
-def test_weights_that_make_no_law_are_refused(law):
-    with pytest.raises(ModelError, match="law of window lengths"):
-        AllWindows(ALPHA, BETA, law=law)
+def test_the_estimate_is_that_of_every_window_one_by_one(weight):
+    record = record_of(offset=50.0)
+    found = fit(EQUATION, record, RIEC(AllWindows(ALPHA, BETA), weight), noise="none")
+    np.testing.assert_allclose(found.theta, one_by_one(record, weight), rtol=1e-8)
 
 
 @pytest.mark.parametrize("weight", [Boxcar(), *nightly([Hat(), Bump(4, lengths=5)])], ids=str)
-@pytest.mark.parametrize("law", [[1.0, 3.0, 0.5], *nightly([None])], ids=["stepped", "uniform"])
-def test_windows_that_gaps_leave_out_are_counted(weight, law):
-    criterion = RIEC(AllWindows(ALPHA, BETA, law=law), weight)
+def test_windows_that_gaps_leave_out_are_counted(weight):
+    criterion = RIEC(AllWindows(ALPHA, BETA), weight)
     for record in (record_of(gaps=0), record_of(gaps=3)):
         estimate = fit(EQUATION, record, criterion)
         left_out = [f for f in estimate.findings() if f.code == "rows_left_out"]
@@ -158,7 +99,7 @@ def test_windows_that_are_rounded_away_refuse_to_be_differentiated(windows, weig
 
 @pytest.mark.parametrize("weight", [Boxcar(), Bump(4, lengths=5)], ids=str)
 def test_windows_of_a_known_record_are_counted_inside_a_jitted_function_too(weight):
-    criterion, record = RIEC(AllWindows(ALPHA, BETA, law=[1.0, 3.0, 0.5]), weight), record_of()
+    criterion, record = RIEC(AllWindows(ALPHA, BETA), weight), record_of()
     counted = []
     jax.jit(lambda _: counted.append(criterion.row_count(record)))(0.0)
     assert counted == [criterion.row_count(record)]
