@@ -23,7 +23,7 @@ from riecjax import arrays as xp
 from riecjax.errors import DataError, ModelError
 from riecjax.leaves import Leaf
 from riecjax.records.faults.sampled_signal import levels_of, resolution_of, rounding_of
-from riecjax.records.record import Record, runs
+from riecjax.records.record import Record, deviation, runs
 from riecjax.records.signal import (
     DIFFERENCE_ORDER,
     REPEATS,
@@ -278,6 +278,19 @@ def judged(record: Record, given: GivenNoise = "auto", *names: str) -> Record:
             with np.errstate(all="ignore"):
                 estimates[name] = noise_of_level(name, noise_level(signal.with_nan), signal, others)
     return known.with_noise(Noise.of(estimates))
+
+
+def noise_entries(records: Sequence[Record], names: Iterable[str]) -> dict[str, dict[str, object]]:
+    """Of each signal that there is, its noise's standard deviation (r.m.s. over records), its unit,
+    and which share of its own standard deviation that is."""
+    entries: dict[str, dict[str, object]] = {}
+    for name in names:
+        if having := [record.select(name) for record in records if name in record.by_name]:
+            noise = np.sqrt(np.mean([np.mean(judged(r).noise.std(name) ** 2) for r in having]))
+            size = deviation(having, name)
+            share = noise / size if size > 0 else None
+            entries[name] = {"std": noise, "unit": having[0].signal(name).unit, "share": share}
+    return entries
 
 
 def given_noise(given: GivenNoise, signals: Collection[str]) -> Noise:

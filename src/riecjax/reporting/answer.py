@@ -9,7 +9,7 @@ import math
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,8 +25,7 @@ from riecjax.errors import ModelError, printable
 from riecjax.estimation.estimate import Estimate, intervals_entry, parameter_entries
 from riecjax.findings import Finding
 from riecjax.leaves import finite
-from riecjax.records.noise_judgement import judged
-from riecjax.records.record import deviation
+from riecjax.records.noise_judgement import noise_entries
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.document import SCHEMA, Document, versions
 from riecjax.reporting.equations import model_in_words
@@ -516,7 +515,9 @@ def answer_of(
             "equations": model_in_words(result.model),
             "verdict": verdict_entries(result.verdict, with_options),
             "excitation": excitation_entries(result.checked),
-            "noise": noise_entries(result.recordings, result.checked.signals),
+            "noise": noise_entries(
+                [one.record for one in result.recordings], result.checked.signals
+            ),
             "correlation": {
                 "parameters": estimate.parameters,
                 "matrix": estimate.correlation,
@@ -644,19 +645,6 @@ def excitation_entries(checked: "Check") -> Document:
         for stage in checked.excitations
         for name, own, noise in zip(stage.parameters, stage.own_share, stage.noise_share)
     }
-
-
-def noise_entries(recordings: Sequence[Recording], signals: Iterable[str]) -> Document:
-    """Of each signal, its noise's standard deviation (r.m.s. over recordings), and which share of
-    its own that is."""
-    entries = {}
-    for name in signals:
-        if records := [r.record.select(name) for r in recordings if name in r.record.by_name]:
-            noise = np.sqrt(np.mean([np.mean(judged(r).noise.std(name) ** 2) for r in records]))
-            size = deviation(records, name)
-            share = noise / size if size > 0 else None
-            entries[name] = {"std": noise, "unit": records[0].signal(name).unit, "share": share}
-    return entries
 
 
 def recording_entry(recording: Recording) -> Document:

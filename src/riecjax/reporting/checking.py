@@ -6,13 +6,13 @@ from rich.console import Console
 
 from riecjax.estimation.check import Check
 from riecjax.leaves import finite, told
+from riecjax.records.noise_judgement import noise_entries
 from riecjax.records.recording import Recording, common_steps
 from riecjax.reporting.answer import (
     Excitation,
     NoisePart,
     RecordPart,
     excitation_entries,
-    noise_entries,
     read,
     recording_entry,
     start_times,
@@ -46,7 +46,7 @@ def check_document(checked: Check, model: str, recordings: Sequence[Recording]) 
             "records": records,
             "signals": checked.signals,
             "excitation": excitation_entries(checked),
-            "noise": noise_entries(recordings, checked.signals),
+            "noise": noise_entries([one.record for one in recordings], checked.signals),
             "warnings": [finding._asdict() for finding in checked.findings],
             "provenance": {
                 "start_times": start_times(recordings),
