@@ -372,19 +372,6 @@ class AbstractObjective(eqx.Module):
     ) -> AbstractResiduals:
         """The residuals of `models` along records, whose parameters are those of a table."""
 
-    def is_lost(self, found: Estimate, records: list[Record]) -> bool:
-        """Whether a search ended where the model does not follow the records, if that is told."""
-        return False
-
-    def is_explained(self, found: Estimate, records: list[Record]) -> bool:
-        """Whether noise may be all that a search left, as far as anything tells."""
-        return True
-
-    def by_segments(self, record: Record) -> "list[AbstractObjective]":
-        """The same over ever longer segments of a record, itself the last; none where it is not
-        over whole records."""
-        return []
-
     @abstractmethod
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""

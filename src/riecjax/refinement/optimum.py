@@ -48,8 +48,7 @@ squares [K; sqrt(lambda D)] d = -[r; 0] in all unknowns at once.
 the Schur complement of the initial states. This is block elimination, and nothing is left out: x
 and y are those of the full damped system. To damp the Schur complement of the undamped C_w instead,
 as variable projection does, would be another method, whose initial states take undamped steps. Cost
-is O(W s (p + s)^2 + p^3); the dense system's is O((p + W s)^3). Of one window nothing is saved, and
-its initial states are taken for parameters.
+is O(W s (p + s)^2 + p^3); the dense system's is O((p + W s)^3).
 
 **Accepted** by the gain ratio. From (G + lambda D) d = -g follows d'G d = -g'd - lambda d'D d, so
 that the linear model predicts the decrease
@@ -183,13 +182,6 @@ class Linearised(NamedTuple):
         **Returns:** the step d; its work -g'd; and damped, lambda d'D d.
         """
         p, columns = self.prior.shape[0], self.moments.shape[-1]
-        if self.moments.shape[0] == 1 and columns > 1 + p:
-            # Of one window, initial states are as any parameter.
-            none = np.zeros(columns - 1 - p, self.moments.dtype)
-            prior, slope = (xp.append(held, none) for held in (self.prior, self.prior_slope))
-            joined = self._replace(prior=prior, prior_slope=slope)
-            whole, work, damped = joined.step(damping)
-            return Point(whole.parameters[:p], whole.parameters[None, p:]), work, damped
         gram = self.moments[:, 1:, 1:]
         gradient = self.gradient()
         curvature = xp.diagonal(gram, axis1=1, axis2=2)
@@ -238,14 +230,14 @@ OF_A_SIMULATION = 1e-5
 
 class Place(NamedTuple):
     """Where a search stands: parameters and initial states, the sum of squares that these leave and
-    the r.m.s. of each quantity, how it ended there and after how many steps; the `expansion` there,
-    `None` where that is of other residuals."""
+    the r.m.s. of each quantity, whether its start was `lost`, and the steps it took; the
+    `expansion` there, `None` where that is of other residuals."""
 
     theta: Theta
     initial: Initial
     cost: Float[Array, ""]
     rms: Energies
-    status: RefinementStatus
+    lost: Bool[Array, ""]
     steps: Int[Array, ""]
     expansion: Expansion | None
 
@@ -272,21 +264,6 @@ def _by_one_program(function: Callable[..., Any]) -> Callable[..., Any]:
     return either
 
 
-def _is(status: RefinementStatus, word: RefinementStatus) -> Any:
-    return xp.on_host(status == word)
-
-
-def _chosen(*cases: tuple[Any, Any]) -> Any:
-    """The last of some words whose condition holds."""
-    word = cases[0][1]
-    for holds, other in cases[1:]:
-        if xp.is_traced(holds) or (isinstance(word, RefinementStatus) and word.is_traced()):
-            word = RefinementStatus.where(holds, other, word)
-        elif bool(holds):
-            word = other
-    return word
-
-
 @_by_one_program
 def begun(residuals: AbstractResiduals) -> Place:
     """The start, with what it leaves at the initial states that suit it best.
@@ -297,9 +274,7 @@ def begun(residuals: AbstractResiduals) -> Place:
     expansion = residuals.at(start, initial)._replace(simulated=())
     energy = _profiled(residuals, expansion)
     cost, rms = xp.sum(energy), residuals.rms(energy)
-    found, lost = RefinementStatus.converged, RefinementStatus.not_finite
-    status = _chosen((True, found), (~xp.isfinite(cost), lost))
-    return Place(start, initial, cost, rms, status, np.zeros((), int), expansion)
+    return Place(start, initial, cost, rms, ~xp.isfinite(cost), np.asarray(0), expansion)
 
 
 def _profiled(residuals: AbstractResiduals, first: Expansion) -> Energies:
@@ -509,13 +484,11 @@ def search(
         # The point differentiates by anything in `problem`, forward and in reverse.
         point = _implicit(jax.lax.stop_gradient(point), problem)
     theta, initial = problem.theta(point), point.initial
-    lost = RefinementStatus.not_finite
-    status = _chosen(
-        (True, RefinementStatus.failed),
-        (~ended.ended, RefinementStatus.out_of_steps),
-        (ended.ended & ~ended.failed, RefinementStatus.converged),
-        (_is(before.status, lost), lost),
-    )
+    converged = ended.ended & ~ended.failed & ~before.lost
+    word, choose = RefinementStatus, RefinementStatus.where
+    status = choose(ended.ended, word.failed, word.out_of_steps)
+    status = choose(before.lost, word.not_finite, status)
+    status = choose(converged, word.converged, status)
     expansion: Any = ended.accepted.expansion
     at_bound = problem.sides(point) != 0
     curved = residuals.at(theta, initial, True) if residuals.is_curved else expansion
@@ -555,11 +528,11 @@ def search(
     size = xp.maximum(xp.abs(theta), xp.abs(residuals.start))
     size = xp.maximum(size, OF_A_SIMULATION / OF_A_VALUE * whole)
     errors = xp.sqrt(xp.diagonal(uncertainty.covariance))
-    tested = _is(status, RefinementStatus.converged) & xp.isfinite(errors)
+    tested = converged & xp.isfinite(errors)
     allowed = xp.maximum(of_value * size, xp.where(tested, OF_AN_ERROR * errors, np.inf))
     used = xp.sum(statistics.used)
     rms = residuals.rms(expansion.energy)
-    place = Place(theta, initial, cost, rms, status, before.steps + ended.steps, expansion)
+    place = Place(theta, initial, cost, rms, before.lost, before.steps + ended.steps, expansion)
     found = Search(
         status=status,
         steps=place.steps,

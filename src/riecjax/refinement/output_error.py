@@ -28,6 +28,7 @@ standard errors were too small: by a fifth of a normal law at c = 1.345.
 """
 
 import dataclasses
+import functools
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -44,6 +45,7 @@ from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
+from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, is_concrete, is_number
 from riecjax.records.noise_judgement import ABOVE_NOISE, judged
@@ -234,81 +236,6 @@ class Recorded(eqx.Module):
     every: int = eqx.field(static=True)
     piece: int = eqx.field(static=True)
 
-    def trajectory(
-        self, method: AbstractMethod, system: AbstractSystem, initial: Float[Array, " states"]
-    ) -> tuple[Float[Array, "longest states"], Bool[Array, ""]]:
-        """Along the inputs of one window: of a recording that is mapped over its windows.
-
-        **Returns:** states, and whether the solution was kept to the window's end. What is
-        simulated behind it counts for nothing.
-        """
-        # A method of one's own need not know of bends that are not asked for.
-        bends = () if self.bends is None else (self.bends,)
-        states, _, reached = method.trajectory(system, self.levels, self.time_step, initial, *bends)
-        return states, reached >= self.length
-
-
-def over_windows(function: Callable[[Any, Recorded], Any], initial: Array, part: Recorded) -> Any:
-    """A function of each window's initial state and recording."""
-    axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, part)
-    return jax.vmap(function, in_axes=(0, axes))(initial, part)
-
-
-class Compared(NamedTuple):
-    """What of the windows is compared, and how they begin.
-
-    **Fields:** `channels` and `every`, of how many samples one, as of [`OutputError`][]; `given`,
-    values of initial states; `joined` as of `AbstractShooting.shots`; which inputs are `smooth`,
-    `None` to keep no bends.
-    """
-
-    channels: tuple[str, ...]
-    given: dict[str, Any]
-    every: int
-    joined: bool
-    smooth: tuple[bool, ...] | None
-
-
-def _cut(
-    system: AbstractSystem, record: Record, shots: Shots, compared: Compared
-) -> tuple[Recorded, tuple[Leaf, Leaf]]:
-    """What a recording holds in its windows; and states and inputs at points spread over them."""
-    channels, given, every, joined, smooth = compared
-    states, n = measured_states(system, record), record.sample_count
-    inputs = input_levels(system, record)
-    samples = shots.samples.reshape(-1)
-    samples = samples[spread_points(samples.shape[0])]
-    position = shots.samples[:, ::every]
-    initial = measured_states(system, record, given)[shots.first]
-    # An initial state that is taken from the record leaves no error there.
-    inside = within(shots.length, shots.longest)[:, ::every]
-    inside[:, 0] &= not joined
-    masks = (record.present((name,)) for name in channels)
-    present = [inside if mask is None else inside & mask[position] for mask in masks]
-    # As many for all lengths that share what is compiled.
-    shared = shared_length(n)
-    short = -(-shared // SHORT_BLOCKS_OF_ROWS)
-    bends = None
-    if smooth is not None:
-        # Of the whole record: a window's neighbours tell what its inputs do at its ends.
-        bends = bends_of(inputs, record.present(system.input_names), smooth)[shots.samples]
-    recorded = Recorded(
-        inputs[shots.samples],
-        bends,
-        xp.stack([record[name][position] for name in channels], axis=-1),
-        xp.stack(present, axis=-1),
-        initial,
-        position,
-        shots.length,
-        record.time_step,
-        np.asarray(n),
-        short,
-        max(-(-shared // short), 2),
-        every,
-        min(max(short // every, 1), position.shape[1]),
-    )
-    return recorded, (states[samples], inputs[samples])
-
 
 THRESHOLD = 1.345
 """Standard deviations of the noise: 95 % as precise as squares where all of it is normal."""
@@ -404,13 +331,12 @@ class OutputResiduals(AbstractResiduals):
             return moments, energy, Simulated(states, level, slopes[..., p:])
 
         edges = np.cumsum([len(part.length) for part in self.recorded])[:-1]
-        parts = enumerate(zip(self.recorded, jnp.split(initial, edges)))
-        pieces, squares, simulated = zip(
-            *(
-                over_windows(lambda at, window, i=i: of_window(at, window, i), own, part)
-                for i, (part, own) in parts
-            )
-        )
+        of_records = []
+        for index, (part, own) in enumerate(zip(self.recorded, jnp.split(initial, edges))):
+            axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, part)
+            of_one = functools.partial(of_window, index=index)
+            of_records.append(jax.vmap(of_one, in_axes=(0, axes))(own, part))
+        pieces, squares, simulated = zip(*of_records)
         zero = jnp.zeros(len(self.labels), theta.dtype)
         energy = sum((jnp.sum(s, axis=0) for s in squares), start=zero)
         return Expansion(list(pieces), energy, simulated)
@@ -452,12 +378,16 @@ class OutputResiduals(AbstractResiduals):
         """Of one window of record number `index`; and its states."""
         system = self.system.build(self.table.values_at(theta, index))
         first = window.initial.at[np.array(self.estimated, int)].set(initial)
-        every, kept = window.trajectory(self.method, system, first)
+        # A method of one's own need not know of bends that are not asked for.
+        bends = () if window.bends is None else (window.bends,)
+        driven = system, window.levels, window.time_step
+        every, _, reached = self.method.trajectory(*driven, first, *bends)
         states, levels = every[:: window.every], window.levels[:: window.every]
         made = signals_of(system, states, levels, self.labels)
         simulated = jnp.stack(list(made.values()), axis=-1)
-        # What a lost simulation shows after its loss must not pass for an answer.
-        simulated = jnp.where(kept, simulated, jnp.inf)
+        # What a lost simulation shows after its loss must not pass for an answer; what is simulated
+        # behind the window's end counts for nothing.
+        simulated = jnp.where(reached >= window.length, simulated, jnp.inf)
         scaled = (simulated - window.measured) / self.sigma[None, :]
         return jnp.where(window.present, scaled, 0.0), every
 
@@ -571,24 +501,14 @@ class OutputError(AbstractObjective):
                     f"the unit of {name}."
                 )
         sources = [state_sources(system, record) for record in records]
-        given = self.initial_states if isinstance(self.initial_states, Mapping) else {}
-        system.require_states(given)
-        fixed = {*given}
+        system.require_states(self._given)
+        fixed = {*self._given}
         if self.initial_states == "measured":
             names = system.state_names
             fixed = {name for name in names if all(s[name] == "measured" for s in sources)}
         # Places of the states whose initial values are estimated.
         estimated = tuple(i for i, name in enumerate(system.state_names) if name not in fixed)
-        smooth = smooth_inputs(self.intersample, system.input_names)
-        # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
-        bent = smooth if any(smooth) or (smooth and self.method is None) else None
-        compared = Compared(channels, dict(given), self.every, not estimated, bent)
-        parts = []
-        for record in records:
-            # A missing sample of an input breaks the motion; of a free motion, one of any signal.
-            unbroken = system.input_names or tuple(record.arrays)
-            shots = self.shooting.shots(record, unbroken, joined=compared.joined)
-            parts.append(_cut(system, record, shots, compared))
+        parts = [self._recorded(system, record, channels, not estimated) for record in records]
         recorded, along = map(list, zip(*parts))
         units = dict(system.states) | dict(system.outputs)
         sigma, deviation = _scales(recorded, dict(self.sigma or {}), channels)
@@ -618,28 +538,65 @@ class OutputError(AbstractObjective):
         told = not any("zero" in by_state.values() for by_state in sources)
         return dataclasses.replace(residuals, method=_suitable(residuals, system, along, told))
 
-    def is_lost(self, found: Any, records: list[Record]) -> bool:
-        """Whether it did not converge, or some channel is not predicted well."""
-        well = np.asarray(found.search.rms) <= (1 - PREDICTS_WELL / 100) * _spread(found, records)
-        return not (found.search.converged and np.all(well))
+    @property
+    def _given(self) -> Mapping[str, float | Array]:
+        """Values of initial states that are known."""
+        return self.initial_states if isinstance(self.initial_states, Mapping) else {}
 
-    def is_explained(self, found: Any, records: list[Record]) -> bool:
-        """Whether it converged, and no channel is left well above its noise."""
-        level = noise_levels(records, found.search.quantities)
-        level = np.maximum(level, LEAST_NOISE * _spread(found, records))
-        left = np.asarray(found.search.rms)
-        return bool(found.search.converged and np.all(left <= ABOVE_NOISE * level))
+    def _recorded(
+        self, system: AbstractSystem, record: Record, channels: tuple[str, ...], joined: bool
+    ) -> tuple[Recorded, tuple[Leaf, Leaf]]:
+        """What a recording holds in its windows, `joined` as of `AbstractShooting.shots`; and
+        states and inputs at points spread over them."""
+        # A missing sample of an input breaks the motion; of a free motion, one of any signal.
+        unbroken = system.input_names or tuple(record.arrays)
+        shots = self.shooting.shots(record, unbroken, joined=joined)
+        states, n = measured_states(system, record), record.sample_count
+        inputs = input_levels(system, record)
+        samples = shots.samples.reshape(-1)
+        samples = samples[spread_points(samples.shape[0])]
+        position = shots.samples[:, :: self.every]
+        initial = measured_states(system, record, self._given)[shots.first]
+        # An initial state that is taken from the record leaves no error there.
+        inside = within(shots.length, shots.longest)[:, :: self.every]
+        inside[:, 0] &= not joined
+        masks = (record.present((name,)) for name in channels)
+        present = [inside if mask is None else inside & mask[position] for mask in masks]
+        # As many for all lengths that share what is compiled.
+        shared = shared_length(n)
+        short = -(-shared // SHORT_BLOCKS_OF_ROWS)
+        smooth, bends = smooth_inputs(self.intersample, system.input_names), None
+        # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
+        if any(smooth) or (smooth and self.method is None):
+            # Of the whole record: a window's neighbours tell what its inputs do at its ends.
+            bends = bends_of(inputs, record.present(system.input_names), smooth)[shots.samples]
+        recorded = Recorded(
+            inputs[shots.samples],
+            bends,
+            xp.stack([record[name][position] for name in channels], axis=-1),
+            xp.stack(present, axis=-1),
+            initial,
+            position,
+            shots.length,
+            record.time_step,
+            np.asarray(n),
+            short,
+            max(-(-shared // short), 2),
+            self.every,
+            min(max(short // self.every, 1), position.shape[1]),
+        )
+        return recorded, (states[samples], inputs[samples])
 
-    def by_segments(self, record: Record) -> list[AbstractObjective]:
-        """Over tiles from few samples on, each time `LONGER` as long, and whole records."""
+    def by_segments(self, record: Record) -> "list[OutputError]":
+        """Over tiles from few samples on, each time `LONGER` as long, and whole records; none where
+        it is not over whole records from estimated states."""
         if not isinstance(self.shooting, WholeRecord) or self.initial_states != "estimated":
             return []
-        tiles: list[AbstractObjective] = [self]
-        samples = record.sample_count // LONGER
+        samples, tiles = record.sample_count // LONGER, []
         while samples >= FEWEST_SAMPLES:
             tiles.append(dataclasses.replace(self, shooting=Tiles(samples=samples)))
             samples //= LONGER
-        return tiles[::-1] if tiles[1:] else []
+        return [*tiles[::-1], self] if tiles else []
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -649,9 +606,15 @@ class OutputError(AbstractObjective):
         return {"refine": "output-error", **shooting, "starts": initial, **loss}
 
 
-def _spread(found: Any, records: Sequence[Record]) -> Float[np.ndarray, " channels"]:
-    """Standard deviations of what was compared."""
-    return np.array([deviation(records, name) for name in found.search.quantities])
+def is_followed(found: Estimate, records: list[Record], *, to_noise: bool = False) -> bool:
+    """Whether a search converged where every channel is predicted well, or none is left well above
+    its noise."""
+    names = found.search.quantities
+    spread = np.array([deviation(records, name) for name in names])
+    most = (1 - PREDICTS_WELL / 100) * spread
+    if to_noise:
+        most = ABOVE_NOISE * np.maximum(noise_levels(records, names), LEAST_NOISE * spread)
+    return bool(found.search.converged and np.all(np.asarray(found.search.rms) <= most))
 
 
 def _computed(record: Record, names: Sequence[str]) -> set[str]:

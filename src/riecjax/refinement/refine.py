@@ -15,7 +15,7 @@ from riecjax.leaves import is_concrete
 from riecjax.records.record import Record, Records, as_records
 from riecjax.refinement.objective import AbstractObjective, AbstractResiduals
 from riecjax.refinement.optimum import Found, Place, begun, search
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.output_error import OutputError, is_followed
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich
 
 ORDER = 4
@@ -167,21 +167,23 @@ def refined(
             found = searched(residuals, found.place)
         return residuals, found
 
-    def follows(by: AbstractObjective, found: Found, shorter: Found | None) -> bool:
+    def follows(found: Found, shorter: Found | None) -> bool:
         told = shorter is None or np.all(found.place.rms <= 2 * shorter.place.rms)
-        return bool(told) and by.is_explained(found.estimate, records)
+        return bool(told) and is_followed(found.estimate, records, to_noise=True)
 
     found, longest, place = searched(residuals, None), None, None
-    if is_concrete(found) and by.is_lost(found.estimate, records):
-        for part in by.by_segments(records[0]):
-            pieces = formed(part)
-            tried = searched(pieces, place and place._replace(initial=pieces.initial))
-            shorter = longest and longest[2]
-            if follows(part, tried, shorter):
-                pieces, tried = settled(pieces, tried)
-            if not follows(part, tried, shorter):
-                break
-            longest, place = (part, pieces, tried), tried.place
+    segments: list[OutputError] = []
+    if isinstance(by, OutputError) and is_concrete(found):
+        segments = [] if is_followed(found.estimate, records) else by.by_segments(records[0])
+    for part in segments:
+        pieces = formed(part)
+        tried = searched(pieces, place and place._replace(initial=pieces.initial))
+        shorter = longest and longest[2]
+        if follows(tried, shorter):
+            pieces, tried = settled(pieces, tried)
+        if not follows(tried, shorter):
+            break
+        longest, place = (part, pieces, tried), tried.place
     by, residuals, found = longest or (by, *settled(residuals, found))
     estimate = found.estimate
     kept = residuals if is_concrete(residuals, estimate) else None
