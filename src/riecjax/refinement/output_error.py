@@ -45,11 +45,10 @@ from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
-from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, is_concrete, is_number
-from riecjax.records.noise_judgement import ABOVE_NOISE, judged
-from riecjax.records.record import Record, deviation, shared_length
+from riecjax.leaves import Leaf, is_number
+from riecjax.records.noise_judgement import judged
+from riecjax.records.record import Record, shared_length
 from riecjax.refinement.objective import (
     AbstractObjective,
     AbstractResiduals,
@@ -72,7 +71,6 @@ from riecjax.simulation.linearisation import (
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.simulate import signals_of
 from riecjax.simulation.system import (
-    PREDICTS_WELL,
     AbstractSystem,
     compared_signals,
     input_levels,
@@ -132,7 +130,7 @@ class AbstractShooting(eqx.Module):
         **Raises:** `DataError` if the record has no such window.
         """
         longest, count = self.longest(record), record.sample_count
-        if is_concrete(record):
+        if xp.is_concrete(record):
             stretches = [(part.start, part.stop) for part in record.segments(inputs)]
         elif record.present(inputs) is None:
             stretches = [(0, count)]
@@ -193,7 +191,7 @@ class Tiles(AbstractShooting):
         """One sample more than there are steps."""
         if self.samples is not None:
             return self.samples + 1
-        if not is_concrete(record.time_step):
+        if not xp.is_concrete(record.time_step):
             raise ModelError(
                 "the number of samples of a window must be known before tracing: give "
                 "Tiles(samples=...) or keep the record's time step out of jit and vmap."
@@ -495,7 +493,7 @@ class OutputError(AbstractObjective):
                     f"sigma is given for '{name}', which is not compared; compared are: "
                     f"{', '.join(channels)}."
                 )
-            if not is_number(value) or (is_concrete(value) and not 0 < float(value) < np.inf):
+            if not is_number(value) or (xp.is_concrete(value) and not 0 < float(value) < np.inf):
                 raise ModelError(
                     f"sigma of {name} is {value!r}: a standard deviation is a positive number, in "
                     f"the unit of {name}."
@@ -533,7 +531,7 @@ class OutputError(AbstractObjective):
             estimated=estimated,
             most_steps=MOST_STEPS if self.method is None else 0,
         )
-        if self.method is not None or not is_concrete(residuals):
+        if self.method is not None or not xp.is_concrete(residuals):
             return residuals
         told = not any("zero" in by_state.values() for by_state in sources)
         return dataclasses.replace(residuals, method=_suitable(residuals, system, along, told))
@@ -604,17 +602,6 @@ class OutputError(AbstractObjective):
         loss: dict[str, object] = {} if self.loss == "squares" else {"loss": self.loss}
         shooting = self.shooting.describe()
         return {"refine": "output-error", **shooting, "starts": initial, **loss}
-
-
-def is_followed(found: Estimate, records: list[Record], *, to_noise: bool = False) -> bool:
-    """Whether a search converged where every channel is predicted well, or none is left well above
-    its noise."""
-    names = found.search.quantities
-    spread = np.array([deviation(records, name) for name in names])
-    most = (1 - PREDICTS_WELL / 100) * spread
-    if to_noise:
-        most = ABOVE_NOISE * np.maximum(noise_levels(records, names), LEAST_NOISE * spread)
-    return bool(found.search.converged and np.all(np.asarray(found.search.rms) <= most))
 
 
 def _computed(record: Record, names: Sequence[str]) -> set[str]:

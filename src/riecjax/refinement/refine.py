@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Key
 
+from riecjax.arrays import is_concrete
 from riecjax.errors import require
 from riecjax.estimation.constraints import Bounds, Constraints
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import require_settings
-from riecjax.leaves import is_concrete
-from riecjax.records.record import Record, Records, as_records
+from riecjax.records.noise_judgement import ABOVE_NOISE
+from riecjax.records.record import Record, Records, as_records, deviation
 from riecjax.refinement.objective import AbstractObjective, AbstractResiduals
 from riecjax.refinement.optimum import Found, Place, begun, search
-from riecjax.refinement.output_error import OutputError, is_followed
+from riecjax.refinement.output_error import LEAST_NOISE, OutputError, noise_levels
+from riecjax.simulation.system import PREDICTS_WELL
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich
 
 ORDER = 4
@@ -52,6 +54,17 @@ def with_finer_steps(
     factor = np.ceil(excess(found, found.allowed) ** (1 / ORDER))
     finer = residuals.method.finer(int(min(max(factor, LEAST_FACTOR), limit)))
     return dataclasses.replace(residuals, method=finer)
+
+
+def is_followed(found: Estimate, records: list[Record], *, to_noise: bool = False) -> bool:
+    """Whether a search converged where every channel is predicted well, or none is left well above
+    its noise."""
+    names = found.search.quantities
+    spread = np.array([deviation(records, name) for name in names])
+    most = (1 - PREDICTS_WELL / 100) * spread
+    if to_noise:
+        most = ABOVE_NOISE * np.maximum(noise_levels(records, names), LEAST_NOISE * spread)
+    return bool(found.search.converged and np.all(np.asarray(found.search.rms) <= most))
 
 
 FURTHER_ROUNDS = 2
