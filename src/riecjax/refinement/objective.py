@@ -170,8 +170,8 @@ class Simulated(NamedTuple):
     """
 
     states: Float[Array, "windows longest states"]
-    left: Float[Array, "windows compared channels"]
-    by_initial: Float[Array, "windows compared channels s"]
+    left: Float[Array, "windows longest channels"]
+    by_initial: Float[Array, "windows longest channels s"]
 
 
 class Expansion(NamedTuple):

@@ -284,7 +284,7 @@ def _profiled(residuals: AbstractResiduals, first: Expansion) -> Energies:
     start, p = held.start, len(held.table.free)
 
     # The next initial states to try, the least energy so far, trials left, and whether to go on.
-    def improved(trial: Initial, at: Expansion, least: Energies, trials: Array) -> Any:
+    def improved(trial: Initial, at: Expansion, least: Any, trials: Any) -> Any:
         moments = at.moments()[:, 1 + p :]
         better = xp.sum(at.energy) < xp.sum(least)
         energy = xp.where(better, at.energy, least)
@@ -420,8 +420,8 @@ def levenberg_marquardt(
         factor = xp.where(good, xp.where(ratio > GOOD, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
         damping = xp.maximum(state.damping * factor, xp.finfo(precision).eps).astype(precision)
         new, old = (state.trial, tried), (state.point, state.accepted)
-        kept = jax.tree.map(lambda new, old: xp.where(good, new, old), new, old)
-        return prepared(*kept, damping, state.steps + 1)
+        point, accepted = jax.tree.map(lambda new, old: xp.where(good, new, old), new, old)
+        return prepared(point, accepted, damping, state.steps + 1)
 
     at, steps = problem.linearised(first, expansion), np.asarray(1)
     return xp.repeated_while(

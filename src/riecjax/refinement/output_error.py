@@ -32,7 +32,7 @@ import functools
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax
@@ -83,24 +83,6 @@ SHORTEST = 2
 """Samples of a window below which it tells nothing."""
 
 
-class Shots(NamedTuple):
-    """Windows of one recording.
-
-    **Fields:** `first` sample of each window; `length`, its number of samples; `longest`, how many
-    are simulated, as many or more.
-    """
-
-    first: Int[np.ndarray, " windows"]
-    length: Int[np.ndarray, " windows"]
-    longest: int
-
-    @property
-    def samples(self) -> Int[np.ndarray, "windows longest"]:
-        """Index of each sample of each window; the last one again beyond its length."""
-        steps = np.arange(self.longest)[None, :]
-        return self.first[:, None] + np.minimum(steps, self.length[:, None] - 1)
-
-
 def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows longest"]:
     """Which of so many samples lie within the length of each window."""
     return np.arange(longest)[None, :] < length[:, None]
@@ -120,9 +102,14 @@ class AbstractShooting(eqx.Module):
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
 
-    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
+    def shots(
+        self, record: Record, inputs: Sequence[str], *, joined: bool = False
+    ) -> tuple[Int[np.ndarray, "windows longest"], Int[np.ndarray, " windows"]]:
         """The windows of one recording, unbroken in its inputs; the last of a stretch may be
         shorter.
+
+        **Returns:** index of each sample of each window, the last one again beyond its length; and
+        these lengths.
 
         With `joined`, a window begins on the sample at which its neighbour ends; a start that is
         estimated must not, for that sample would count twice.
@@ -150,7 +137,8 @@ class AbstractShooting(eqx.Module):
         starts, lengths = np.array(first, np.int32).T
         simulated = int(lengths.max())
         # Whole stretches are of any lengths, and are simulated over one that others share.
-        return Shots(starts, lengths, simulated if longest < count else shared_length(simulated))
+        steps = np.arange(simulated if longest < count else shared_length(simulated))
+        return starts[:, None] + np.minimum(steps[None, :], lengths[:, None] - 1), lengths
 
 
 class WholeRecord(AbstractShooting):
@@ -210,28 +198,26 @@ class Recorded(eqx.Module):
 
     - `levels`: inputs in each window, shape `(windows, longest, inputs)`; `bends`, their curvature
       by time steps, zero or `None` where they are straight lines between samples.
-    - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
+    - `measured`: the channels at every sample, `(windows, longest, channels)`.
     - `present`: which of these count.
     - `initial`: initial state of each window as it was recorded, `(windows, states)`.
-    - `position`: sample at which each compared one stands in the record, `(windows, compared)`.
+    - `position`: sample at which each one stands in the record, `(windows, longest)`.
     - `length` of each window in samples, `(windows,)`.
     - `time_step` in seconds; `sample_count` of the record.
-    - `short_blocks` of time that hold it, of `short` samples; `every`, of how many samples one is
-      compared; `piece`, how many of these make a piece of time.
+    - `short_blocks` of time that hold it, of `short` samples; `piece`, samples of a piece of time.
     """
 
     levels: Float[Array, "windows longest inputs"]
     bends: Float[Array, "windows longest inputs"] | None
-    measured: Float[Array, "windows compared channels"]
+    measured: Float[Array, "windows longest channels"]
     present: Array
     initial: Float[Array, "windows states"]
-    position: Int[Array, "windows compared"]
+    position: Int[Array, "windows longest"]
     length: Int[Array, " windows"]
     time_step: Float[Array, ""]
     sample_count: Int[Array, ""]
     short: int = eqx.field(static=True)
     short_blocks: int = eqx.field(static=True)
-    every: int = eqx.field(static=True)
     piece: int = eqx.field(static=True)
 
 
@@ -372,22 +358,21 @@ class OutputResiduals(AbstractResiduals):
 
     def _error(
         self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
-    ) -> tuple[Float[Array, "compared channels"], Float[Array, "longest states"]]:
+    ) -> tuple[Float[Array, "longest channels"], Float[Array, "longest states"]]:
         """Of one window of record number `index`; and its states."""
         system = self.system.build(self.table.values_at(theta, index))
         first = window.initial.at[np.array(self.estimated, int)].set(initial)
         # A method of one's own need not know of bends that are not asked for.
         bends = () if window.bends is None else (window.bends,)
         driven = system, window.levels, window.time_step
-        every, _, reached = self.method.trajectory(*driven, first, *bends)
-        states, levels = every[:: window.every], window.levels[:: window.every]
-        made = signals_of(system, states, levels, self.labels)
+        states, _, reached = self.method.trajectory(*driven, first, *bends)
+        made = signals_of(system, states, window.levels, self.labels)
         simulated = jnp.stack(list(made.values()), axis=-1)
         # What a lost simulation shows after its loss must not pass for an answer; what is simulated
         # behind the window's end counts for nothing.
         simulated = jnp.where(reached >= window.length, simulated, jnp.inf)
         scaled = (simulated - window.measured) / self.sigma[None, :]
-        return jnp.where(window.present, scaled, 0.0), every
+        return jnp.where(window.present, scaled, 0.0), states
 
 
 def _in_pieces(values: Array, length: int) -> Array:
@@ -428,8 +413,6 @@ class OutputError(AbstractObjective):
       of a channel's noise and straight on past it, so that what no noise explains pulls less. The
       noise is what the records say of it, or their samples do; `rms` then is that of residuals
       whose squares are the loss.
-    - `every`: compare one of so many samples. Of a record that was upsampled, the others would tell
-      the same again.
     """
 
     shooting: AbstractShooting = eqx.field(default_factory=WholeRecord)
@@ -437,7 +420,6 @@ class OutputError(AbstractObjective):
     sigma: Mapping[str, float | Array] | None = None
     initial_states: Literal["estimated", "measured"] | Mapping[str, float | Array] = "estimated"
     method: AbstractMethod | None = None
-    every: int = eqx.field(static=True, default=1)
     intersample: Intersample = "smooth"
     loss: Literal["squares", "huber"] = eqx.field(static=True, default="squares")
 
@@ -458,8 +440,6 @@ class OutputError(AbstractObjective):
         require_intersample(self.intersample)
         if self.loss not in ("squares", "huber"):
             raise ModelError(f"the loss is 'squares' or 'huber'; got {self.loss!r}.")
-        if self.every < 1:
-            raise ModelError(f"every must be 1 or more; got {self.every}.")
         adjoint = getattr(self.method, "adjoint", None)
         if isinstance(adjoint, RecursiveCheckpointAdjoint | BacksolveAdjoint):
             raise ModelError(
@@ -548,18 +528,17 @@ class OutputError(AbstractObjective):
         states and inputs at points spread over them."""
         # A missing sample of an input breaks the motion; of a free motion, one of any signal.
         unbroken = system.input_names or tuple(record.arrays)
-        shots = self.shooting.shots(record, unbroken, joined=joined)
+        windows, lengths = self.shooting.shots(record, unbroken, joined=joined)
         states, n = measured_states(system, record), record.sample_count
         inputs = input_levels(system, record)
-        samples = shots.samples.reshape(-1)
+        samples = windows.reshape(-1)
         samples = samples[spread_points(samples.shape[0])]
-        position = shots.samples[:, :: self.every]
-        initial = measured_states(system, record, self._given)[shots.first]
+        initial = measured_states(system, record, self._given)[windows[:, 0]]
         # An initial state that is taken from the record leaves no error there.
-        inside = within(shots.length, shots.longest)[:, :: self.every]
+        inside = within(lengths, windows.shape[1])
         inside[:, 0] &= not joined
         masks = (record.present((name,)) for name in channels)
-        present = [inside if mask is None else inside & mask[position] for mask in masks]
+        present = [inside if mask is None else inside & mask[windows] for mask in masks]
         # As many for all lengths that share what is compiled.
         shared = shared_length(n)
         short = -(-shared // SHORT_BLOCKS_OF_ROWS)
@@ -567,21 +546,20 @@ class OutputError(AbstractObjective):
         # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
         if any(smooth) or (smooth and self.method is None):
             # Of the whole record: a window's neighbours tell what its inputs do at its ends.
-            bends = bends_of(inputs, record.present(system.input_names), smooth)[shots.samples]
+            bends = bends_of(inputs, record.present(system.input_names), smooth)[windows]
         recorded = Recorded(
-            inputs[shots.samples],
+            inputs[windows],
             bends,
-            xp.stack([record[name][position] for name in channels], axis=-1),
+            xp.stack([record[name][windows] for name in channels], axis=-1),
             xp.stack(present, axis=-1),
             initial,
-            position,
-            shots.length,
+            windows,
+            lengths,
             record.time_step,
             np.asarray(n),
             short,
             max(-(-shared // short), 2),
-            self.every,
-            min(max(short // self.every, 1), position.shape[1]),
+            min(short, windows.shape[1]),
         )
         return recorded, (states[samples], inputs[samples])
 

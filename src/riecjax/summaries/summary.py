@@ -342,12 +342,9 @@ class Summary(Shown, eqx.Module):
     @property
     def noise_freedom(self) -> Float[Leaf, "recordings sources"]:
         """Degrees of freedom of the variance of each recording's sources of noise."""
-        most = max(len(one.noise.sources) for one in self.recordings)
-        rows = [
-            [xp.asarray(1.0 * f) for f in one.noise.freedom.values()] for one in self.recordings
-        ]
-        filled = [xp.asarray([*row, *(np.inf,) * (most - len(row))]) for row in rows]
-        return xp.stack(filled) if most else xp.zeros((len(rows), 0))
+        every = [[1.0 * f for f in one.noise.freedom.values()] for one in self.recordings]
+        most = max(map(len, every))
+        return xp.stack([xp.asarray([*of, *(np.inf,) * (most - len(of))], float) for of in every])
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an NPZ file of exactly this name, whole or not at all; see [`load`][].
