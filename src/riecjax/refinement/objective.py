@@ -205,6 +205,8 @@ class AbstractResiduals(eqx.Module):
     - `labels`: quantities whose residuals are told one by one, channels or equations; their
       `units`.
     - `longest_window`: seconds after which two residuals share no data.
+    - `curved`: whether moments curve as what is made small does, or, for what searches for its
+      least, as squares do; `None` where that is the same.
 
     Of what is simulated, and empty where nothing is:
 
@@ -221,31 +223,21 @@ class AbstractResiduals(eqx.Module):
     initial: Initial = eqx.field(default_factory=lambda: np.zeros((1, 0)), kw_only=True)
     initial_state_names: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
     method: Any = eqx.field(default=None, kw_only=True)
+    curved: Bool[Leaf, ""] | None = eqx.field(default=None, kw_only=True)
     most_steps: int = eqx.field(static=True, default=0, kw_only=True)
 
     @abstractmethod
-    def expansion(
-        self, theta: Theta, initial: Initial, curved: bool | Bool[Array, ""] = False
-    ) -> Expansion:
-        """The residuals at a point, to first order.
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
+        """The residuals at a point, to first order."""
 
-        **Arguments:** `curved`, for the second derivative of what is made small, where that is no
-        sum of squares, and not for what searches for its least.
-        """
-
-    @property
-    def is_curved(self) -> bool:
-        """Whether what is made small curves otherwise than its search supposes."""
-        return False
-
-    def at(self, theta: Theta, initial: Initial, curved: bool = False) -> Expansion:
+    def at(self, theta: Theta, initial: Initial) -> Expansion:
         """The expansion, traced as the caller is or by one program for all points, in double
         precision."""
         if xp.are_traced(self, theta, initial):
-            return self.expansion(theta, initial, curved)
+            return self.expansion(theta, initial)
         method = None if self.method is None else self.method.counted()
         counted = dataclasses.replace(self, method=method, most_steps=0)
-        return xp.in_double(_expanded, counted, theta, initial, np.asarray(curved))
+        return xp.in_double(_expanded, counted, theta, initial)
 
     @abstractmethod
     def rms(self, energy: Energies) -> Energies:
@@ -264,10 +256,8 @@ class AbstractResiduals(eqx.Module):
 
 
 @eqx.filter_jit
-def _expanded(
-    residuals: AbstractResiduals, theta: Theta, initial: Initial, curved: Bool[Array, ""]
-) -> Expansion:
-    return residuals.expansion(theta, initial, curved)
+def _expanded(residuals: AbstractResiduals, theta: Theta, initial: Initial) -> Expansion:
+    return residuals.expansion(theta, initial)
 
 
 RIDGE = 1e-10

@@ -491,8 +491,10 @@ def search(
     status = choose(converged, word.converged, status)
     expansion: Any = ended.accepted.expansion
     at_bound = problem.sides(point) != 0
-    curved = residuals.at(theta, initial, True) if residuals.is_curved else expansion
-    blocks, short = residuals.blocks(curved)
+    scores = expansion
+    if residuals.curved is not None:
+        scores = dataclasses.replace(residuals, curved=np.asarray(True)).at(theta, initial)
+    blocks, short = residuals.blocks(scores)
     cost = xp.sum(expansion.energy)
     variance = residual_variance(residuals, cost)
     # What sits on its bound is held, and so is what nothing depends on, lest others go with it.

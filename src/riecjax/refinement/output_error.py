@@ -238,7 +238,7 @@ def loss_columns(
     level: Float[Array, "*n channels"],
     slopes: Float[Array, "*n channels columns"],
     threshold: Threshold,
-    curved: bool | Bool[Array, ""],
+    curved: Any,
 ) -> tuple[Array, Array]:
     """Of residuals and their slopes, two sets of columns whose products are moments from the
     diagonal up: f^2, psi times slopes, and slopes times each other and f'^2, or psi' if `curved`.
@@ -282,16 +282,8 @@ class OutputResiduals(AbstractResiduals):
         states = self.recorded[0].initial.shape[1]
         return samples * fixed.steps_per_sample * states * tangents
 
-    @property
-    def is_curved(self) -> bool:
-        """Of Huber's loss."""
-        return self.threshold is not None
-
-    def expansion(
-        self, theta: Theta, initial: Initial, curved: bool | Bool[Array, ""] = False
-    ) -> Expansion:
-        """Of each window of each record, in pieces of time; `curved` as Huber's loss itself is, not
-        at all past its threshold."""
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
+        """Of each window of each record, in pieces of time."""
 
         def of_window(initial: Array, window: Recorded, index: int) -> tuple[Any, ...]:
             # Residuals, and their derivatives by parameters and initial states.
@@ -306,7 +298,7 @@ class OutputResiduals(AbstractResiduals):
 
             directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
             level, slopes, states = jax.vmap(along, out_axes=(None, 2, None))(directions)
-            left, right = loss_columns(level, slopes, self.threshold, curved)
+            left, right = loss_columns(level, slopes, self.threshold, self.curved)
             cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
             moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
             if left is not right:
@@ -505,6 +497,7 @@ class OutputError(AbstractObjective):
             longest_window=xp.asarray(0.0, sigma.dtype),
             method=self.method or FixedStep(),
             threshold=threshold,
+            curved=None if threshold is None else np.asarray(False),
             labels=channels,
             units=tuple(units.get(name, "") for name in channels),
             initial_state_names=tuple(system.state_names[i] for i in estimated),
