@@ -37,6 +37,7 @@ from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
 from riecjax.simulation.system import AbstractSystem
@@ -45,7 +46,6 @@ from riecjax.summaries.task import record_keys
 if TYPE_CHECKING:
     from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 
-Leaf = Array | np.ndarray
 Values = Mapping[str, Leaf]
 Theta = Float[Array, " p"]
 """Free parameters over all records."""
@@ -165,11 +165,10 @@ def as_parametric_system(model: Simulatable, record: Record) -> ByFunction:
 class Simulated(NamedTuple):
     """A record's windows as they are simulated.
 
-    **Fields:** `states` at each sample; `left`, simulated minus recorded in units of sigma, 0 where
-    nothing is compared; its derivatives `by_initial` states of the window.
+    **Fields:** `left`, simulated minus recorded in units of sigma, 0 where nothing is compared; its
+    derivatives `by_initial` states of the window.
     """
 
-    states: Float[Array, "windows longest states"]
     left: Float[Array, "windows longest channels"]
     by_initial: Float[Array, "windows longest channels s"]
 
@@ -234,7 +233,7 @@ class AbstractResiduals(eqx.Module):
         """The expansion, traced as the caller is or by one program for all points, in double
         precision."""
         if xp.are_traced(self, theta, initial):
-            return self.expansion(theta, initial)
+            return _expanded(self, theta, initial)
         method = None if self.method is None else self.method.counted()
         counted = dataclasses.replace(self, method=method, most_steps=0)
         return xp.in_double(_expanded, counted, theta, initial)

@@ -39,7 +39,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
-from jaxtyping import Bool, Float, Int, Key
+from jaxtyping import Float, Int, Key
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
@@ -65,7 +65,6 @@ from riecjax.simulation.intersample import Intersample, bends_of, require_inters
 from riecjax.simulation.linearisation import (
     FEWEST_SAMPLES,
     MOST_STEPS,
-    spread_points,
     suitable_steps,
 )
 from riecjax.simulation.method import AbstractMethod, FixedStep
@@ -75,17 +74,11 @@ from riecjax.simulation.system import (
     compared_signals,
     input_levels,
     measured_states,
-    state_sources,
 )
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
 
 SHORTEST = 2
 """Samples of a window below which it tells nothing."""
-
-
-def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows longest"]:
-    """Which of so many samples lie within the length of each window."""
-    return np.arange(longest)[None, :] < length[:, None]
 
 
 class AbstractShooting(eqx.Module):
@@ -290,21 +283,21 @@ class OutputResiduals(AbstractResiduals):
             p = theta.shape[0]
             unknown = jnp.concatenate([theta, initial])
 
-            def along(direction: Array) -> tuple[Array, Array, Array]:
-                def error(u: Array) -> tuple[Array, Array]:
+            def along(direction: Array) -> tuple[Array, Array]:
+                def error(u: Array) -> Array:
                     return self._error(u[:p], u[p:], window, index)
 
-                return jax.jvp(error, (unknown,), (direction,), has_aux=True)
+                return jax.jvp(error, (unknown,), (direction,))
 
             directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
-            level, slopes, states = jax.vmap(along, out_axes=(None, 2, None))(directions)
+            level, slopes = jax.vmap(along, out_axes=(None, 2))(directions)
             left, right = loss_columns(level, slopes, self.threshold, self.curved)
             cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
             moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
             if left is not right:
                 moments = jnp.triu(moments) + jnp.swapaxes(jnp.triu(moments, 1), 1, 2)
             energy = jnp.sum(left[..., 0] * right[..., 0], axis=0)
-            return moments, energy, Simulated(states, level, slopes[..., p:])
+            return moments, energy, Simulated(level, slopes[..., p:])
 
         edges = np.cumsum([len(part.length) for part in self.recorded])[:-1]
         of_records = []
@@ -350,8 +343,8 @@ class OutputResiduals(AbstractResiduals):
 
     def _error(
         self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
-    ) -> tuple[Float[Array, "longest channels"], Float[Array, "longest states"]]:
-        """Of one window of record number `index`; and its states."""
+    ) -> Float[Array, "longest channels"]:
+        """Of one window of record number `index`."""
         system = self.system.build(self.table.values_at(theta, index))
         first = window.initial.at[np.array(self.estimated, int)].set(initial)
         # A method of one's own need not know of bends that are not asked for.
@@ -364,7 +357,7 @@ class OutputResiduals(AbstractResiduals):
         # behind the window's end counts for nothing.
         simulated = jnp.where(reached >= window.length, simulated, jnp.inf)
         scaled = (simulated - window.measured) / self.sigma[None, :]
-        return jnp.where(window.present, scaled, 0.0), states
+        return jnp.where(window.present, scaled, 0.0)
 
 
 def _in_pieces(values: Array, length: int) -> Array:
@@ -470,16 +463,14 @@ class OutputError(AbstractObjective):
                     f"sigma of {name} is {value!r}: a standard deviation is a positive number, in "
                     f"the unit of {name}."
                 )
-        sources = [state_sources(system, record) for record in records]
         system.require_states(self._given)
         fixed = {*self._given}
         if self.initial_states == "measured":
-            names = system.state_names
-            fixed = {name for name in names if all(s[name] == "measured" for s in sources)}
+            recorded_in = [record.arrays for record in records]
+            fixed = {n for n in system.state_names if all(n in arrays for arrays in recorded_in)}
         # Places of the states whose initial values are estimated.
         estimated = tuple(i for i, name in enumerate(system.state_names) if name not in fixed)
-        parts = [self._recorded(system, record, channels, not estimated) for record in records]
-        recorded, along = map(list, zip(*parts))
+        recorded = [self._recorded(system, record, channels, not estimated) for record in records]
         units = dict(system.states) | dict(system.outputs)
         sigma, deviation = _scales(recorded, dict(self.sigma or {}), channels)
         places = np.array(estimated, int)
@@ -506,8 +497,16 @@ class OutputError(AbstractObjective):
         )
         if self.method is not None or not xp.is_concrete(residuals):
             return residuals
-        told = not any("zero" in by_state.values() for by_state in sources)
-        return dataclasses.replace(residuals, method=_suitable(residuals, system, along, told))
+        steps = max(
+            suitable_steps(
+                system,
+                measured_states(system, record),
+                input_levels(system, record),
+                float(record.time_step),
+            )
+            for record in records
+        )
+        return dataclasses.replace(residuals, method=FixedStep(steps))
 
     @property
     def _given(self) -> Mapping[str, float | Array]:
@@ -516,19 +515,15 @@ class OutputError(AbstractObjective):
 
     def _recorded(
         self, system: AbstractSystem, record: Record, channels: tuple[str, ...], joined: bool
-    ) -> tuple[Recorded, tuple[Leaf, Leaf]]:
-        """What a recording holds in its windows, `joined` as of `AbstractShooting.shots`; and
-        states and inputs at points spread over them."""
+    ) -> Recorded:
+        """What a recording holds in its windows, `joined` as of `AbstractShooting.shots`."""
         # A missing sample of an input breaks the motion; of a free motion, one of any signal.
         unbroken = system.input_names or tuple(record.arrays)
         windows, lengths = self.shooting.shots(record, unbroken, joined=joined)
-        states, n = measured_states(system, record), record.sample_count
-        inputs = input_levels(system, record)
-        samples = windows.reshape(-1)
-        samples = samples[spread_points(samples.shape[0])]
+        n, inputs = record.sample_count, input_levels(system, record)
         initial = measured_states(system, record, self._given)[windows[:, 0]]
         # An initial state that is taken from the record leaves no error there.
-        inside = within(lengths, windows.shape[1])
+        inside = np.arange(windows.shape[1])[None, :] < lengths[:, None]
         inside[:, 0] &= not joined
         masks = (record.present((name,)) for name in channels)
         present = [inside if mask is None else inside & mask[windows] for mask in masks]
@@ -540,7 +535,7 @@ class OutputError(AbstractObjective):
         if any(smooth) or (smooth and self.method is None):
             # Of the whole record: a window's neighbours tell what its inputs do at its ends.
             bends = bends_of(inputs, record.present(system.input_names), smooth)[windows]
-        recorded = Recorded(
+        return Recorded(
             inputs[windows],
             bends,
             xp.stack([record[name][windows] for name in channels], axis=-1),
@@ -554,7 +549,6 @@ class OutputError(AbstractObjective):
             max(-(-shared // short), 2),
             min(short, windows.shape[1]),
         )
-        return recorded, (states[samples], inputs[samples])
 
     def by_segments(self, record: Record) -> "list[OutputError]":
         """Over tiles from few samples on, each time `LONGER` as long, and whole records; none where
@@ -583,44 +577,6 @@ def _computed(record: Record, names: Sequence[str]) -> set[str]:
     sources = {name: record.noise.sensors(name) for name in names}
     sensed = {n for n in names if n in sources[n]}
     return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
-
-
-def _suitable(
-    residuals: OutputResiduals,
-    system: AbstractSystem,
-    along: Sequence[tuple[Leaf, Leaf]],
-    told: bool,
-) -> FixedStep:
-    """Steps for the fastest motion of all recordings, which are `told` all states, or not: then
-    that as simulated counts as well."""
-    recorded = residuals.recorded
-    steps = fewest = _steps(system, recorded, along)
-    if told:
-        return FixedStep(steps)
-    while True:
-        tried = dataclasses.replace(residuals, method=FixedStep(steps))
-        simulated = tried.at(residuals.start, residuals.initial).simulated
-        if all(np.isfinite(part.left).all() for part in simulated):
-            break
-        if steps == MOST_STEPS:
-            return FixedStep(fewest)
-        steps = min(4 * steps, MOST_STEPS)
-    along = []
-    for part, window in zip(simulated, recorded):
-        # Of the samples within all windows: what lies behind may run away.
-        places = np.nonzero(within(window.length, part.states.shape[1]))
-        at = tuple(place[spread_points(place.size)] for place in places)
-        along.append((part.states[at], np.asarray(window.levels)[at]))
-    return FixedStep(max(steps, _steps(system, recorded, along)))
-
-
-def _steps(
-    system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence[tuple[Leaf, Leaf]]
-) -> int:
-    return max(
-        suitable_steps(system, states, levels, float(part.time_step))
-        for part, (states, levels) in zip(recorded, along)
-    )
 
 
 def _scales(

@@ -35,9 +35,10 @@ def with_finer_steps(
 ) -> AbstractResiduals | None:
     """The residuals in steps that are short enough, or `None` to leave them as they are.
 
-    Of order p, steps k times as short leave k^-p of a change: k is the p-th root of the excess.
-    They are left where they do not matter, where the user chose them, at their limit, and where
-    shortening them after `before` did not help: no step ends at a kink.
+    Of order p, steps k times as short leave k^-p of a change: k is the p-th root of the excess, and
+    whatever the limit allows where the start itself is lost. They are left where they do not
+    matter, where the user chose them, at their limit, and where shortening them after `before` did
+    not help: no step ends at a kink.
     """
 
     def excess(found: Found, allowed: Array) -> float:
@@ -46,7 +47,9 @@ def with_finer_steps(
 
     steps = getattr(residuals.method, "steps_per_sample", 1)
     limit = max(residuals.most_steps // steps, 1)
-    if not is_concrete(found) or limit == 1 or not np.any(found.estimate.search.coarse):
+    if not is_concrete(found) or limit == 1:
+        return None
+    if not (found.place.lost or np.any(found.estimate.search.coarse)):
         return None
     allowed = found.allowed if before is None else before.allowed
     if before is not None and excess(found, allowed) > HELPED * excess(before, allowed):
@@ -167,7 +170,7 @@ def refined(
         # against is that of the residuals at the optimum, which the first search knows only from
         # its start; the next ones take it from the search before, a fixed-point iteration.
         first = begun(residuals)
-        place = first if place is None else place._replace(expansion=None)
+        place = first if place is None else place._replace(expansion=None, lost=first.lost)
         found = search(residuals, constraints, first, place, *settings)
         for _ in range(rounds):
             found = search(residuals, constraints, first, found.place, *settings)
