@@ -37,7 +37,6 @@ from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import ParameterTable, name_in_recording, require_numbers
-from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled
 from riecjax.records.record import Record
 from riecjax.simulation.system import AbstractSystem
@@ -46,6 +45,7 @@ from riecjax.summaries.task import record_keys
 if TYPE_CHECKING:
     from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 
+Leaf = Array | np.ndarray
 Values = Mapping[str, Leaf]
 Theta = Float[Array, " p"]
 """Free parameters over all records."""
