@@ -6,7 +6,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array
 
-from riecjax.arrays import is_concrete
 from riecjax.equations.expressions import (
     Expression,
     evaluate,
@@ -17,7 +16,7 @@ from riecjax.equations.expressions import (
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, from_elsewhere, samples_of
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Signals
 from riecjax.shows import Shown

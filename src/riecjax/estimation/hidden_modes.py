@@ -26,7 +26,7 @@ from riecjax.arrays import Array
 from riecjax.equations.hidden_elements import Expanded, HiddenElement, HiddenMode, SeriesSpring
 from riecjax.equations.model import Model
 from riecjax.errors import IdentifiabilityError, ModelError
-from riecjax.leaves import Leaf
+from riecjax.leaves import Leaf, is_concrete
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import (
     EquationSums,
@@ -397,7 +397,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
     known = {name: xp.asarray(value) for name, value in given.items()}
     found, shown = [], np.array(True)
     equations = summary.equations()
-    looked_at = xp.is_concrete(equations, known)
+    looked_at = is_concrete(equations, known)
     for i, expanded in enumerate(model.expanded):
         stage = ModeStage.of(expanded, equations[i], known)
         used, at, band = equations[i], np.zeros(0), None
@@ -409,7 +409,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
             every = [summary.equations(option)[i] for option in options]
             stacked: Any = xp.stacked(every)
             best, at, there = _searched(expanded, stacked, known, where, np.asarray(rank))
-            if xp.is_concrete(best):
+            if is_concrete(best):
                 used = every[int(best)]
                 band = options[int(best)] if summary.bins else None
             else:
@@ -521,7 +521,7 @@ def search_band(summary: Summary, element: HiddenElement) -> tuple[Leaf, Leaf]:
     hz = element.hz if isinstance(element, HiddenMode) else None
     if hz is not None:
         steps = [one.time_step for one in summary.recordings]
-        rate = 1 / max(map(float, steps)) if xp.is_concrete(steps) else np.inf
+        rate = 1 / max(map(float, steps)) if is_concrete(steps) else np.inf
         if not hz < rate / 2:
             raise ModelError(
                 f"no mode near {hz:g} Hz can be seen at {rate:g} samples a second: give one below "
