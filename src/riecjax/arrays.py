@@ -240,6 +240,17 @@ def repeated(step: Callable[[Any], Tree], start: Tree, times: int, *, beside: An
     return start
 
 
+def repeated_while(
+    goes_on: Callable[[Tree], Any], step: Callable[[Tree], Tree], start: Tree, *, beside: Any = ()
+) -> Tree:
+    """What a step makes of a start, over and over while that goes on."""
+    if are_traced(start, beside):
+        return jax.lax.while_loop(goes_on, step, start)
+    while goes_on(start):
+        start = step(start)
+    return start
+
+
 def stacked(trees: Sequence[Tree]) -> Tree:
     """Pytrees of one structure as one, along a new leading axis."""
     return jax.tree.map(lambda *leaves: _of_arrays.stack(leaves), *trees)

@@ -14,7 +14,6 @@ from riecjax.models.quarter_car.identification import (
     wheel_equation,
 )
 from riecjax.refinement.objective import ByFunction
-from riecjax.refinement.optimum import LevenbergMarquardt
 from riecjax.simulation.inputs import band_limited_noise
 
 FORCES = ("F_1", "F_2", "F_3", "F_4")
@@ -58,8 +57,7 @@ def test_integral_refinement_finds_the_break_points_of_a_map_that_has_them(equat
     start = {"K_s": 15e3, "v_2": -0.3, "v_3": 0.3} | {name: 0.8 * truth[name] for name in FORCES}
     by = rx.IntegralError(rx.RIEC(rx.AllWindows(0.05, 0.5)))
     # Samples that cross a break point are kinks, at which no gradient vanishes to rounding.
-    solver = LevenbergMarquardt(1e-3)
-    refined = rx.refine(balance, record, start, by, known={mass: truth[mass]}, solver=solver)
+    refined = rx.refine(balance, record, start, by, known={mass: truth[mass]})
     assert bool(refined.search.converged)
     for name in ("K_s", "v_2", "v_3"):
         np.testing.assert_allclose(refined[name], truth[name], rtol=0.02)

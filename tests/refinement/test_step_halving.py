@@ -95,7 +95,7 @@ class Bursting(AbstractSystem):
 
 
 def test_what_diverged_is_halved_without_a_warning():
-    """Nor is it simulated again in shorter steps: at the start there is nothing to compare."""
+    """In the shortest steps it diverges again: at the start there is nothing to compare."""
     rest = Record.from_samples({"x": np.linspace(1.0, 2.0, 100)}, time_step=0.1)
     lost = refine(Bursting(jnp.asarray(1.0)), rest, {"c": 1e6})
     assert lost.search.status == RefinementStatus.not_finite

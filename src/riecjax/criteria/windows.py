@@ -391,12 +391,12 @@ def in_chunks(
     length: int,
     beside: Any = (),
 ) -> Any:
-    """What `of_chunk` makes of each block of starts of a record, stacked along a leading axis.
+    """What `of_chunk` makes of each chunk of a record, stacked along a leading axis.
 
     **Arguments:**
 
-    - `of_chunk`: takes a stretch of the record, the blocks of starts in it, over which the arrays
-      that it returns lead, and the sample that the stretch begins at.
+    - `of_chunk`: takes a stretch of the record, the blocks of starts in it, and the sample that the
+      stretch begins at. The last chunk may have blocks beyond those asked for.
     - `reach`: samples that a window reaches beyond its start at most; `margin`: samples more on
       either side, for quadrature.
     - `length`: starts to a chunk; `beside`, what `of_chunk` closes over.
@@ -404,7 +404,7 @@ def in_chunks(
     n, size, count = record.sample_count, blocks.size, blocks.number
     width = length + reach + 2 * margin
     if width >= n - blocks.first:
-        return of_chunk(record, blocks, 0)
+        return jax.tree.map(lambda leaf: leaf[None], of_chunk(record, blocks, 0))
 
     def one(index: Array) -> Any:
         start = blocks.first + index * length
@@ -412,8 +412,7 @@ def in_chunks(
         part = record.stretch(begin, width)
         return of_chunk(part, StartBlocks(start - begin, size, length // size), begin)
 
-    chunks = xp.each(one, np.arange(-(-count * size // length)), beside=(record, beside))
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], chunks)
+    return xp.each(one, np.arange(-(-count * size // length)), beside=(record, beside))
 
 
 def sum_over_bins(bins: LagBins, of_bin: Callable[[LagBins], Sums], *, beside: Any) -> Sums:

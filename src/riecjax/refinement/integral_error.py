@@ -252,7 +252,7 @@ class IntegralResiduals(AbstractResiduals):
     keys: list[Key[Array, ""] | None]
     count: Float[Array, " equations"]
 
-    def expansion(self, theta: Theta, initial: Initial, curved: Any = False) -> Expansion:
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
         """By blocks of the windows' starts, all records in one piece."""
         parts = self._equations(theta)
         moments = sum(part.moments for part in parts[1:]) + parts[0].moments

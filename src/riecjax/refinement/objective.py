@@ -165,13 +165,12 @@ def as_parametric_system(model: Simulatable, record: Record) -> ByFunction:
 class Simulated(NamedTuple):
     """A record's windows as they are simulated.
 
-    **Fields:** `states` at each sample; `left`, simulated minus recorded in units of sigma, 0 where
-    nothing is compared; its derivatives `by_initial` states of the window.
+    **Fields:** `left`, simulated minus recorded in units of sigma, 0 where nothing is compared; its
+    derivatives `by_initial` states of the window.
     """
 
-    states: Float[Array, "windows longest states"]
-    left: Float[Array, "windows compared channels"]
-    by_initial: Float[Array, "windows compared channels s"]
+    left: Float[Array, "windows longest channels"]
+    by_initial: Float[Array, "windows longest channels s"]
 
 
 class Expansion(NamedTuple):
@@ -205,6 +204,8 @@ class AbstractResiduals(eqx.Module):
     - `labels`: quantities whose residuals are told one by one, channels or equations; their
       `units`.
     - `longest_window`: seconds after which two residuals share no data.
+    - `curved`: whether moments curve as what is made small does, or, for what searches for its
+      least, as squares do; `None` where that is the same.
 
     Of what is simulated, and empty where nothing is:
 
@@ -221,31 +222,21 @@ class AbstractResiduals(eqx.Module):
     initial: Initial = eqx.field(default_factory=lambda: np.zeros((1, 0)), kw_only=True)
     initial_state_names: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
     method: Any = eqx.field(default=None, kw_only=True)
+    curved: Bool[Leaf, ""] | None = eqx.field(default=None, kw_only=True)
     most_steps: int = eqx.field(static=True, default=0, kw_only=True)
 
     @abstractmethod
-    def expansion(
-        self, theta: Theta, initial: Initial, curved: bool | Bool[Array, ""] = False
-    ) -> Expansion:
-        """The residuals at a point, to first order.
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
+        """The residuals at a point, to first order."""
 
-        **Arguments:** `curved`, for the second derivative of what is made small, where that is no
-        sum of squares, and not for what searches for its least.
-        """
-
-    @property
-    def is_curved(self) -> bool:
-        """Whether what is made small curves otherwise than its search supposes."""
-        return False
-
-    def at(self, theta: Theta, initial: Initial, curved: bool = False) -> Expansion:
+    def at(self, theta: Theta, initial: Initial) -> Expansion:
         """The expansion, traced as the caller is or by one program for all points, in double
         precision."""
         if xp.are_traced(self, theta, initial):
-            return self.expansion(theta, initial, curved)
+            return _expanded(self, theta, initial)
         method = None if self.method is None else self.method.counted()
         counted = dataclasses.replace(self, method=method, most_steps=0)
-        return xp.in_double(_expanded, counted, theta, initial, np.asarray(curved))
+        return xp.in_double(_expanded, counted, theta, initial)
 
     @abstractmethod
     def rms(self, energy: Energies) -> Energies:
@@ -264,10 +255,8 @@ class AbstractResiduals(eqx.Module):
 
 
 @eqx.filter_jit
-def _expanded(
-    residuals: AbstractResiduals, theta: Theta, initial: Initial, curved: Bool[Array, ""]
-) -> Expansion:
-    return residuals.expansion(theta, initial, curved)
+def _expanded(residuals: AbstractResiduals, theta: Theta, initial: Initial) -> Expansion:
+    return residuals.expansion(theta, initial)
 
 
 RIDGE = 1e-10
@@ -371,19 +360,6 @@ class AbstractObjective(eqx.Module):
         keys: list[Key[Array, ""] | None],
     ) -> AbstractResiduals:
         """The residuals of `models` along records, whose parameters are those of a table."""
-
-    def is_lost(self, found: Estimate, records: list[Record]) -> bool:
-        """Whether a search ended where the model does not follow the records, if that is told."""
-        return False
-
-    def is_explained(self, found: Estimate, records: list[Record]) -> bool:
-        """Whether noise may be all that a search left, as far as anything tells."""
-        return True
-
-    def by_segments(self, record: Record) -> "list[AbstractObjective]":
-        """The same over ever longer segments of a record, itself the last; none where it is not
-        over whole records."""
-        return []
 
     @abstractmethod
     def describe(self) -> dict[str, object]:

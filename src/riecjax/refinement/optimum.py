@@ -48,8 +48,7 @@ squares [K; sqrt(lambda D)] d = -[r; 0] in all unknowns at once.
 the Schur complement of the initial states. This is block elimination, and nothing is left out: x
 and y are those of the full damped system. To damp the Schur complement of the undamped C_w instead,
 as variable projection does, would be another method, whose initial states take undamped steps. Cost
-is O(W s (p + s)^2 + p^3); the dense system's is O((p + W s)^3). Of one window nothing is saved, and
-its initial states are taken for parameters.
+is O(W s (p + s)^2 + p^3); the dense system's is O((p + W s)^3).
 
 **Accepted** by the gain ratio. From (G + lambda D) d = -g follows d'G d = -g'd - lambda d'D d, so
 that the linear model predicts the decrease
@@ -71,11 +70,8 @@ initial states explain of the parameters' columns: where they explain all but a 
 log10(1/t) digits of it are lost, where QR of the rows would lose half as many. Steps are corrected
 by the next ones; what rounding leaves is an error of the gradient, well below a cosine of 1e-6.
 
-Other solvers of optimistix want a residual and its Jacobian. The Cholesky factor R of a window's
-moments is one with as few rows as columns: R = U' [r J S], U having orthonormal columns, which
-changes neither a sum of squares nor a step. So nothing carried from step to step grows with the
-record. Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20
-windows two to three times as fast: benchmarks/NOTES.md.
+Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20 windows two
+to three times as fast: benchmarks/NOTES.md.
 
 **Bounds.** A trial that would go beyond a bound is set on it, and what the slope pushes against its
 bound is held there: its columns are zero, for this step and for all else that is said of the
@@ -104,7 +100,6 @@ whose standard errors are themselves made of such changes, beside the parameter.
 
 import dataclasses
 import functools
-import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -112,7 +107,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 
@@ -124,8 +118,15 @@ from riecjax.estimation.constraints import (
     constrained_uncertainty,
 )
 from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
-from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
-from riecjax.refinement.objective import RIDGE, AbstractResiduals, Energies, Initial, Theta
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
+from riecjax.refinement.objective import (
+    RIDGE,
+    AbstractResiduals,
+    Energies,
+    Expansion,
+    Initial,
+    Theta,
+)
 from riecjax.uncertainty.intervals import AbstractIntervals, estimate_uncertainty
 
 FIRST_DAMPING = 1e-2
@@ -162,7 +163,7 @@ class Linearised(NamedTuple):
     moments: Float[Array, "windows columns columns"]
     prior: Float[Array, " p"]
     prior_slope: Float[Array, " p"]
-    expansion: Any
+    expansion: Expansion | None
 
     @property
     def energy(self) -> Float[Array, ""]:
@@ -181,13 +182,6 @@ class Linearised(NamedTuple):
         **Returns:** the step d; its work -g'd; and damped, lambda d'D d.
         """
         p, columns = self.prior.shape[0], self.moments.shape[-1]
-        if self.moments.shape[0] == 1 and columns > 1 + p:
-            # Of one window, initial states are as any parameter.
-            none = np.zeros(columns - 1 - p, self.moments.dtype)
-            prior, slope = (xp.append(held, none) for held in (self.prior, self.prior_slope))
-            joined = self._replace(prior=prior, prior_slope=slope)
-            whole, work, damped = joined.step(damping)
-            return Point(whole.parameters[:p], whole.parameters[None, p:]), work, damped
         gram = self.moments[:, 1:, 1:]
         gradient = self.gradient()
         curvature = xp.diagonal(gram, axis1=1, axis2=2)
@@ -215,108 +209,6 @@ class Linearised(NamedTuple):
         size = sizes @ parameters**2 + xp.sum(initial_sizes * initial**2)
         return Point(parameters, initial), work, damping * size
 
-    def factors(self) -> Float[Array, "windows columns columns"]:
-        """Residual (first column) and Jacobian of each window, in as many rows as columns."""
-        return triangular_factor(self.moments)
-
-
-Residual = tuple[Float[Array, "windows columns"], Float[Array, " p"]]
-"""First columns of `factors`, one row for each window; and the residuals of the priors."""
-
-
-class _State(NamedTuple):
-    """Accepted problem, trial point, damping, and the two parts of the predicted decrease."""
-
-    accepted: Linearised
-    trial: Point
-    damping: Float[Array, ""]
-    work: Float[Array, ""]
-    damped: Float[Array, ""]
-    first: Bool[Array, ""]
-    ended: Bool[Array, ""]
-    failed: Bool[Array, ""]
-
-
-class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
-    """Levenberg-Marquardt on moments, with initial states eliminated window by window.
-
-    Its function must return, aside, the [`Linearised`][] of the [`Problem`][] that it is given.
-
-    **Arguments:** `rtol`, the cosine between residual and tangent space at which it stops, which
-    unlike the size of a step depends on neither units nor damping; `report`, called with the sum of
-    squares after each step.
-    """
-
-    rtol: float
-    atol: float = 0.0
-    norm: Any = optx.max_norm
-    report: Any = None
-
-    def init(
-        self, fn: Any, y: Point, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
-    ) -> _State:
-        """Before the first step."""
-        dtype = y.parameters.dtype
-        accepted = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), aux_struct)
-        numbers = (FIRST_DAMPING / DAMPING_DECREASE, 1.0, 0.0)
-        return _State(accepted, y, *np.array(numbers, dtype), *np.array([True, False, False]))
-
-    def step(
-        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
-    ) -> tuple[Point, _State, Linearised]:
-        """Accept or reject the trial point, and make the next one."""
-        _, tried = fn(state.trial, args)
-        decrease = state.accepted.energy - tried.energy
-        ratio = decrease / (state.work + state.damped)
-        good = state.first | ((decrease > 0) & (ratio > ACCEPTED))
-        lower = state.first | (ratio > GOOD)
-        factor = xp.where(good, xp.where(lower, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
-        damping = xp.maximum(state.damping * factor, xp.finfo(ratio.dtype).eps)
-        point = jax.tree.map(lambda new, old: xp.where(good, new, old), state.trial, y)
-        accepted = jax.tree.map(lambda new, old: xp.where(good, new, old), tried, state.accepted)
-        step, work, damped = accepted.step(damping)
-        step = jax.tree.map(lambda leaf: xp.where(xp.isfinite(leaf), leaf, 0.0), step)
-        flat = (work <= self.rtol**2 * accepted.energy) & (damped <= LITTLE_DAMPING * work)
-        # Of parameters, and of initial states.
-        pairs = (step.parameters, point.parameters), (step.initial, point.initial)
-        stuck = xp.all(xp.stack([_largest(moved) <= NO_STEP * _largest(at) for moved, at in pairs]))
-        if self.report is not None:
-            tell = jax.debug.callback if xp.is_traced(accepted.energy) else lambda f, x: f(x)
-            tell(self.report, accepted.energy)
-        low, high = (end / args.scale for end in args.bounds)
-        parameters = xp.clip(point.parameters + step.parameters, low, high)
-        trial = Point(parameters, point.initial + step.initial)
-        failed = stuck & ~flat & (work > NEARLY_FLAT**2 * accepted.energy)
-        ended = flat | stuck
-        state = _State(accepted, trial, damping, work, damped, np.asarray(False), ended, failed)
-        return point, state, accepted
-
-    def terminate(
-        self, fn: Any, y: Point, args: Any, options: Any, state: _State, tags: Any
-    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Whether the search is over."""
-        return state.ended, optx.RESULTS.where(
-            state.failed, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
-        )
-
-    def postprocess(
-        self,
-        fn: Any,
-        y: Point,
-        aux: Linearised,
-        args: Any,
-        options: Any,
-        state: _State,
-        tags: Any,
-        result: optx.RESULTS,
-    ) -> tuple[Point, Linearised, dict[str, Any]]:
-        """Nothing to add."""
-        return y, aux, {}
-
-
-def _largest(values: Array) -> Float[Array, ""]:
-    return xp.max(xp.abs(values), initial=0.0)
-
 
 SILENT = 1e-20
 """Share of what is left that a parameter must be able to move by its own size to count at all."""
@@ -324,7 +216,6 @@ COLLINEAR = 1e-12
 """Curvature along a direction, relative to the parameters' own, that is no more than rounding."""
 TAKES_PART = 0.1
 """Share of such a direction from which a parameter is called undetermined."""
-Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 PROFILED = 1e-6
 """Share of the sum of squares that better initial states would still take off: as good as none."""
 MOST_TRIALS = 8
@@ -339,21 +230,25 @@ OF_A_SIMULATION = 1e-5
 
 class Place(NamedTuple):
     """Where a search stands: parameters and initial states, the sum of squares that these leave and
-    the r.m.s. of each quantity, how it ended there and after how many steps."""
+    the r.m.s. of each quantity, whether its start was `lost`, and the steps it took; the
+    `expansion` there, `None` where that is of other residuals."""
 
     theta: Theta
     initial: Initial
     cost: Float[Array, ""]
     rms: Energies
-    status: RefinementStatus
+    lost: Bool[Array, ""]
     steps: Int[Array, ""]
+    expansion: Expansion | None
 
-    @classmethod
-    def of(cls, found: Estimate) -> "Place":
-        """Where a search ended."""
-        search = found.search
-        at = found.theta, search.initial_states
-        return cls(*at, search.cost, search.rms, search.status, search.steps)
+
+class Found(NamedTuple):
+    """What a search found: the estimate; of each parameter the change by halving the steps of the
+    simulation that does not matter, `allowed`; and the `place` where it ended."""
+
+    estimate: Estimate
+    allowed: Float[Array, " p"]
+    place: Place
 
 
 def _by_one_program(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -369,44 +264,27 @@ def _by_one_program(function: Callable[..., Any]) -> Callable[..., Any]:
     return either
 
 
-def _is(status: RefinementStatus, word: RefinementStatus) -> Any:
-    return xp.on_host(status == word)
-
-
-def _chosen(*cases: tuple[Any, Any]) -> Any:
-    """The last of some words whose condition holds."""
-    word = cases[0][1]
-    for holds, other in cases[1:]:
-        if xp.is_traced(holds) or (isinstance(word, RefinementStatus) and word.is_traced()):
-            word = RefinementStatus.where(holds, other, word)
-        elif bool(holds):
-            word = other
-    return word
-
-
 @_by_one_program
-def begun(residuals: AbstractResiduals, initial: Initial) -> Place:
+def begun(residuals: AbstractResiduals) -> Place:
     """The start, with what it leaves at the initial states that suit it best.
 
     Gauss and Newton's steps find these, while they make the sum of squares smaller.
     """
-    energy = _profiled(residuals, initial)
+    start, initial = residuals.start, residuals.initial
+    expansion = residuals.at(start, initial)._replace(simulated=())
+    energy = _profiled(residuals, expansion)
     cost, rms = xp.sum(energy), residuals.rms(energy)
-    found, lost = RefinementStatus.converged, RefinementStatus.not_finite
-    status = _chosen((True, found), (~xp.isfinite(cost), lost))
-    return Place(residuals.start, initial, cost, rms, status, np.zeros((), int))
+    return Place(start, initial, cost, rms, ~xp.isfinite(cost), np.asarray(0), expansion)
 
 
-def _profiled(residuals: AbstractResiduals, initial: Initial) -> Energies:
+def _profiled(residuals: AbstractResiduals, first: Expansion) -> Energies:
     if not residuals.initial_state_names:
-        return residuals.at(residuals.start, initial).energy
-    held, initial = xp.stop_gradient((residuals, initial))
+        return first.energy
+    held, first = xp.stop_gradient((residuals, first))
     start, p = held.start, len(held.table.free)
 
-    # Initial states to try, the least energy so far, trials left, and whether to go on.
-    def tried(state: tuple[Array, Energies, Array, Array]) -> tuple[Array, ...]:
-        trial, least, trials, _ = state
-        at = held.at(start, trial)
+    # The next initial states to try, the least energy so far, trials left, and whether to go on.
+    def improved(trial: Initial, at: Expansion, least: Any, trials: Any) -> Any:
         moments = at.moments()[:, 1 + p :]
         better = xp.sum(at.energy) < xp.sum(least)
         energy = xp.where(better, at.energy, least)
@@ -416,12 +294,12 @@ def _profiled(residuals: AbstractResiduals, initial: Initial) -> Energies:
         return trial + step[:, :, 0], energy, trials - 1, going & (trials > 0)
 
     none = np.full(len(residuals.labels), np.inf, start.dtype)
-    state: Any = (initial, none, np.asarray(MOST_TRIALS), np.asarray(True))
-    if xp.are_traced(held, state):
-        return jax.lax.while_loop(lambda state: state[3], tried, state)[1]
-    while state[3]:
-        state = tried(state)
-    return state[1]
+    return xp.repeated_while(
+        lambda state: state[3],
+        lambda state: improved(state[0], held.at(start, state[0]), *state[1:3]),
+        improved(held.initial, first, none, np.asarray(MOST_TRIALS)),
+        beside=held,
+    )[1]
 
 
 class Problem(NamedTuple):
@@ -459,10 +337,11 @@ class Problem(NamedTuple):
         inside = point.parameters * self.scale
         return xp.where(side < 0, lower, xp.where(side > 0, upper, inside))
 
-    def linearised(self, point: Point) -> Linearised:
-        """The residuals to first order, by the parameters in units of their scale."""
+    def linearised(self, point: Point, expansion: Expansion | None = None) -> Linearised:
+        """The residuals to first order, by the parameters in units of their scale; of their
+        expansion there, where it is known."""
         theta = self.theta(point)
-        expansion = self.residuals.at(theta, point.initial)
+        expansion = expansion or self.residuals.at(theta, point.initial)
         states = np.ones(point.initial.shape[1], theta.dtype)
         scale = xp.concatenate([np.ones(1, theta.dtype), self.scale, states])
         moments = expansion.moments() * (scale[:, None] * scale[None, :])[None]
@@ -483,21 +362,78 @@ class Problem(NamedTuple):
         return Linearised(moments, prior, slope * free, expansion._replace(simulated=()))
 
 
-def reduced_residual(point: Point, problem: Problem) -> tuple[Residual, Linearised]:
-    """Residuals of each window, reduced to as many as there are columns; see the module.
+class _State(NamedTuple):
+    """Accepted point and problem, trial point, damping, the two parts of the predicted decrease,
+    linearised problems so far, and how the search ended, if it did."""
 
-    **Returns:** these, and the linearised problem that they come from, which is looked at and never
-    differentiated.
+    point: Point
+    accepted: Linearised
+    trial: Point
+    damping: Float[Array, ""]
+    work: Float[Array, ""]
+    damped: Float[Array, ""]
+    steps: Int[Array, ""]
+    ended: Bool[Array, ""]
+    failed: Bool[Array, ""]
+
+
+def levenberg_marquardt(
+    problem: Problem,
+    first: Point,
+    expansion: Expansion | None,
+    max_steps: int,
+    report: Callable[[float], None] | None,
+) -> _State:
+    """The search from a first point, with initial states eliminated window by window.
+
+    It stops at a cosine between residual and tangent space that the precision allows, which unlike
+    the size of a step depends on neither units nor damping.
+
+    **Arguments:** `expansion` at the first point, if it is known; `report`, called with the sum of
+    squares after each step.
     """
-    here = xp.stop_gradient(point)
-    at = xp.stop_gradient(problem.linearised(here))
-    factors, p = at.factors(), here.parameters.shape[0]
-    # Zero, whose derivative is one: the Jacobian is that of the moments.
-    change = jax.tree.map(operator.sub, point, here)
-    moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], change.parameters)
-    moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], change.initial)
-    prior = at.prior + at.prior_slope * change.parameters
-    return (factors[:, :, 0] + moved, prior), at
+    precision = first.parameters.dtype
+    flat_cosine = 1e-6 if precision == np.float64 else 1e-4
+
+    def prepared(point: Point, at: Linearised, damping: Array, steps: Array) -> _State:
+        step, work, damped = at.step(damping)
+        step = jax.tree.map(lambda leaf: xp.where(xp.isfinite(leaf), leaf, 0.0), step)
+        flat = (work <= flat_cosine**2 * at.energy) & (damped <= LITTLE_DAMPING * work)
+        # Of parameters, and of initial states.
+        pairs = (step.parameters, point.parameters), (step.initial, point.initial)
+        stuck = xp.all(xp.stack([_largest(moved) <= NO_STEP * _largest(to) for moved, to in pairs]))
+        if report is not None:
+            tell = jax.debug.callback if xp.is_traced(at.energy) else lambda f, x: f(x)
+            tell(report, at.energy)
+        low, high = (end / problem.scale for end in problem.bounds)
+        parameters = xp.clip(point.parameters + step.parameters, low, high)
+        trial = Point(parameters, point.initial + step.initial)
+        failed = stuck & ~flat & (work > NEARLY_FLAT**2 * at.energy)
+        return _State(point, at, trial, damping, work, damped, steps, flat | stuck, failed)
+
+    def stepped(state: _State) -> _State:
+        """Accept or reject the trial point, and make the next one."""
+        tried = problem.linearised(state.trial)
+        decrease = state.accepted.energy - tried.energy
+        ratio = decrease / (state.work + state.damped)
+        good = (decrease > 0) & (ratio > ACCEPTED)
+        factor = xp.where(good, xp.where(ratio > GOOD, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
+        damping = xp.maximum(state.damping * factor, xp.finfo(precision).eps).astype(precision)
+        new, old = (state.trial, tried), (state.point, state.accepted)
+        point, accepted = jax.tree.map(lambda new, old: xp.where(good, new, old), new, old)
+        return prepared(point, accepted, damping, state.steps + 1)
+
+    at, steps = problem.linearised(first, expansion), np.asarray(1)
+    return xp.repeated_while(
+        lambda state: (state.steps < max_steps) & ~state.ended,
+        stepped,
+        prepared(first, at, np.asarray(FIRST_DAMPING, precision), steps),
+        beside=problem,
+    )
+
+
+def _largest(values: Array) -> Float[Array, ""]:
+    return xp.max(xp.abs(values), initial=0.0)
 
 
 @eqx.filter_custom_jvp
@@ -528,44 +464,6 @@ def _implicit_jvp(primals: Any, tangents: Any) -> tuple[Point, Point]:
     return point, unravel(-(inverse @ pushed))
 
 
-@eqx.filter_jit
-def _by_optimistix(
-    solver: Solver, first: Point, problem: Problem, max_steps: int
-) -> tuple[Point, Linearised, Bool[Array, ""], Bool[Array, ""], Int[Array, ""]]:
-    solution = optx.least_squares(
-        reduced_residual,
-        solver,
-        first,
-        args=problem,
-        has_aux=True,
-        max_steps=max_steps,
-        throw=False,
-    )
-    spent = solution.result == optx.RESULTS.nonlinear_max_steps_reached
-    converged = solution.result == optx.RESULTS.successful
-    return solution.value, solution.aux, converged, spent, solution.stats["num_steps"]
-
-
-def _stepped(
-    solver: LevenbergMarquardt, first: Point, problem: Problem, max_steps: int
-) -> tuple[Point, Linearised, Any, Any, Any]:
-    """As optimistix steps a solver, one by one: its own loop would be compiled, and all that it
-    calls once more within it."""
-
-    at_first = problem.linearised(first)
-
-    def linearised(point: Point, problem: Problem) -> tuple[None, Linearised]:
-        return None, at_first if point is first else problem.linearised(point)
-
-    point, aux, steps = first, at_first, 0
-    given = problem, {}
-    state = solver.init(linearised, point, *given, None, aux, frozenset())
-    while steps < max_steps and not state.ended:
-        point, state, aux = solver.step(linearised, point, *given, state, frozenset())
-        steps += 1
-    return point, aux, state.ended & ~state.failed, ~state.ended, np.asarray(steps)
-
-
 @_by_one_program
 def search(
     residuals: AbstractResiduals,
@@ -573,40 +471,30 @@ def search(
     start: Place,
     before: Place,
     intervals: AbstractIntervals,
-    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
-) -> tuple[Estimate, Float[Array, " p"]]:
-    """The optimum, searched from a place that was reached `before`, the `start` or another.
-
-    **Returns:** the estimate; and of each parameter, the change by halving the steps of the
-    simulation that does not matter.
-    """
+) -> Found:
+    """The optimum, searched from a place that was reached `before`, the `start` or another."""
     problem = Problem.of(residuals, constraints, before.cost)
     first = Point(before.theta / problem.scale, before.initial)
-    still, first = xp.stop_gradient((problem, first))
-    by_itself = solver is None
-    if solver is None:  # at the tolerance that the precision allows
-        rtol = 1e-6 if first.parameters.dtype == np.float64 else 1e-4
-        solver = LevenbergMarquardt(rtol, report=progress)
-    is_traced = xp.are_traced(still, first)
-    solve: Any = _stepped if by_itself and not is_traced else _by_optimistix
-    point, aux, converged, spent, steps = xp.in_double(solve, solver, first, still, max_steps)
-    if is_traced:
+    given = xp.stop_gradient((problem, first, before.expansion))
+    ended = levenberg_marquardt(*given, max_steps, progress)
+    point = ended.point
+    if xp.are_traced(given):
         # The point differentiates by anything in `problem`, forward and in reverse.
         point = _implicit(jax.lax.stop_gradient(point), problem)
     theta, initial = problem.theta(point), point.initial
-    lost = RefinementStatus.not_finite
-    status = _chosen(
-        (True, RefinementStatus.failed),
-        (spent, RefinementStatus.out_of_steps),
-        (converged, RefinementStatus.converged),
-        (_is(before.status, lost), lost),
-    )
-    expansion = aux.expansion
+    converged = ended.ended & ~ended.failed & ~before.lost
+    word, choose = RefinementStatus, RefinementStatus.where
+    status = choose(ended.ended, word.failed, word.out_of_steps)
+    status = choose(before.lost, word.not_finite, status)
+    status = choose(converged, word.converged, status)
+    expansion: Any = ended.accepted.expansion
     at_bound = problem.sides(point) != 0
-    curved = residuals.at(theta, initial, True) if residuals.is_curved else expansion
-    blocks, short = residuals.blocks(curved)
+    scores = expansion
+    if residuals.curved is not None:
+        scores = dataclasses.replace(residuals, curved=np.asarray(True)).at(theta, initial)
+    blocks, short = residuals.blocks(scores)
     cost = xp.sum(expansion.energy)
     variance = residual_variance(residuals, cost)
     # What sits on its bound is held, and so is what nothing depends on, lest others go with it.
@@ -642,14 +530,16 @@ def search(
     size = xp.maximum(xp.abs(theta), xp.abs(residuals.start))
     size = xp.maximum(size, OF_A_SIMULATION / OF_A_VALUE * whole)
     errors = xp.sqrt(xp.diagonal(uncertainty.covariance))
-    tested = _is(status, RefinementStatus.converged) & xp.isfinite(errors)
+    tested = converged & xp.isfinite(errors)
     allowed = xp.maximum(of_value * size, xp.where(tested, OF_AN_ERROR * errors, np.inf))
     used = xp.sum(statistics.used)
+    rms = residuals.rms(expansion.energy)
+    place = Place(theta, initial, cost, rms, before.lost, before.steps + ended.steps, expansion)
     found = Search(
         status=status,
-        steps=before.steps + steps,
+        steps=place.steps,
         rms_before=start.rms,
-        rms=residuals.rms(expansion.energy),
+        rms=place.rms,
         cost_before=start.cost,
         cost=cost,
         initial_states=initial,
@@ -671,7 +561,7 @@ def search(
         block_length=xp.sum(short.durations) / used,
         search=found,
     )
-    return estimate, allowed
+    return Found(estimate, allowed, place)
 
 
 def _halving(

@@ -28,17 +28,18 @@ standard errors were too small: by a fifth of a normal law at c = 1.345.
 """
 
 import dataclasses
+import functools
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import BacksolveAdjoint, RecursiveCheckpointAdjoint
-from jaxtyping import Bool, Float, Int, Key
+from jaxtyping import Float, Int, Key
 
 from riecjax import arrays as xp
 from riecjax.arrays import Array
@@ -46,8 +47,8 @@ from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.leaves import Leaf, is_concrete, is_number
-from riecjax.records.noise_judgement import ABOVE_NOISE, judged
-from riecjax.records.record import Record, deviation, shared_length
+from riecjax.records.noise_judgement import judged
+from riecjax.records.record import Record, shared_length
 from riecjax.refinement.objective import (
     AbstractObjective,
     AbstractResiduals,
@@ -64,46 +65,20 @@ from riecjax.simulation.intersample import Intersample, bends_of, require_inters
 from riecjax.simulation.linearisation import (
     FEWEST_SAMPLES,
     MOST_STEPS,
-    spread_points,
     suitable_steps,
 )
 from riecjax.simulation.method import AbstractMethod, FixedStep
 from riecjax.simulation.simulate import signals_of
 from riecjax.simulation.system import (
-    PREDICTS_WELL,
     AbstractSystem,
     compared_signals,
     input_levels,
     measured_states,
-    state_sources,
 )
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks, stack_normal_equations
 
 SHORTEST = 2
 """Samples of a window below which it tells nothing."""
-
-
-class Shots(NamedTuple):
-    """Windows of one recording.
-
-    **Fields:** `first` sample of each window; `length`, its number of samples; `longest`, how many
-    are simulated, as many or more.
-    """
-
-    first: Int[np.ndarray, " windows"]
-    length: Int[np.ndarray, " windows"]
-    longest: int
-
-    @property
-    def samples(self) -> Int[np.ndarray, "windows longest"]:
-        """Index of each sample of each window; the last one again beyond its length."""
-        steps = np.arange(self.longest)[None, :]
-        return self.first[:, None] + np.minimum(steps, self.length[:, None] - 1)
-
-
-def within(length: Int[Leaf, " windows"], longest: int) -> Bool[Array, "windows longest"]:
-    """Which of so many samples lie within the length of each window."""
-    return np.arange(longest)[None, :] < length[:, None]
 
 
 class AbstractShooting(eqx.Module):
@@ -120,9 +95,14 @@ class AbstractShooting(eqx.Module):
     def describe(self) -> dict[str, object]:
         """Name and settings, for tables and JSON."""
 
-    def shots(self, record: Record, inputs: Sequence[str], *, joined: bool = False) -> Shots:
+    def shots(
+        self, record: Record, inputs: Sequence[str], *, joined: bool = False
+    ) -> tuple[Int[np.ndarray, "windows longest"], Int[np.ndarray, " windows"]]:
         """The windows of one recording, unbroken in its inputs; the last of a stretch may be
         shorter.
+
+        **Returns:** index of each sample of each window, the last one again beyond its length; and
+        these lengths.
 
         With `joined`, a window begins on the sample at which its neighbour ends; a start that is
         estimated must not, for that sample would count twice.
@@ -150,7 +130,8 @@ class AbstractShooting(eqx.Module):
         starts, lengths = np.array(first, np.int32).T
         simulated = int(lengths.max())
         # Whole stretches are of any lengths, and are simulated over one that others share.
-        return Shots(starts, lengths, simulated if longest < count else shared_length(simulated))
+        steps = np.arange(simulated if longest < count else shared_length(simulated))
+        return starts[:, None] + np.minimum(steps[None, :], lengths[:, None] - 1), lengths
 
 
 class WholeRecord(AbstractShooting):
@@ -210,104 +191,27 @@ class Recorded(eqx.Module):
 
     - `levels`: inputs in each window, shape `(windows, longest, inputs)`; `bends`, their curvature
       by time steps, zero or `None` where they are straight lines between samples.
-    - `measured`: the channels at every sample that is compared, `(windows, compared, channels)`.
+    - `measured`: the channels at every sample, `(windows, longest, channels)`.
     - `present`: which of these count.
     - `initial`: initial state of each window as it was recorded, `(windows, states)`.
-    - `position`: sample at which each compared one stands in the record, `(windows, compared)`.
+    - `position`: sample at which each one stands in the record, `(windows, longest)`.
     - `length` of each window in samples, `(windows,)`.
     - `time_step` in seconds; `sample_count` of the record.
-    - `short_blocks` of time that hold it, of `short` samples; `every`, of how many samples one is
-      compared; `piece`, how many of these make a piece of time.
+    - `short_blocks` of time that hold it, of `short` samples; `piece`, samples of a piece of time.
     """
 
     levels: Float[Array, "windows longest inputs"]
     bends: Float[Array, "windows longest inputs"] | None
-    measured: Float[Array, "windows compared channels"]
+    measured: Float[Array, "windows longest channels"]
     present: Array
     initial: Float[Array, "windows states"]
-    position: Int[Array, "windows compared"]
+    position: Int[Array, "windows longest"]
     length: Int[Array, " windows"]
     time_step: Float[Array, ""]
     sample_count: Int[Array, ""]
     short: int = eqx.field(static=True)
     short_blocks: int = eqx.field(static=True)
-    every: int = eqx.field(static=True)
     piece: int = eqx.field(static=True)
-
-    def trajectory(
-        self, method: AbstractMethod, system: AbstractSystem, initial: Float[Array, " states"]
-    ) -> tuple[Float[Array, "longest states"], Bool[Array, ""]]:
-        """Along the inputs of one window: of a recording that is mapped over its windows.
-
-        **Returns:** states, and whether the solution was kept to the window's end. What is
-        simulated behind it counts for nothing.
-        """
-        # A method of one's own need not know of bends that are not asked for.
-        bends = () if self.bends is None else (self.bends,)
-        states, _, reached = method.trajectory(system, self.levels, self.time_step, initial, *bends)
-        return states, reached >= self.length
-
-
-def over_windows(function: Callable[[Any, Recorded], Any], initial: Array, part: Recorded) -> Any:
-    """A function of each window's initial state and recording."""
-    axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, part)
-    return jax.vmap(function, in_axes=(0, axes))(initial, part)
-
-
-class Compared(NamedTuple):
-    """What of the windows is compared, and how they begin.
-
-    **Fields:** `channels` and `every`, of how many samples one, as of [`OutputError`][]; `given`,
-    values of initial states; `joined` as of `AbstractShooting.shots`; which inputs are `smooth`,
-    `None` to keep no bends.
-    """
-
-    channels: tuple[str, ...]
-    given: dict[str, Any]
-    every: int
-    joined: bool
-    smooth: tuple[bool, ...] | None
-
-
-def _cut(
-    system: AbstractSystem, record: Record, shots: Shots, compared: Compared
-) -> tuple[Recorded, tuple[Leaf, Leaf]]:
-    """What a recording holds in its windows; and states and inputs at points spread over them."""
-    channels, given, every, joined, smooth = compared
-    states, n = measured_states(system, record), record.sample_count
-    inputs = input_levels(system, record)
-    samples = shots.samples.reshape(-1)
-    samples = samples[spread_points(samples.shape[0])]
-    position = shots.samples[:, ::every]
-    initial = measured_states(system, record, given)[shots.first]
-    # An initial state that is taken from the record leaves no error there.
-    inside = within(shots.length, shots.longest)[:, ::every]
-    inside[:, 0] &= not joined
-    masks = (record.present((name,)) for name in channels)
-    present = [inside if mask is None else inside & mask[position] for mask in masks]
-    # As many for all lengths that share what is compiled.
-    shared = shared_length(n)
-    short = -(-shared // SHORT_BLOCKS_OF_ROWS)
-    bends = None
-    if smooth is not None:
-        # Of the whole record: a window's neighbours tell what its inputs do at its ends.
-        bends = bends_of(inputs, record.present(system.input_names), smooth)[shots.samples]
-    recorded = Recorded(
-        inputs[shots.samples],
-        bends,
-        xp.stack([record[name][position] for name in channels], axis=-1),
-        xp.stack(present, axis=-1),
-        initial,
-        position,
-        shots.length,
-        record.time_step,
-        np.asarray(n),
-        short,
-        max(-(-shared // short), 2),
-        every,
-        min(max(short // every, 1), position.shape[1]),
-    )
-    return recorded, (states[samples], inputs[samples])
 
 
 THRESHOLD = 1.345
@@ -327,7 +231,7 @@ def loss_columns(
     level: Float[Array, "*n channels"],
     slopes: Float[Array, "*n channels columns"],
     threshold: Threshold,
-    curved: bool | Bool[Array, ""],
+    curved: Any,
 ) -> tuple[Array, Array]:
     """Of residuals and their slopes, two sets of columns whose products are moments from the
     diagonal up: f^2, psi times slopes, and slopes times each other and f'^2, or psi' if `curved`.
@@ -371,46 +275,37 @@ class OutputResiduals(AbstractResiduals):
         states = self.recorded[0].initial.shape[1]
         return samples * fixed.steps_per_sample * states * tangents
 
-    @property
-    def is_curved(self) -> bool:
-        """Of Huber's loss."""
-        return self.threshold is not None
-
-    def expansion(
-        self, theta: Theta, initial: Initial, curved: bool | Bool[Array, ""] = False
-    ) -> Expansion:
-        """Of each window of each record, in pieces of time; `curved` as Huber's loss itself is, not
-        at all past its threshold."""
+    def expansion(self, theta: Theta, initial: Initial) -> Expansion:
+        """Of each window of each record, in pieces of time."""
 
         def of_window(initial: Array, window: Recorded, index: int) -> tuple[Any, ...]:
             # Residuals, and their derivatives by parameters and initial states.
             p = theta.shape[0]
             unknown = jnp.concatenate([theta, initial])
 
-            def along(direction: Array) -> tuple[Array, Array, Array]:
-                def error(u: Array) -> tuple[Array, Array]:
+            def along(direction: Array) -> tuple[Array, Array]:
+                def error(u: Array) -> Array:
                     return self._error(u[:p], u[p:], window, index)
 
-                return jax.jvp(error, (unknown,), (direction,), has_aux=True)
+                return jax.jvp(error, (unknown,), (direction,))
 
             directions = jnp.eye(unknown.shape[0], dtype=unknown.dtype)
-            level, slopes, states = jax.vmap(along, out_axes=(None, 2, None))(directions)
-            left, right = loss_columns(level, slopes, self.threshold, curved)
+            level, slopes = jax.vmap(along, out_axes=(None, 2))(directions)
+            left, right = loss_columns(level, slopes, self.threshold, self.curved)
             cut, other = _in_pieces(left, window.piece), _in_pieces(right, window.piece)
             moments = jnp.einsum("prci,prcj->pij", cut, cut if left is right else other)
             if left is not right:
                 moments = jnp.triu(moments) + jnp.swapaxes(jnp.triu(moments, 1), 1, 2)
             energy = jnp.sum(left[..., 0] * right[..., 0], axis=0)
-            return moments, energy, Simulated(states, level, slopes[..., p:])
+            return moments, energy, Simulated(level, slopes[..., p:])
 
         edges = np.cumsum([len(part.length) for part in self.recorded])[:-1]
-        parts = enumerate(zip(self.recorded, jnp.split(initial, edges)))
-        pieces, squares, simulated = zip(
-            *(
-                over_windows(lambda at, window, i=i: of_window(at, window, i), own, part)
-                for i, (part, own) in parts
-            )
-        )
+        of_records = []
+        for index, (part, own) in enumerate(zip(self.recorded, jnp.split(initial, edges))):
+            axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, part)
+            of_one = functools.partial(of_window, index=index)
+            of_records.append(jax.vmap(of_one, in_axes=(0, axes))(own, part))
+        pieces, squares, simulated = zip(*of_records)
         zero = jnp.zeros(len(self.labels), theta.dtype)
         energy = sum((jnp.sum(s, axis=0) for s in squares), start=zero)
         return Expansion(list(pieces), energy, simulated)
@@ -448,18 +343,21 @@ class OutputResiduals(AbstractResiduals):
 
     def _error(
         self, theta: Theta, initial: Float[Array, " s"], window: Recorded, index: int
-    ) -> tuple[Float[Array, "compared channels"], Float[Array, "longest states"]]:
-        """Of one window of record number `index`; and its states."""
+    ) -> Float[Array, "longest channels"]:
+        """Of one window of record number `index`."""
         system = self.system.build(self.table.values_at(theta, index))
         first = window.initial.at[np.array(self.estimated, int)].set(initial)
-        every, kept = window.trajectory(self.method, system, first)
-        states, levels = every[:: window.every], window.levels[:: window.every]
-        made = signals_of(system, states, levels, self.labels)
+        # A method of one's own need not know of bends that are not asked for.
+        bends = () if window.bends is None else (window.bends,)
+        driven = system, window.levels, window.time_step
+        states, _, reached = self.method.trajectory(*driven, first, *bends)
+        made = signals_of(system, states, window.levels, self.labels)
         simulated = jnp.stack(list(made.values()), axis=-1)
-        # What a lost simulation shows after its loss must not pass for an answer.
-        simulated = jnp.where(kept, simulated, jnp.inf)
+        # What a lost simulation shows after its loss must not pass for an answer; what is simulated
+        # behind the window's end counts for nothing.
+        simulated = jnp.where(reached >= window.length, simulated, jnp.inf)
         scaled = (simulated - window.measured) / self.sigma[None, :]
-        return jnp.where(window.present, scaled, 0.0), every
+        return jnp.where(window.present, scaled, 0.0)
 
 
 def _in_pieces(values: Array, length: int) -> Array:
@@ -500,8 +398,6 @@ class OutputError(AbstractObjective):
       of a channel's noise and straight on past it, so that what no noise explains pulls less. The
       noise is what the records say of it, or their samples do; `rms` then is that of residuals
       whose squares are the loss.
-    - `every`: compare one of so many samples. Of a record that was upsampled, the others would tell
-      the same again.
     """
 
     shooting: AbstractShooting = eqx.field(default_factory=WholeRecord)
@@ -509,7 +405,6 @@ class OutputError(AbstractObjective):
     sigma: Mapping[str, float | Array] | None = None
     initial_states: Literal["estimated", "measured"] | Mapping[str, float | Array] = "estimated"
     method: AbstractMethod | None = None
-    every: int = eqx.field(static=True, default=1)
     intersample: Intersample = "smooth"
     loss: Literal["squares", "huber"] = eqx.field(static=True, default="squares")
 
@@ -530,8 +425,6 @@ class OutputError(AbstractObjective):
         require_intersample(self.intersample)
         if self.loss not in ("squares", "huber"):
             raise ModelError(f"the loss is 'squares' or 'huber'; got {self.loss!r}.")
-        if self.every < 1:
-            raise ModelError(f"every must be 1 or more; got {self.every}.")
         adjoint = getattr(self.method, "adjoint", None)
         if isinstance(adjoint, RecursiveCheckpointAdjoint | BacksolveAdjoint):
             raise ModelError(
@@ -570,26 +463,14 @@ class OutputError(AbstractObjective):
                     f"sigma of {name} is {value!r}: a standard deviation is a positive number, in "
                     f"the unit of {name}."
                 )
-        sources = [state_sources(system, record) for record in records]
-        given = self.initial_states if isinstance(self.initial_states, Mapping) else {}
-        system.require_states(given)
-        fixed = {*given}
+        system.require_states(self._given)
+        fixed = {*self._given}
         if self.initial_states == "measured":
-            names = system.state_names
-            fixed = {name for name in names if all(s[name] == "measured" for s in sources)}
+            recorded_in = [record.arrays for record in records]
+            fixed = {n for n in system.state_names if all(n in arrays for arrays in recorded_in)}
         # Places of the states whose initial values are estimated.
         estimated = tuple(i for i, name in enumerate(system.state_names) if name not in fixed)
-        smooth = smooth_inputs(self.intersample, system.input_names)
-        # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
-        bent = smooth if any(smooth) or (smooth and self.method is None) else None
-        compared = Compared(channels, dict(given), self.every, not estimated, bent)
-        parts = []
-        for record in records:
-            # A missing sample of an input breaks the motion; of a free motion, one of any signal.
-            unbroken = system.input_names or tuple(record.arrays)
-            shots = self.shooting.shots(record, unbroken, joined=compared.joined)
-            parts.append(_cut(system, record, shots, compared))
-        recorded, along = map(list, zip(*parts))
+        recorded = [self._recorded(system, record, channels, not estimated) for record in records]
         units = dict(system.states) | dict(system.outputs)
         sigma, deviation = _scales(recorded, dict(self.sigma or {}), channels)
         places = np.array(estimated, int)
@@ -607,6 +488,7 @@ class OutputError(AbstractObjective):
             longest_window=xp.asarray(0.0, sigma.dtype),
             method=self.method or FixedStep(),
             threshold=threshold,
+            curved=None if threshold is None else np.asarray(False),
             labels=channels,
             units=tuple(units.get(name, "") for name in channels),
             initial_state_names=tuple(system.state_names[i] for i in estimated),
@@ -615,31 +497,69 @@ class OutputError(AbstractObjective):
         )
         if self.method is not None or not is_concrete(residuals):
             return residuals
-        told = not any("zero" in by_state.values() for by_state in sources)
-        return dataclasses.replace(residuals, method=_suitable(residuals, system, along, told))
+        steps = max(
+            suitable_steps(
+                system,
+                measured_states(system, record),
+                input_levels(system, record),
+                float(record.time_step),
+            )
+            for record in records
+        )
+        return dataclasses.replace(residuals, method=FixedStep(steps))
 
-    def is_lost(self, found: Any, records: list[Record]) -> bool:
-        """Whether it did not converge, or some channel is not predicted well."""
-        well = np.asarray(found.search.rms) <= (1 - PREDICTS_WELL / 100) * _spread(found, records)
-        return not (found.search.converged and np.all(well))
+    @property
+    def _given(self) -> Mapping[str, float | Array]:
+        """Values of initial states that are known."""
+        return self.initial_states if isinstance(self.initial_states, Mapping) else {}
 
-    def is_explained(self, found: Any, records: list[Record]) -> bool:
-        """Whether it converged, and no channel is left well above its noise."""
-        level = noise_levels(records, found.search.quantities)
-        level = np.maximum(level, LEAST_NOISE * _spread(found, records))
-        left = np.asarray(found.search.rms)
-        return bool(found.search.converged and np.all(left <= ABOVE_NOISE * level))
+    def _recorded(
+        self, system: AbstractSystem, record: Record, channels: tuple[str, ...], joined: bool
+    ) -> Recorded:
+        """What a recording holds in its windows, `joined` as of `AbstractShooting.shots`."""
+        # A missing sample of an input breaks the motion; of a free motion, one of any signal.
+        unbroken = system.input_names or tuple(record.arrays)
+        windows, lengths = self.shooting.shots(record, unbroken, joined=joined)
+        n, inputs = record.sample_count, input_levels(system, record)
+        initial = measured_states(system, record, self._given)[windows[:, 0]]
+        # An initial state that is taken from the record leaves no error there.
+        inside = np.arange(windows.shape[1])[None, :] < lengths[:, None]
+        inside[:, 0] &= not joined
+        masks = (record.present((name,)) for name in channels)
+        present = [inside if mask is None else inside & mask[windows] for mask in masks]
+        # As many for all lengths that share what is compiled.
+        shared = shared_length(n)
+        short = -(-shared // SHORT_BLOCKS_OF_ROWS)
+        smooth, bends = smooth_inputs(self.intersample, system.input_names), None
+        # By a method that is chosen here, lines are bent by zero: what is compiled serves both.
+        if any(smooth) or (smooth and self.method is None):
+            # Of the whole record: a window's neighbours tell what its inputs do at its ends.
+            bends = bends_of(inputs, record.present(system.input_names), smooth)[windows]
+        return Recorded(
+            inputs[windows],
+            bends,
+            xp.stack([record[name][windows] for name in channels], axis=-1),
+            xp.stack(present, axis=-1),
+            initial,
+            windows,
+            lengths,
+            record.time_step,
+            np.asarray(n),
+            short,
+            max(-(-shared // short), 2),
+            min(short, windows.shape[1]),
+        )
 
-    def by_segments(self, record: Record) -> list[AbstractObjective]:
-        """Over tiles from few samples on, each time `LONGER` as long, and whole records."""
+    def by_segments(self, record: Record) -> "list[OutputError]":
+        """Over tiles from few samples on, each time `LONGER` as long, and whole records; none where
+        it is not over whole records from estimated states."""
         if not isinstance(self.shooting, WholeRecord) or self.initial_states != "estimated":
             return []
-        tiles: list[AbstractObjective] = [self]
-        samples = record.sample_count // LONGER
+        samples, tiles = record.sample_count // LONGER, []
         while samples >= FEWEST_SAMPLES:
             tiles.append(dataclasses.replace(self, shooting=Tiles(samples=samples)))
             samples //= LONGER
-        return tiles[::-1] if tiles[1:] else []
+        return [*tiles[::-1], self] if tiles else []
 
     def describe(self) -> dict[str, object]:
         """Name and settings."""
@@ -647,11 +567,6 @@ class OutputError(AbstractObjective):
         loss: dict[str, object] = {} if self.loss == "squares" else {"loss": self.loss}
         shooting = self.shooting.describe()
         return {"refine": "output-error", **shooting, "starts": initial, **loss}
-
-
-def _spread(found: Any, records: Sequence[Record]) -> Float[np.ndarray, " channels"]:
-    """Standard deviations of what was compared."""
-    return np.array([deviation(records, name) for name in found.search.quantities])
 
 
 def _computed(record: Record, names: Sequence[str]) -> set[str]:
@@ -662,44 +577,6 @@ def _computed(record: Record, names: Sequence[str]) -> set[str]:
     sources = {name: record.noise.sensors(name) for name in names}
     sensed = {n for n in names if n in sources[n]}
     return {n for n in names if n not in sensed and sources[n] and sources[n] <= sensed}
-
-
-def _suitable(
-    residuals: OutputResiduals,
-    system: AbstractSystem,
-    along: Sequence[tuple[Leaf, Leaf]],
-    told: bool,
-) -> FixedStep:
-    """Steps for the fastest motion of all recordings, which are `told` all states, or not: then
-    that as simulated counts as well."""
-    recorded = residuals.recorded
-    steps = fewest = _steps(system, recorded, along)
-    if told:
-        return FixedStep(steps)
-    while True:
-        tried = dataclasses.replace(residuals, method=FixedStep(steps))
-        simulated = tried.at(residuals.start, residuals.initial).simulated
-        if all(np.isfinite(part.left).all() for part in simulated):
-            break
-        if steps == MOST_STEPS:
-            return FixedStep(fewest)
-        steps = min(4 * steps, MOST_STEPS)
-    along = []
-    for part, window in zip(simulated, recorded):
-        # Of the samples within all windows: what lies behind may run away.
-        places = np.nonzero(within(window.length, part.states.shape[1]))
-        at = tuple(place[spread_points(place.size)] for place in places)
-        along.append((part.states[at], np.asarray(window.levels)[at]))
-    return FixedStep(max(steps, _steps(system, recorded, along)))
-
-
-def _steps(
-    system: AbstractSystem, recorded: Sequence[Recorded], along: Sequence[tuple[Leaf, Leaf]]
-) -> int:
-    return max(
-        suitable_steps(system, states, levels, float(part.time_step))
-        for part, (states, levels) in zip(recorded, along)
-    )
 
 
 def _scales(

@@ -5,17 +5,19 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Key
 
 from riecjax.errors import require
 from riecjax.estimation.constraints import Bounds, Constraints
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import require_settings
-from riecjax.leaves import Leaf, is_concrete
-from riecjax.records.record import Record, Records, as_records
+from riecjax.leaves import is_concrete
+from riecjax.records.noise_judgement import ABOVE_NOISE
+from riecjax.records.record import Record, Records, as_records, deviation
 from riecjax.refinement.objective import AbstractObjective, AbstractResiduals
-from riecjax.refinement.optimum import Place, Solver, begun, search
-from riecjax.refinement.output_error import OutputError
+from riecjax.refinement.optimum import Found, Place, begun, search
+from riecjax.refinement.output_error import LEAST_NOISE, OutputError, noise_levels
+from riecjax.simulation.system import PREDICTS_WELL
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich
 
 ORDER = 4
@@ -26,10 +28,6 @@ HELPED = 0.5
 """Share of a change that may be left after steps were made shorter."""
 
 
-Found = tuple[Estimate, Float[Leaf, " p"]]
-"""What a search found; and the change by steps half as long that does not matter."""
-
-
 # What diverged has no finite change, which counts as coarse.
 @np.errstate(all="ignore")
 def with_finer_steps(
@@ -37,24 +35,39 @@ def with_finer_steps(
 ) -> AbstractResiduals | None:
     """The residuals in steps that are short enough, or `None` to leave them as they are.
 
-    Of order p, steps k times as short leave k^-p of a change: k is the p-th root of the excess.
-    They are left where they do not matter, where the user chose them, at their limit, and where
-    shortening them after `before` did not help: no step ends at a kink.
+    Of order p, steps k times as short leave k^-p of a change: k is the p-th root of the excess, and
+    whatever the limit allows where the start itself is lost. They are left where they do not
+    matter, where the user chose them, at their limit, and where shortening them after `before` did
+    not help: no step ends at a kink.
     """
 
-    def excess(found: Estimate, allowed: Float[Leaf, " p"]) -> float:
-        share = np.abs(found.search.step_change) / np.asarray(allowed)
+    def excess(found: Found, allowed: Array) -> float:
+        share = np.abs(found.estimate.search.step_change) / np.asarray(allowed)
         return float(np.max(np.nan_to_num(share, nan=np.inf, posinf=np.inf)))
 
     steps = getattr(residuals.method, "steps_per_sample", 1)
     limit = max(residuals.most_steps // steps, 1)
-    if not is_concrete(found) or limit == 1 or not np.any(np.asarray(found[0].search.coarse)):
+    if not is_concrete(found) or limit == 1:
         return None
-    if before is not None and excess(found[0], before[1]) > HELPED * excess(*before):
+    if not (found.place.lost or np.any(found.estimate.search.coarse)):
         return None
-    factor = np.ceil(excess(*found) ** (1 / ORDER))
+    allowed = found.allowed if before is None else before.allowed
+    if before is not None and excess(found, allowed) > HELPED * excess(before, allowed):
+        return None
+    factor = np.ceil(excess(found, found.allowed) ** (1 / ORDER))
     finer = residuals.method.finer(int(min(max(factor, LEAST_FACTOR), limit)))
     return dataclasses.replace(residuals, method=finer)
+
+
+def is_followed(found: Estimate, records: list[Record], *, to_noise: bool = False) -> bool:
+    """Whether a search converged where every channel is predicted well, or none is left well above
+    its noise."""
+    names = found.search.quantities
+    spread = np.array([deviation(records, name) for name in names])
+    most = (1 - PREDICTS_WELL / 100) * spread
+    if to_noise:
+        most = ABOVE_NOISE * np.maximum(noise_levels(records, names), LEAST_NOISE * spread)
+    return bool(found.search.converged and np.all(np.asarray(found.search.rms) <= most))
 
 
 FURTHER_ROUNDS = 2
@@ -73,7 +86,6 @@ def refine(
     per_record: Sequence[str] = (),
     key: Key[Array, ""] | None = None,
     intervals: AbstractIntervals | None = None,
-    solver: Solver | None = None,
     max_steps: int = 100,
     progress: Callable[[float], None] | None = None,
 ) -> Estimate:
@@ -103,8 +115,6 @@ def refine(
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
-    - `solver`: an optimistix solver; Levenberg-Marquardt by default. With bounds, one that damps
-      its steps: what is held has no slope.
     - `max_steps`: steps that the search may take; fewer than it needs is a status of the result.
     - `progress`: called with the sum of squares after each step.
 
@@ -118,9 +128,6 @@ def refine(
     require("start", start, (Estimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
     require("by", by, AbstractObjective, "by=rx.OutputError(), an object")
     require("intervals", intervals, AbstractIntervals, "intervals=rx.Sandwich()")
-    if solver is not None:
-        write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
-        require("the solver", solver, Solver, write)
     if isinstance(model, type):
         write = f"{model.__name__}(...), with a value for each of its fields"
         require("the model", model, (), write)
@@ -129,7 +136,7 @@ def refine(
     def formed(by: AbstractObjective) -> AbstractResiduals:
         return by.residuals(model, recordings, start, known or {}, per_record, key)
 
-    settings = bounds, priors, intervals, solver, max_steps, progress
+    settings = bounds, priors, intervals, max_steps, progress
     return refined(by, formed(by), formed, recordings, *settings)[0]
 
 
@@ -141,7 +148,6 @@ def refined(
     bounds: Mapping[str, Bounds] | None,
     priors: Mapping[str, tuple[float, float]] | None,
     intervals: AbstractIntervals,
-    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
 ) -> tuple[Estimate, AbstractObjective]:
@@ -156,43 +162,46 @@ def refined(
     table = residuals.table
     start = dict(zip(table.free, residuals.start))
     constraints = Constraints.of(table, bounds, priors, start)
-    settings = intervals, solver, max_steps, progress
+    settings = intervals, max_steps, progress
     rounds = FURTHER_ROUNDS if constraints.priors else 0
 
     def searched(residuals: AbstractResiduals, place: Place | None) -> Found:
         # With priors each search is followed by others: the variance that priors are weighed
         # against is that of the residuals at the optimum, which the first search knows only from
         # its start; the next ones take it from the search before, a fixed-point iteration.
-        first = begun(residuals, residuals.initial)
-        found = search(residuals, constraints, first, place or first, *settings)
+        first = begun(residuals)
+        place = first if place is None else place._replace(expansion=None, lost=first.lost)
+        found = search(residuals, constraints, first, place, *settings)
         for _ in range(rounds):
-            found = search(residuals, constraints, first, Place.of(found[0]), *settings)
+            found = search(residuals, constraints, first, found.place, *settings)
         return found
 
     def settled(residuals: AbstractResiduals, found: Found) -> tuple[AbstractResiduals, Found]:
         before = None
         while (finer := with_finer_steps(residuals, found, before)) is not None:
             residuals, before = finer, found
-            found = searched(residuals, Place.of(found[0]))
+            found = searched(residuals, found.place)
         return residuals, found
 
-    def follows(by: AbstractObjective, found: Found, shorter: Found | None) -> bool:
-        told = shorter is None or np.all(found[0].search.rms <= 2 * shorter[0].search.rms)
-        return bool(told) and by.is_explained(found[0], records)
+    def follows(found: Found, shorter: Found | None) -> bool:
+        told = shorter is None or np.all(found.place.rms <= 2 * shorter.place.rms)
+        return bool(told) and is_followed(found.estimate, records, to_noise=True)
 
     found, longest, place = searched(residuals, None), None, None
-    if is_concrete(found) and by.is_lost(found[0], records):
-        for part in by.by_segments(records[0]):
-            pieces = formed(part)
-            tried = searched(pieces, place and place._replace(initial=pieces.initial))
-            shorter = longest and longest[2]
-            if follows(part, tried, shorter):
-                pieces, tried = settled(pieces, tried)
-            if not follows(part, tried, shorter):
-                break
-            longest, place = (part, pieces, tried), Place.of(tried[0])
+    segments: list[OutputError] = []
+    if isinstance(by, OutputError) and is_concrete(found):
+        segments = [] if is_followed(found.estimate, records) else by.by_segments(records[0])
+    for part in segments:
+        pieces = formed(part)
+        tried = searched(pieces, place and place._replace(initial=pieces.initial))
+        shorter = longest and longest[2]
+        if follows(tried, shorter):
+            pieces, tried = settled(pieces, tried)
+        if not follows(tried, shorter):
+            break
+        longest, place = (part, pieces, tried), tried.place
     by, residuals, found = longest or (by, *settled(residuals, found))
-    estimate, _ = found
+    estimate = found.estimate
     kept = residuals if is_concrete(residuals, estimate) else None
     described = tuple(by.describe().items())
     done = dataclasses.replace(estimate.search, residuals=kept, by=described)

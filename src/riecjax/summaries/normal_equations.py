@@ -7,7 +7,7 @@ import json
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -209,27 +209,35 @@ def sum_of_equations(
     return functools.reduce(operator.add, (one.embed(names) for one in equations))
 
 
+Sums = TypeVar("Sums", bound=NormalEquations)
+
+
+def with_noise_alike(parts: Sequence[Sums]) -> Sequence[Sums]:
+    """The same, with noise of zero beside those whose noise is known: nothing is taken off."""
+    if all(part.noise is None for part in parts):
+        return parts
+    return [
+        dataclasses.replace(part, noise=xp.zeros_like(part.moments)) if part.noise is None else part
+        for part in parts
+    ]
+
+
 def stack_normal_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
     """Of one record after another, with empty blocks behind, up to as many as another."""
-    most = max(part.count.shape[0] for part in parts)
+    parts = with_noise_alike(parts)
 
-    def stacked(blocks: Sequence[Array], length: int) -> Array:
-        behind = ([(0, length - b.shape[0])] + [(0, 0)] * (b.ndim - 1) for b in blocks)
-        return xp.stack([xp.pad(b, pad) for b, pad in zip(blocks, behind)])
+    def stacked(name: str) -> Any:
+        each = [blocks for part in parts if (blocks := getattr(part, name)) is not None]
+        most = max((len(blocks) for blocks in each), default=0)
+        behind = ([(0, most - len(b))] + [(0, 0)] * (b.ndim - 1) for b in each)
+        return xp.stack([xp.pad(b, pad) for b, pad in zip(each, behind)]) if each else None
 
-    noise = noise_of_source = None
-    if any(part.noise is not None for part in parts):
-        each = [xp.zeros_like(p.moments) if p.noise is None else p.noise for p in parts]
-        noise = stacked(each, most)
-    sources = [part.noise_of_source for part in parts if part.noise_of_source is not None]
-    if sources:
-        noise_of_source = stacked(sources, max(len(each) for each in sources))
     return NormalEquations(
-        stacked([part.moments for part in parts], most),
-        stacked([part.count for part in parts], most),
+        stacked("moments"),
+        stacked("count"),
         parts[0].parameters,
-        noise,
-        noise_of_source,
+        stacked("noise"),
+        stacked("noise_of_source"),
     )
 
 
@@ -395,12 +403,10 @@ class RecordingSums:
 
         # A factor of all rows has no parts, and what one source adds is spread evenly.
         share = index.size / int(self.blocks)
-        some = self.of_equations(
-            lambda sums: sums.each(
-                lambda leaf: np.asarray(leaf[:, index], order="C"),
-                noise_of_source=lambda leaf: share * leaf,
-                factor=lambda _: None,
-            )
+        some = self.each(
+            lambda leaf: np.asarray(leaf[:, index], order="C"),
+            noise_of_source=lambda leaf: share * leaf,
+            factor=lambda _: None,
         )
         # Rows are not spread evenly over blocks, so that it is not known how many were offered.
         return dataclasses.replace(some, blocks=np.asarray(index.size), offered=np.asarray(np.nan))
@@ -413,19 +419,20 @@ class RecordingSums:
         first = -(-np.arange(most) * held // most)
         seconds = float(self.blocks) * float(self.block_seconds)
         return dataclasses.replace(
-            self.of_equations(
-                lambda sums: sums.each(
-                    lambda leaf: np.add.reduceat(np.asarray(leaf), first, axis=1)
-                )
-            ),
+            self.each(lambda leaf: np.add.reduceat(np.asarray(leaf), first, axis=1)),
             blocks=np.asarray(most),
             block_seconds=np.asarray(seconds / most),
         )
 
-    def of_equations(self, of: Callable[[EquationSums], EquationSums]) -> "RecordingSums":
-        """The same done to the sums of every equation."""
-        stages = tuple(tuple(map(of, stage)) for stage in self.stages)
-        return dataclasses.replace(self, stages=stages)
+    def each(self, *of_sums: Any, **others: Any) -> "RecordingSums":
+        """The same done to the sums of every equation, see [`EquationSums.each`][]."""
+        stages = (tuple(sums.each(*of_sums, **others) for sums in stage) for stage in self.stages)
+        return dataclasses.replace(self, stages=tuple(stages))
+
+    def of_bins(self, first: int, last: int) -> "RecordingSums":
+        """The sums of some bins of lengths, first and one beyond the last, in one."""
+        stages = (tuple(sums.of_bins(first, last) for sums in stage) for stage in self.stages)
+        return dataclasses.replace(self, stages=tuple(stages))
 
     def scaled(self, factor: float) -> "RecordingSums":
         """Sums times a factor; triangular factors, whose squares are sums, times its root."""
@@ -434,9 +441,7 @@ class RecordingSums:
         def times(leaf: Leaf) -> Leaf:
             return leaf * factor
 
-        scaled = self.of_equations(
-            lambda sums: sums.each(times, noise_of_source=times, factor=lambda rows: rows * root)
-        )
+        scaled = self.each(times, noise_of_source=times, factor=lambda rows: rows * root)
         return dataclasses.replace(scaled, offered=self.offered * factor)
 
 

@@ -284,34 +284,19 @@ def recording_sums(
     if windows is not None and surveyed:
         drawn = _to_survey(criterion, windows, record, blocks)
 
-    def of_equation(
-        equation: Equation, here: Record, blocks: StartBlocks
-    ) -> tuple[EquationSums, NoisyColumns]:
-        noisy = criterion.noisy_columns(equation, here)
+    def of_equation(noisy: NoisyColumns, blocks: StartBlocks) -> EquationSums:
         sums = [_equation_sums(criterion, noisy, of, blocks, not traced) for of in every]
-        if len(sums) == 1:
-            return sums[0], noisy
-        return jax.tree.map(lambda *of: np.concatenate(of), *sums), noisy
+        return sums[0] if len(sums) == 1 else jax.tree.map(lambda *of: np.concatenate(of), *sums)
 
     surveys: list[list[Surveyed]] = []
 
-    def of_chunk(here: Record, blocks: StartBlocks, begin: int) -> list[list[EquationSums]]:
-        stages = [[of_equation(e, here, blocks) for e in stage] for stage in model.stages]
+    def of_chunk(here: Record, blocks: StartBlocks, begin: int) -> list[EquationSums]:
+        sampled = [criterion.noisy_columns(equation, here) for equation in model.equations]
         there = drawn if windows is None or not surveyed else _within(drawn, begin, blocks)
         if surveyed and there.start.size:
-            records = here, _disturbed(here, begin)
-            found = zip(model.equations, itertools.chain(*stages))
-            surveys.append(
-                [_surveyed(criterion, e, noisy, records, there) for e, (_, noisy) in found]
-            )
-
-        def blocks_first(leaf: Leaf) -> Leaf:
-            return xp.swapaxes(leaf, 0, 1)
-
-        return [
-            [sums.each(blocks_first, noise_of_source=lambda of: of[None]) for sums, _ in stage]
-            for stage in stages
-        ]
+            records, pairs = (here, _disturbed(here, begin)), zip(model.equations, sampled)
+            surveys.append([_surveyed(criterion, *pair, records, there) for pair in pairs])
+        return [of_equation(noisy, blocks) for noisy in sampled]
 
     found = in_chunks(
         record,
@@ -322,37 +307,40 @@ def recording_sums(
         length=length,
         beside=(model, criterion, key),
     )
-    stages = [
-        [
-            sums.each(
-                lambda leaf: xp.swapaxes(leaf, 0, 1), noise_of_source=lambda of: of.sum(axis=0)
-            )
-            for sums in stage
-        ]
-        for stage in found
+
+    def side_by_side(chunks: Leaf) -> Leaf:
+        by_bin = xp.swapaxes(chunks, 0, 1)
+        return by_bin.reshape(len(by_bin), -1, *by_bin.shape[3:])[:, : blocks.number]
+
+    every_sums = [
+        sums.each(side_by_side, noise_of_source=lambda of: of.sum(axis=0)) for sums in found
     ]
     if surveys:
-        merged = iter([_survey(parts) for parts in zip(*surveys)])
-        stages = [
-            [dataclasses.replace(sums, survey=next(merged)) for sums in stage] for stage in stages
+        kept = map(_survey, zip(*surveys))
+        every_sums = [
+            dataclasses.replace(sums, survey=survey) for sums, survey in zip(every_sums, kept)
         ]
+
+    def stages() -> tuple[tuple[EquationSums, ...], ...]:
+        of_equations = iter(every_sums)
+        return tuple(tuple(itertools.islice(of_equations, len(stage))) for stage in model.stages)
+
     if windows is None and not traced:
         # Whether some stage's moments lose more digits than its rows would. What is not finite is
         # for the fit to refuse.
-        raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages)
+        raw = ([e.with_noise(None).flattened().total() for e in stage] for stage in stages())
         grams = [np.asarray(sum_of_equations(stage).gram) for stage in raw]
         if any(np.isfinite(gram).all() and not gram_suffices(gram) for gram in grams):
-            for stage, equations in zip(stages, model.stages):
-                rows = (np.asarray(criterion.rows(e, record, key).columns).T for e in equations)
-                stage[:] = [
-                    dataclasses.replace(sums, factor=np.linalg.qr(columns, mode="r"))
-                    for sums, columns in zip(stage, rows)
-                ]
+            rows = (np.asarray(criterion.rows(e, record, key).columns).T for e in model.equations)
+            every_sums = [
+                dataclasses.replace(sums, factor=np.linalg.qr(columns, mode="r"))
+                for sums, columns in zip(every_sums, rows)
+            ]
     # Of some starts it is not known how many windows there would be without gaps.
     offered = criterion.row_count(record) if end - begin == n else None
     sums = RecordingSums(
-        tuple(map(tuple, stages)),
-        np.asarray(stages[0][0].count.shape[-1]),
+        stages(),
+        np.asarray(every_sums[0].count.shape[-1]),
         xp.multiply(criterion.block_samples(record), record.time_step),
         np.asarray(np.nan if offered is None else float(offered)),
         np.asarray(end - begin),

@@ -29,6 +29,7 @@ from riecjax.summaries.normal_equations import (
     ShortBlocks,
     Survey,
     stack_normal_equations,
+    with_noise_alike,
 )
 from riecjax.summaries.summary_files import FileKind
 
@@ -188,9 +189,7 @@ class Summary(Shown, eqx.Module):
     def merge_length_bins(self) -> "Summary":
         """The same without bins of window lengths: the sums of those in use, in one (not under
         jit)."""
-        return self.in_one_bin(
-            one.of_equations(lambda sums: sums.of_bins(*self.band)) for one in self.recordings
-        )
+        return self.in_one_bin(one.of_bins(*self.band) for one in self.recordings)
 
     def in_one_bin(self, recordings: Iterable[RecordingSums]) -> "Summary":
         """The same of other recordings, which have no bins of window lengths."""
@@ -224,20 +223,13 @@ class Summary(Shown, eqx.Module):
 
         def pooled(i: int, j: int) -> EquationSums:
             """The sums of one equation side by side."""
-            sums = [one.stages[i][j] for one in every]
+            sums = with_noise_alike([one.stages[i][j] for one in every])
             shape = np.asarray(sums[0].moments).shape
             by_source: Any = np.zeros((shape[0], len(noise.sources), *shape[2:]))
             for one, equation in zip(every, sums):
                 if equation.noise_of_source is not None:
                     place = [noise.sources.index(name) for name in one.noise.sources]
                     by_source[:, place] += np.asarray(equation.noise_of_source)
-            # Of what no noise is known nothing is taken off.
-            known = any(equation.noise is not None for equation in sums)
-            if known:
-                sums = [
-                    e if e.noise is not None else e.with_noise(np.zeros_like(e.moments))
-                    for e in sums
-                ]
             factor = None
             if any(equation.factor is not None for equation in sums):
                 grams = [np.asarray(equation.moments).sum((0, 1)) for equation in sums]
@@ -253,7 +245,7 @@ class Summary(Shown, eqx.Module):
                 joined("count"),
                 sums[0].parameters,
                 joined("noise"),
-                by_source if known else None,
+                None if sums[0].noise is None else by_source,
                 factor=factor,
                 constant=joined("constant"),
             )
@@ -335,11 +327,9 @@ class Summary(Shown, eqx.Module):
         def in_band(recording: RecordingSums, i: int, j: int) -> NormalEquations:
             sums = recording.stages[i][j].of_bins(first, last)
             found = sums.in_blocks(lambda bins: bins[0])
-            if sums.noise_of_source is None:
-                sources = len(recording.noise.sources)
-                nothing = np.zeros((sources, *found.moments.shape[-2:]))
-                return found.with_noise(found.noise, nothing)
-            return found.with_noise(found.noise, sums.noise_of_source[0])
+            nothing = np.zeros((len(recording.noise.sources), *found.moments.shape[-2:]))
+            by_source = sums.noise_of_source
+            return found.with_noise(found.noise, nothing if by_source is None else by_source[0])
 
         return [
             [
@@ -352,12 +342,9 @@ class Summary(Shown, eqx.Module):
     @property
     def noise_freedom(self) -> Float[Leaf, "recordings sources"]:
         """Degrees of freedom of the variance of each recording's sources of noise."""
-        most = max(len(one.noise.sources) for one in self.recordings)
-        rows = [
-            [xp.asarray(1.0 * f) for f in one.noise.freedom.values()] for one in self.recordings
-        ]
-        filled = [xp.asarray([*row, *(np.inf,) * (most - len(row))]) for row in rows]
-        return xp.stack(filled) if most else xp.zeros((len(rows), 0))
+        every = [[1.0 * f for f in one.noise.freedom.values()] for one in self.recordings]
+        most = max(map(len, every))
+        return xp.stack([xp.asarray([*of, *(np.inf,) * (most - len(of))], float) for of in every])
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an NPZ file of exactly this name, whole or not at all; see [`load`][].

@@ -129,7 +129,7 @@ def whiteness(refined: Estimate, records: list[Record]) -> Whiteness | None:
         for values, present, part in zip(series, masks, residuals.recorded):
             # The values of all windows where they stand in the recording.
             values, present = values[..., j], present[..., j]
-            place = np.asarray(part.position)[present] // part.every
+            place = np.asarray(part.position)[present]
             length = int(place.max(initial=0)) + 1
             in_time = np.full(length, np.nan)
             in_time[place] = values[present]
