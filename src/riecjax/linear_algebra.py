@@ -184,6 +184,19 @@ def _factor(rows: Float[np.ndarray, "rows columns"]) -> Factor:
     return np.pad(signed, [(0, size - len(factor)), (0, 0)])
 
 
+def triangular_factor(moments: Float[Array, "*batch n n"]) -> Float[Array, "*batch n n"]:
+    """Upper triangle R with R^T R = moments, to rounding; zero for a column that is."""
+    n, diagonal = moments.shape[-1], xp.diagonal(moments, axis1=-2, axis2=-1)
+    size = xp.maximum(diagonal, 0.0)
+    scale = unit_scale(size)
+    # Columns that explain one another would leave a pivot of rounding, of either sign.
+    rounding = 8 * n * xp.finfo(moments.dtype).eps
+    identity = np.eye(n, dtype=moments.dtype).reshape((1,) * (moments.ndim - 2) + (n, n))
+    scaled = moments * scale[..., :, None] * scale[..., None, :] + rounding * identity
+    factor = xp.swapaxes(xp.linalg.cholesky(scaled), -1, -2)
+    return xp.sqrt(size)[..., None, :] * factor
+
+
 def gram_condition_limit(dtype: np.dtype) -> float:
     """Condition number of rows past which their Gram matrix no longer serves.
 

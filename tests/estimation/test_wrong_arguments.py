@@ -6,6 +6,7 @@ import functools
 
 import jax
 import numpy as np
+import optimistix
 import pytest
 
 import riecjax as rx
@@ -126,6 +127,10 @@ CALLS = {
     "simulate an equation": (lambda: rx.simulate(EQUATION, RECORD), "rx.equation_system(equation,"),
     "no start": (lambda: refine(None), "start is None. Write"),
     "refine by a class": (lambda: refine({"k": 1.0}, rx.OutputError), "by=rx.OutputError()"),
+    "a solver's class": (
+        lambda: refine({"k": 1.0}, solver=optimistix.LevenbergMarquardt),
+        "the class LevenbergMarquardt",
+    ),
     "integrate a name": (
         lambda: rx.refine("duffing", RECORD, {"m": 1.0}, rx.IntegralError(ALL)),
         "find_mo",

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from riecjax.linear_algebra import triangular_factor
 from riecjax.refinement.optimum import Linearised
 
 ROWS = 12
@@ -43,3 +44,23 @@ def test_a_step_is_the_dense_one(windows, starts, damping):
     assert float(work) == pytest.approx(-gradient @ expected, rel=1e-8)
     assert float(damped) == pytest.approx(damping * expected**2 @ np.diag(gram), rel=1e-6)
     assert float(linear.energy) == pytest.approx(residual @ residual)
+
+
+def test_factors_of_windows_have_the_same_moments():
+    linear, _, _ = problem(5)
+    factors = np.asarray(triangular_factor(linear.moments))
+    np.testing.assert_allclose(np.tril(factors, -1), 0, atol=1e-12)
+    again = np.einsum("wki,wkj->wij", factors, factors)
+    size = np.sqrt(np.einsum("wii->wi", np.asarray(linear.moments)))
+    scale = size[:, :, None] * size[:, None, :]
+    np.testing.assert_allclose(again / scale, np.asarray(linear.moments) / scale, atol=1e-12)
+
+
+def test_a_silent_column_and_a_repeated_one_have_a_factor():
+    columns = np.random.default_rng(1).normal(size=(9, 4))
+    columns[:, 2] = 0.0
+    columns[:, 3] = columns[:, 1]
+    moments = columns.T @ columns
+    factor = np.asarray(triangular_factor(jnp.asarray(moments)))
+    assert np.all(np.isfinite(factor))
+    np.testing.assert_allclose(factor.T @ factor, moments, atol=1e-10)

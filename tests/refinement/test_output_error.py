@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix
 import pytest
 import scipy.integrate
 from jaxtyping import Array
@@ -97,6 +98,18 @@ def test_the_optimum_is_scipys(whole):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("by", [OutputError(), *nightly([OutputError(Tiles(seconds=5.0))])])
+def test_a_solver_of_optimistix_reaches_the_same_optimum(noisy, by):
+    """Of windows, initial states are among its unknowns."""
+    found = refine(oscillator(), noisy, START, by)
+    other = refine(oscillator(), noisy, START, by, solver=optimistix.Dogleg(1e-8, 1e-8))
+    assert found.search.converged
+    assert other.search.converged
+    away = np.abs(other.theta - found.theta) / np.asarray(found.standard_errors)
+    assert away.max() < 1e-3
+    np.testing.assert_allclose(other.standard_errors, found.standard_errors, rtol=1e-3)
+
+
 def test_the_optimum_of_hubers_loss_is_scipys_and_spikes_hardly_move_it():
     """Spikes of 20 standard deviations of the noise on a hundredth of the samples."""
     measured, rng = signals(0), np.random.default_rng(0)

@@ -97,7 +97,7 @@ def _search(
         )
     given = settings.bounds, settings.priors, intervals_of(settings.intervals)
     limits = (MOST_STEPS, settings.progress) if asked else (STEPS_BY_ITSELF, None)
-    found, by = refined(by, residuals, formed, records, *given, *limits)
+    found, by = refined(by, residuals, formed, records, *given, None, *limits)
     return Refinement(estimate, found, whiteness=whiteness(found, records), by=by)
 
 

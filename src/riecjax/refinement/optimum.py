@@ -70,8 +70,11 @@ initial states explain of the parameters' columns: where they explain all but a 
 log10(1/t) digits of it are lost, where QR of the rows would lose half as many. Steps are corrected
 by the next ones; what rounding leaves is an error of the gradient, well below a cosine of 1e-6.
 
-Of one window this is as fast as optimistix's Levenberg-Marquardt at equal error, of 20 windows two
-to three times as fast: benchmarks/NOTES.md.
+Other solvers are optimistix's, which want a residual and its Jacobian. The Cholesky factor R of a
+window's moments is one with as few rows as columns: R = U' [r J S], U having orthonormal columns,
+which changes neither a sum of squares nor a step. So nothing that is carried from step to step
+grows with the record. Of one window this is as fast as optimistix's Levenberg-Marquardt at equal
+error, of 20 windows two to three times as fast: benchmarks/NOTES.md.
 
 **Bounds.** A trial that would go beyond a bound is set on it, and what the slope pushes against its
 bound is held there: its columns are zero, for this step and for all else that is said of the
@@ -100,6 +103,7 @@ whose standard errors are themselves made of such changes, beside the parameter.
 
 import dataclasses
 import functools
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -107,6 +111,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 
@@ -118,7 +123,7 @@ from riecjax.estimation.constraints import (
     constrained_uncertainty,
 )
 from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
-from riecjax.linear_algebra import solve_scaled, symmetric_eigen, unit_scale
+from riecjax.linear_algebra import solve_scaled, symmetric_eigen, triangular_factor, unit_scale
 from riecjax.refinement.objective import (
     RIDGE,
     AbstractResiduals,
@@ -216,6 +221,7 @@ COLLINEAR = 1e-12
 """Curvature along a direction, relative to the parameters' own, that is no more than rounding."""
 TAKES_PART = 0.1
 """Share of such a direction from which a parameter is called undetermined."""
+Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 PROFILED = 1e-6
 """Share of the sum of squares that better initial states would still take off: as good as none."""
 MOST_TRIALS = 8
@@ -362,19 +368,26 @@ class Problem(NamedTuple):
         return Linearised(moments, prior, slope * free, expansion._replace(simulated=()))
 
 
-class _State(NamedTuple):
-    """Accepted point and problem, trial point, damping, the two parts of the predicted decrease,
-    linearised problems so far, and how the search ended, if it did."""
+class Ended(NamedTuple):
+    """Where a search stands: the point, the problem there, linearised problems so far, and whether
+    it ended, and failed."""
 
     point: Point
     accepted: Linearised
+    steps: Int[Array, ""]
+    ended: Bool[Array, ""]
+    failed: Bool[Array, ""]
+
+
+class _State(NamedTuple):
+    """Where the search stands, its trial point, damping, and the two parts of the predicted
+    decrease."""
+
+    at: Ended
     trial: Point
     damping: Float[Array, ""]
     work: Float[Array, ""]
     damped: Float[Array, ""]
-    steps: Int[Array, ""]
-    ended: Bool[Array, ""]
-    failed: Bool[Array, ""]
 
 
 def levenberg_marquardt(
@@ -383,7 +396,7 @@ def levenberg_marquardt(
     expansion: Expansion | None,
     max_steps: int,
     report: Callable[[float], None] | None,
-) -> _State:
+) -> Ended:
     """The search from a first point, with initial states eliminated window by window.
 
     It stops at a cosine between residual and tangent space that the precision allows, which unlike
@@ -409,31 +422,56 @@ def levenberg_marquardt(
         parameters = xp.clip(point.parameters + step.parameters, low, high)
         trial = Point(parameters, point.initial + step.initial)
         failed = stuck & ~flat & (work > NEARLY_FLAT**2 * at.energy)
-        return _State(point, at, trial, damping, work, damped, steps, flat | stuck, failed)
+        now = Ended(point, at, steps, flat | stuck, failed)
+        return _State(now, trial, damping, work, damped)
 
     def stepped(state: _State) -> _State:
         """Accept or reject the trial point, and make the next one."""
         tried = problem.linearised(state.trial)
-        decrease = state.accepted.energy - tried.energy
+        decrease = state.at.accepted.energy - tried.energy
         ratio = decrease / (state.work + state.damped)
         good = (decrease > 0) & (ratio > ACCEPTED)
         factor = xp.where(good, xp.where(ratio > GOOD, DAMPING_DECREASE, 1.0), DAMPING_INCREASE)
         damping = xp.maximum(state.damping * factor, xp.finfo(precision).eps).astype(precision)
-        new, old = (state.trial, tried), (state.point, state.accepted)
+        new, old = (state.trial, tried), (state.at.point, state.at.accepted)
         point, accepted = jax.tree.map(lambda new, old: xp.where(good, new, old), new, old)
-        return prepared(point, accepted, damping, state.steps + 1)
+        return prepared(point, accepted, damping, state.at.steps + 1)
 
     at, steps = problem.linearised(first, expansion), np.asarray(1)
     return xp.repeated_while(
-        lambda state: (state.steps < max_steps) & ~state.ended,
+        lambda state: (state.at.steps < max_steps) & ~state.at.ended,
         stepped,
         prepared(first, at, np.asarray(FIRST_DAMPING, precision), steps),
         beside=problem,
-    )
+    ).at
 
 
 def _largest(values: Array) -> Float[Array, ""]:
     return xp.max(xp.abs(values), initial=0.0)
+
+
+@eqx.filter_jit
+def by_optimistix(solver: Solver, problem: Problem, first: Point, max_steps: int) -> Ended:
+    """The search by a solver of optimistix, of the residuals of each window reduced to as many as
+    there are columns."""
+
+    def reduced(point: Point, problem: Problem) -> tuple[Any, Linearised]:
+        here = xp.stop_gradient(point)
+        at = xp.stop_gradient(problem.linearised(here))
+        factors, p = triangular_factor(at.moments), here.parameters.shape[0]
+        # Zero, whose derivative is one: the Jacobian is that of the moments.
+        change = jax.tree.map(operator.sub, point, here)
+        moved = jnp.einsum("wnp,p->wn", factors[:, :, 1 : 1 + p], change.parameters)
+        moved = moved + jnp.einsum("wns,ws->wn", factors[:, :, 1 + p :], change.initial)
+        prior = at.prior + at.prior_slope * change.parameters
+        return (factors[:, :, 0] + moved, prior), at
+
+    solution = optx.least_squares(
+        reduced, solver, first, args=problem, has_aux=True, max_steps=max_steps, throw=False
+    )
+    spent = solution.result == optx.RESULTS.nonlinear_max_steps_reached
+    failed = ~spent & (solution.result != optx.RESULTS.successful)
+    return Ended(solution.value, solution.aux, solution.stats["num_steps"], ~spent, failed)
 
 
 @eqx.filter_custom_jvp
@@ -471,14 +509,18 @@ def search(
     start: Place,
     before: Place,
     intervals: AbstractIntervals,
+    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
 ) -> Found:
     """The optimum, searched from a place that was reached `before`, the `start` or another."""
     problem = Problem.of(residuals, constraints, before.cost)
     first = Point(before.theta / problem.scale, before.initial)
-    given = xp.stop_gradient((problem, first, before.expansion))
-    ended = levenberg_marquardt(*given, max_steps, progress)
+    given = xp.stop_gradient((problem, first))
+    if solver is None:
+        ended = levenberg_marquardt(*given, xp.stop_gradient(before.expansion), max_steps, progress)
+    else:
+        ended = xp.in_double(by_optimistix, solver, *given, max_steps)
     point = ended.point
     if xp.are_traced(given):
         # The point differentiates by anything in `problem`, forward and in reverse.

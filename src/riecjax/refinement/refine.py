@@ -15,7 +15,7 @@ from riecjax.leaves import is_concrete
 from riecjax.records.noise_judgement import ABOVE_NOISE
 from riecjax.records.record import Record, Records, as_records, deviation
 from riecjax.refinement.objective import AbstractObjective, AbstractResiduals
-from riecjax.refinement.optimum import Found, Place, begun, search
+from riecjax.refinement.optimum import Found, Place, Solver, begun, search
 from riecjax.refinement.output_error import LEAST_NOISE, OutputError, noise_levels
 from riecjax.simulation.system import PREDICTS_WELL
 from riecjax.uncertainty.intervals import AbstractIntervals, Sandwich
@@ -86,6 +86,7 @@ def refine(
     per_record: Sequence[str] = (),
     key: Key[Array, ""] | None = None,
     intervals: AbstractIntervals | None = None,
+    solver: Solver | None = None,
     max_steps: int = 100,
     progress: Callable[[float], None] | None = None,
 ) -> Estimate:
@@ -115,6 +116,8 @@ def refine(
     - `key`: for random windows.
     - `intervals`: how uncertainty is judged, [`Sandwich`][] by default; [`BlockBootstrap`][]
       resamples the problem linearised at the optimum.
+    - `solver`: an optimistix solver in place of the search's own Levenberg-Marquardt. Beside bounds
+      it must damp its steps.
     - `max_steps`: steps that the search may take; fewer than it needs is a status of the result.
     - `progress`: called with the sum of squares after each step.
 
@@ -128,6 +131,9 @@ def refine(
     require("start", start, (Estimate, Mapping), "the result of rx.identify, or {'m': 2.0}")
     require("by", by, AbstractObjective, "by=rx.OutputError(), an object")
     require("intervals", intervals, AbstractIntervals, "intervals=rx.Sandwich()")
+    if solver is not None:
+        write = "solver=optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8), or leave it out"
+        require("the solver", solver, Solver, write)
     if isinstance(model, type):
         write = f"{model.__name__}(...), with a value for each of its fields"
         require("the model", model, (), write)
@@ -136,7 +142,7 @@ def refine(
     def formed(by: AbstractObjective) -> AbstractResiduals:
         return by.residuals(model, recordings, start, known or {}, per_record, key)
 
-    settings = bounds, priors, intervals, max_steps, progress
+    settings = bounds, priors, intervals, solver, max_steps, progress
     return refined(by, formed(by), formed, recordings, *settings)[0]
 
 
@@ -148,6 +154,7 @@ def refined(
     bounds: Mapping[str, Bounds] | None,
     priors: Mapping[str, tuple[float, float]] | None,
     intervals: AbstractIntervals,
+    solver: Solver | None,
     max_steps: int,
     progress: Callable[[float], None] | None,
 ) -> tuple[Estimate, AbstractObjective]:
@@ -162,7 +169,7 @@ def refined(
     table = residuals.table
     start = dict(zip(table.free, residuals.start))
     constraints = Constraints.of(table, bounds, priors, start)
-    settings = intervals, max_steps, progress
+    settings = intervals, solver, max_steps, progress
     rounds = FURTHER_ROUNDS if constraints.priors else 0
 
     def searched(residuals: AbstractResiduals, place: Place | None) -> Found:
