@@ -117,11 +117,7 @@ def rests_of(model: Model, record: Record) -> dict[str, Rest]:
     if is_batch or not is_concrete(model, record):
         return {}
     terms = [term for equation in model.equations for term in equation.terms]
-    # First what costs least, and no call of a user's function.
-    if all(term.is_linear and isinstance(term.of, str) for term in terms):
-        return {}
-    found = {name: rest for name in record.arrays if (rest := rest_of(record, name)) is not None}
-    if not found:
-        return {}
-    jumping = reversing_states(terms, sorted(found), sorted(record.arrays))
-    return {name: rest for name, rest in found.items() if name in jumping}
+    names = sorted(record.arrays)
+    jumping = reversing_states(terms, names, names)
+    rests = {name: rest_of(record, name) for name in record.arrays if name in jumping}
+    return {name: rest for name, rest in rests.items() if rest is not None}
