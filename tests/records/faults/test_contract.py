@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tests.machines import noisy, waves
 
+from riecjax.records.faults.hum import notch
 from riecjax.records.faults.signals import check_signals, leave_out
 from riecjax.records.faults.spikes import repair_outliers
-from riecjax.records.preparation.hum import notch
 from riecjax.records.record import Record
 
 STEP, COUNT = 0.005, 4000

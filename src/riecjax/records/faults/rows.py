@@ -27,7 +27,15 @@ from jaxtyping import Float
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
-from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal, size_of, spread_of
+from riecjax.records.faults.sampled_signal import (
+    ENOUGH,
+    Fault,
+    Found,
+    SampledSignal,
+    Signals,
+    size_of,
+    spread_of,
+)
 from riecjax.records.linear_op import LinearOp
 from riecjax.records.record import HasRecord, Record
 from riecjax.records.signal import NORMAL, Samples
@@ -242,32 +250,36 @@ def _rows_in_common(
     return rows if strides and all(agree(n, stride) for stride in strides for n in near) else 0
 
 
-def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
-    """Pairs of which one is the other times a factor, perhaps with an offset.
+def _copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """Signals before this one of which it is one times a factor, perhaps with an offset.
 
     Two sensors have two noises. What parts them here is no more than rounding, which is white,
     where the little that parts a slow force from its spring is smooth.
     """
-    for one, other in itertools.combinations(signals, 2):
-        stride = max(one.values.size // ENOUGH, 1)
-        line = _line(one.values[::stride], other.values[::stride], 1.0)
-        line = line and _line(one.values, other.values, SMOOTH)
-        if line is None:
+    for name in itertools.takewhile(lambda name: name != other.name, signals.names):
+        one, stride = signals.by_name[name], max(other.values.size // ENOUGH, 1)
+        line = name in signals.recorded and _line(one.values[::stride], other.values[::stride], 1.0)
+        if not line or (line := _line(one.values, other.values, SMOOTH)) is None:
             continue
         factor, offset = line
         least = ROUNDED * np.nanstd(other.values)
         more = f" plus {offset:.4g}" if abs(offset) > least else ""
-        said = f"{other.name} is {factor:.4g} times {one.name}{more}"
+        said = f"{other.name} is {factor:.4g} times {name}{more}"
         if abs(factor - 1) < ROUNDED and abs(offset) < least:
-            said = f"{other.name} holds the samples of {one.name}"
-        yield Finding(
-            "copied_signal",
+            said = f"{other.name} holds the samples of {name}"
+        yield Found(
             f"{said}, to the last digit or rounding, so that both are one measurement, and nothing "
-            f"tells their terms apart. Check which column is which (on the command line: --map), "
-            f"and leave the copy out.",
-            (one.name, other.name),
+            f"tells their terms apart.",
             doubt=1.0,
+            signals=(name, other.name),
         )
+
+
+COPIED = Fault(
+    "copied_signal",
+    _copied,
+    "Check which column is which (on the command line: --map), and leave the copy out.",
+)
 
 
 def _line(first: np.ndarray, second: np.ndarray, smooth: float) -> tuple[float, float] | None:

@@ -22,7 +22,7 @@ levels or slopes part further than they do elsewhere, the spike acted.
 import functools
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -33,11 +33,15 @@ from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
     ROUNDING,
+    Fault,
+    Found,
     SampledSignal,
+    Signals,
     is_command,
     levels_of,
     resolution_of,
 )
+from riecjax.records.faults.wrapped import unwrapped
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record, run_lengths
 from riecjax.records.signal import NORMAL, Samples
@@ -103,11 +107,15 @@ Treatment: TypeAlias = Literal["repair", "missing", "keep"]
 or they stay."""
 DONE = {
     "repair": "A polynomial through the samples around took the place of each; if they really "
-    "acted, keep them (--outliers keep)",
-    "missing": "They were marked as missing",
-    "keep": "Least squares follow them: repair them (--outliers repair; in Python "
-    "rx.records.repair_outliers(record)), unless they really acted",
+    "acted, keep them (--outliers keep).",
+    "missing": "They were marked as missing.",
+    "keep": "Least squares follow them: repair them ({option}; in Python "
+    "rx.records.repair_outliers(record)), unless they really acted.",
 }
+MOSTLY = (
+    f"So many are a fault of the channel and were left as they are: check the sensor, its cable "
+    f"and the logger (more than {MOST:.0%} of the samples)."
+)
 
 
 class Spikes(NamedTuple):
@@ -164,6 +172,7 @@ def _taken_out(
     # There polynomials go through what is on one side, each by itself.
     edged = np.pad(missing, BESIDE, constant_values=True)
     ends = np.flatnonzero((np.convolve(edged, np.ones(OFFSETS.size), "valid") > 0) & ~missing)
+    noise = np.zeros(scaled.size)
     for _ in range(PASSES):
         off, past_two = local.off(cleaned), local.off(cleaned, LONGEST - 1)
         noise = _reached(off, BLOCK, 0.5) / NORMAL
@@ -373,54 +382,40 @@ def too_many(spikes: Spikes, values: Samples) -> bool:
     return spikes.places.size > MOST * np.sum(~np.isnan(values))
 
 
-def outliers(signal: SampledSignal, others: Iterable[SampledSignal] = ()) -> list[Finding]:
-    """The finding of a signal whose spikes were kept, unless others show that they acted."""
+def _kept(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """Spikes that were kept, unless others show that they acted."""
     spikes = find_spikes(signal.values)
-    if not spikes.places.size or are_answered(spikes.places, (one.values for one in others)):
-        return []
-    return [finding_of(signal.name, spikes, signal.values, signal.time, signal.unit)]
+    others = (other.values for other in signals.beside(signal.name))
+    if spikes.places.size and not are_answered(spikes.places, others):
+        yield _found(spikes, signal.values, signal.time, signal.unit)
 
 
-def finding_of(
-    name: str,
-    spikes: Spikes,
-    values: Samples,
-    time: Samples,
-    unit: str = "",
-    done: Treatment = "keep",
-) -> Finding:
-    """How many spikes there are, where, how large, and what was done.
+def _found(spikes: Spikes, values: Samples, time: Samples, unit: str) -> Found:
+    """How many spikes there are, where, and how large.
 
-    What was kept puts parameters in doubt by the spikes' share of the signal's energy.
+    What is kept puts parameters in doubt by the spikes' share of the signal's energy.
     """
     count = spikes.places.size
     listed = ", ".join(f"{time[place]:.6g}" for place in spikes.places[:LISTED])
     more = f" s and {count - LISTED} more" if count > LISTED else " s"
-    beyond_repair = too_many(spikes, values)
-    kept, doubt = beyond_repair or done == "keep", 0.0
     with np.errstate(all="ignore"):
         noises, largest = np.median(spikes.sizes / spikes.noise), np.max(spikes.sizes)
-        if kept:
-            # Of the signal's energy about its mean, with the spikes.
-            own, rest = np.sum((spikes.sizes / largest) ** 2), values.copy()
-            rest[spikes.places] = spikes.repaired
-            rest = np.nansum(((rest - np.nanmean(rest)) / largest) ** 2)
-            doubt = float(own / (own + rest))
+        # Of the signal's energy about its mean, with the spikes.
+        own, rest = np.sum((spikes.sizes / largest) ** 2), values.copy()
+        rest[spikes.places] = spikes.repaired
+        rest = np.nansum(((rest - np.nanmean(rest)) / largest) ** 2)
     against = f", {noises:.3g} times the noise there (median)" if np.isfinite(noises) else ""
-    said = (
-        f"So many are a fault of the channel and were left as they are: check the sensor, its "
-        f"cable and the logger (more than {MOST:.0%} of the samples)"
-        if beyond_repair
-        else DONE[done]
-    )
-    message = (
-        f"{name}: {count} {'sample is a spike' if count == 1 else 'samples are spikes'} "
+    return Found(
+        f"{count} {'sample is a spike' if count == 1 else 'samples are spikes'} "
         f"({100 * count / np.sum(~np.isnan(values)):.2g} %), up to "
-        f"{f'{largest:.4g} {unit}'.rstrip()} off the samples around{against}, at {listed}{more}. "
-        f"{said}."
+        f"{f'{largest:.4g} {unit}'.rstrip()} off the samples around{against}, at {listed}{more}.",
+        doubt=float(own / (own + rest)),
+        value="repair",
+        advice=MOSTLY if too_many(spikes, values) else "",
     )
-    remedy = ("--outliers", "repair") if kept and not beyond_repair else ()
-    return Finding("outliers", message, (name,), doubt=doubt, remedy=remedy)
+
+
+OUTLIERS = Fault("outliers", _kept, DONE["keep"], "--outliers", computed=True)
 
 
 @step
@@ -443,59 +438,6 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     for name, signal in _treated(signals or tuple(columns), columns, times, how).items():
         if not signal.acted:
             yield name, LinearOp.of_values("{}: without outliers", signal.values)
-
-
-TURNS = (2 * np.pi, 360.0)
-"""A turn in radians and in degrees."""
-QUICKEST = 0.25
-"""Turns from sample to sample past which nothing tells which way it went."""
-MOST_TURNS = 0.05
-"""Share of samples that begin a turn at most."""
-REGISTERS = (16, 32)
-"""Bits of registers of signed numbers."""
-
-
-def unwrapped(values: Samples) -> tuple[Samples, int]:
-    """An angle that goes on from turn to turn, and how often it began anew; 0 if it never did.
-
-    It is one whose values fill a turn, and jump from one end of it to the other, and nowhere else.
-    """
-    known = np.flatnonzero(~np.isnan(values))
-    steps = np.diff(values[known])
-    sizes = np.abs(steps)
-    for turn in TURNS:
-        jumps = sizes > turn / 2
-        if not jumps.any() or np.mean(jumps) > MOST_TURNS:
-            continue
-        usual, reach = np.max(sizes[~jumps], initial=0.0), np.ptp(values[known])
-        fills = turn - 2 * usual <= reach <= turn + usual
-        around = np.abs(sizes[jumps] - turn) <= 2 * usual
-        if usual < QUICKEST * turn and fills and around.all():
-            whole = values.copy()
-            whole[known] -= turn * np.cumsum(np.append(0, np.where(jumps, np.sign(steps), 0)))
-            return whole, int(jumps.sum())
-    return values, 0
-
-
-def signed(values: Samples) -> tuple[Samples, int]:
-    """A register of signed numbers that was read as unsigned put right, and its bits; 0 if none.
-
-    Below zero it counts down from 2^bits: it holds whole numbers, and leaps from one end of that
-    range to the other where the signed number passes zero by no more than it steps elsewhere.
-    """
-    known = values[~np.isnan(values)]
-    for bits in REGISTERS:
-        count = 2.0**bits
-        inside = known.size > 1 and known.min() >= 0 and count / 2 < known.max() < count
-        if not inside or (known != np.floor(known)).any():
-            continue
-        whole = np.where(values >= count / 2, values - count, values)
-        leaps, steps = (np.abs(np.diff(v[~np.isnan(v)])) for v in (values, whole))
-        leaps = leaps > count / 2
-        usual = np.max(steps[~leaps], initial=0.0)
-        if leaps.any() and usual < count / 4 and np.max(steps[leaps]) <= 2 * usual:
-            return whole, bits
-    return values, 0
 
 
 class Treated(NamedTuple):
@@ -525,10 +467,10 @@ def treat_all(
 
     **Raises:** `DataError` for another treatment.
     """
-    turns = {name: unwrapped(column) for name, column in columns.items()}
-    columns = {name: column for name, (column, _) in turns.items()}
+    whole = {name: unwrapped(column) for name, column in columns.items()}
+    columns = {name: column for name, (column, _) in whole.items()}
+    words = [f"{name}: {said}" for name, (_, said) in whole.items() if said]
     every = {n: times.get(n, (time_step or 1.0) * np.arange(v.size)) for n, v in columns.items()}
-    words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
     treated, findings = _treated(tuple(columns), columns, every, how), []
     for name, (_, spikes, acted) in treated.items():
         count = spikes.places.size
@@ -539,8 +481,8 @@ def treat_all(
             words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
             used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
             time, unit = every[name] - every[name][0], units.get(name, "")
-            finding = finding_of(name, spikes, columns[name], time, unit, how)
-            findings.append(finding._replace(signals=(name, *used)))
+            found = _found(spikes, columns[name], time, unit)._replace(doubt=0.0, advice=DONE[how])
+            findings.append(OUTLIERS.finding(name, found)._replace(signals=(name, *used)))
     return {**columns, **{name: one.values for name, one in treated.items()}}, words, findings
 
 

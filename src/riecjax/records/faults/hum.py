@@ -7,8 +7,14 @@ import numpy as np
 import scipy
 
 from riecjax.errors import DataError
-from riecjax.findings import Finding
-from riecjax.records.faults.sampled_signal import SampledSignal, percent, size_of
+from riecjax.records.faults.sampled_signal import (
+    Fault,
+    Found,
+    SampledSignal,
+    Signals,
+    percent,
+    size_of,
+)
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record
 
@@ -152,52 +158,49 @@ def lines_of(spectrum: Spectrum, grid: float) -> list[Line]:
     return found
 
 
-def hum(
-    signals: Mapping[str, SampledSignal], pairs: Sequence[tuple[str, str]], names: Sequence[str]
-) -> Iterator[Finding]:
-    """Grids whose lines stand in some of these signals and are not what the machine does.
+def _hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """Grids whose lines stand in a signal and are not what the machine does.
 
     A machine that turns at 50 Hz moves all channels, a velocity 2 pi 50 times as far as its
     position. The mains keep to no such ratio; where no pair tells, they are taken for a fault of a
     channel that is alone with them.
-
-    **Arguments:** `pairs` of a signal and its derivative; `names` of those to report on.
     """
+    spectra, by_grid = signals.once(_spectra)
+    for grid in (grid for grid in MAINS if grid in by_grid.get(signal.name, {})):
+        lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
+        largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
+        verdicts = {n: _is_motion(n, line, spectra, signals.pairs) for n, line in largest.items()}
+        own = verdicts.pop(signal.name)
+        others = {*verdicts.values()}
+        if own or (own is None and others and (True in others or False not in others)):
+            continue
+        amplitude, rms = largest[signal.name].amplitude, spectra[signal.name].rms
+        share = sum((line.amplitude / rms) ** 2 for line in lines[signal.name]) / 2
+        at = ", ".join(
+            f"{line.nominal:.4g} Hz"
+            if abs(line.seen - line.nominal) <= 0.1 * grid
+            else f"{line.nominal:.4g} Hz (seen at {line.seen:.4g} Hz)"
+            for line in lines[signal.name]
+        )
+        yield Found(
+            f"a line at {at} stands out, of amplitude {signal.with_unit(amplitude)}, "
+            f"{percent(amplitude, rms)} of the signal's rms, as the mains put there. It acts as "
+            f"noise with {percent(share, 1.0)} of the signal's power.",
+            doubt=min(share, 1.0),
+            value=f"{grid:.4g}",
+        )
+
+
+def _spectra(signals: Signals) -> tuple[dict[str, Spectrum], dict[str, dict[float, list[Line]]]]:
+    """Spectra of what sensors recorded, and the lines of grids in them."""
     # Steps of commands have lines of their own.
-    known = {
+    spectra = {
         name: spectrum
-        for name, signal in signals.items()
+        for name, signal in signals.recorded.items()
         if not signal.is_command
         and (spectrum := spectrum_of(signal.values, signal.time_step)) is not None
     }
-    by_grid = {name: _foreign(spectrum) for name, spectrum in known.items()}
-    for grid in MAINS:
-        lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
-        largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
-        verdicts = {name: _is_motion(name, largest[name], known, pairs) for name in lines}
-        for name in (n for n in names if n in lines):
-            others = {verdicts[other] for other in lines if other != name}
-            hums = not others or (False in others and True not in others)
-            if verdicts[name] or (verdicts[name] is None and not hums):
-                continue
-            amplitude, rms = largest[name].amplitude, known[name].rms
-            share = sum((line.amplitude / rms) ** 2 for line in lines[name]) / 2
-            at = ", ".join(
-                f"{line.nominal:.4g} Hz"
-                if abs(line.seen - line.nominal) <= 0.1 * grid
-                else f"{line.nominal:.4g} Hz (seen at {line.seen:.4g} Hz)"
-                for line in lines[name]
-            )
-            yield signals[name].finding(
-                "hum",
-                f"a line at {at} stands out, of amplitude {signals[name].with_unit(amplitude)}, "
-                f"{percent(amplitude, rms)} of the signal's rms, as the mains put there. "
-                f"It acts as noise with {percent(share, 1.0)} of the signal's power. Take it out "
-                f"(on the command line: --notch {grid:.4g}), and look at the cable's screen and "
-                f"earth.",
-                doubt=min(share, 1.0),
-                remedy=("--notch", f"{grid:.4g}"),
-            )
+    return spectra, {name: _foreign(spectrum) for name, spectrum in spectra.items()}
 
 
 def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
@@ -282,6 +285,14 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Operations:
         if lines:
             values = without_lines(values, time_step, [line.seen for line in lines])
             yield name, LinearOp.of_values(f"lines of the mains{at} taken off", values)
+
+
+HUM = Fault(
+    "hum",
+    _hum,
+    "Take it out (on the command line: {option}), and look at the cable's screen and earth.",
+    "--notch",
+)
 
 
 def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[float]) -> np.ndarray:
