@@ -308,7 +308,7 @@ def _rest_of_record(others: Sequence[SampledSignal], start: int, length: int) ->
 
 FEWEST_MESSAGES = 20
 """Values, each held, that tell of messages."""
-ON_TIME, JITTER = 0.95, 0.1
+ON_TIME, JITTER = 0.95, 0.25
 """Share of values that are held for as long as the others, or for some times that, and by how much
 of it they may miss that."""
 QUANTA = 3.0
