@@ -1,5 +1,6 @@
 """Lines of the mains: found in a signal's spectrum, told from motion, and taken off."""
 
+import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
@@ -8,10 +9,10 @@ import scipy
 
 from riecjax.errors import DataError
 from riecjax.records.faults.sampled_signal import (
-    Fault,
     Found,
     SampledSignal,
     Signals,
+    fault,
     percent,
     size_of,
 )
@@ -158,14 +159,19 @@ def lines_of(spectrum: Spectrum, grid: float) -> list[Line]:
     return found
 
 
-def _hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault(
+    "hum",
+    "Take it out (on the command line: {option}), and look at the cable's screen and earth.",
+    "--notch",
+)
+def hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """Grids whose lines stand in a signal and are not what the machine does.
 
     A machine that turns at 50 Hz moves all channels, a velocity 2 pi 50 times as far as its
     position. The mains keep to no such ratio; where no pair tells, they are taken for a fault of a
     channel that is alone with them.
     """
-    spectra, by_grid = signals.once(_spectra)
+    spectra, by_grid = _spectra(signals)
     for grid in (grid for grid in MAINS if grid in by_grid.get(signal.name, {})):
         lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
         largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
@@ -191,6 +197,7 @@ def _hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
         )
 
 
+@functools.lru_cache(1)
 def _spectra(signals: Signals) -> tuple[dict[str, Spectrum], dict[str, dict[float, list[Line]]]]:
     """Spectra of what sensors recorded, and the lines of grids in them."""
     # Steps of commands have lines of their own.
@@ -285,14 +292,6 @@ def notch(record: Record, frequency: float | Literal["auto"]) -> Operations:
         if lines:
             values = without_lines(values, time_step, [line.seen for line in lines])
             yield name, LinearOp.of_values(f"lines of the mains{at} taken off", values)
-
-
-HUM = Fault(
-    "hum",
-    _hum,
-    "Take it out (on the command line: {option}), and look at the cable's screen and earth.",
-    "--notch",
-)
 
 
 def without_lines(values: np.ndarray, time_step: float, frequencies: Iterable[float]) -> np.ndarray:

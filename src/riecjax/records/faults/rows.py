@@ -29,10 +29,10 @@ from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
 from riecjax.records.faults.sampled_signal import (
     ENOUGH,
-    Fault,
     Found,
     SampledSignal,
     Signals,
+    fault,
     size_of,
     spread_of,
 )
@@ -250,7 +250,11 @@ def _rows_in_common(
     return rows if strides and all(agree(n, stride) for stride in strides for n in near) else 0
 
 
-def _copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault(
+    "copied_signal",
+    "Check which column is which (on the command line: --map), and leave the copy out.",
+)
+def copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
     """Signals before this one of which it is one times a factor, perhaps with an offset.
 
     Two sensors have two noises. What parts them here is no more than rounding, which is white,
@@ -273,13 +277,6 @@ def _copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
             doubt=1.0,
             signals=(name, other.name),
         )
-
-
-COPIED = Fault(
-    "copied_signal",
-    _copied,
-    "Check which column is which (on the command line: --map), and leave the copy out.",
-)
 
 
 def _line(first: np.ndarray, second: np.ndarray, smooth: float) -> tuple[float, float] | None:

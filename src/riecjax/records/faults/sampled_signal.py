@@ -11,7 +11,7 @@ import functools
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -159,10 +159,8 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
     )
 
 
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
+# What is computed of all signals is kept by which these are.
+@dataclass(frozen=True, eq=False)
 class Signals:
     """The signals of a record, of which some are looked at.
 
@@ -194,16 +192,6 @@ class Signals:
     def beside(self, name: str) -> list[SampledSignal]:
         """All others."""
         return [signal for other, signal in self.by_name.items() if other != name]
-
-    @functools.cached_property
-    def _known(self) -> dict[Callable, Any]:
-        return {}
-
-    def once(self, function: Callable[["Signals"], T]) -> T:
-        """What a function makes of them, which is kept."""
-        if function not in self._known:
-            self._known[function] = function(self)
-        return self._known[function]
 
     @functools.cached_property
     def recorded(self) -> dict[str, SampledSignal]:
@@ -243,7 +231,7 @@ class Fault:
     """
 
     code: str
-    find: Callable[[SampledSignal, Signals], Iterator[Found]]
+    find: "Find"
     advice: str
     option: str = ""
     computed: bool = False
@@ -268,6 +256,14 @@ class Fault:
         return Finding(
             self.code, f"{said} {advice}", signals, doubt=found.doubt, remedy=remedy, step=step
         )
+
+
+Find = Callable[[SampledSignal, Signals], Iterator[Found]]
+
+
+def fault(code: str, advice: str, option: str = "", **more: bool) -> Callable[[Find], Fault]:
+    """A fault of what finds it; arguments are its fields."""
+    return lambda find: Fault(code, find, advice, option, **more)
 
 
 def percent(part: float, whole: float) -> str:

@@ -14,20 +14,20 @@ import numpy as np
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.hum import HUM
-from riecjax.records.faults.rows import COPIED
+from riecjax.records.faults.hum import hum
+from riecjax.records.faults.rows import copied
 from riecjax.records.faults.sampled_signal import (
     ENOUGH,
     FEW_LEVELS,
     LONGEST_REST,
-    Fault,
     Found,
     SampledSignal,
     Signals,
+    fault,
     percent,
     spread_of,
 )
-from riecjax.records.faults.spikes import OUTLIERS
+from riecjax.records.faults.spikes import outliers
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record, runs
 
@@ -65,7 +65,13 @@ class Visits(NamedTuple):
     """Visits that came from far off, and left for far off."""
 
 
-def _clipped(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault(
+    "clipped",
+    "Record with a larger range, or leave them out (on the command line: {option}), unless the "
+    "limit is real, as of a command or of a wheel that lifts.",
+    "--leave-out",
+)
+def clipped(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """Runs into an extreme from far off, which a crest never does, and sits there.
 
     Unless other signals say that the limit is real, as the motion of a wheel that lifts does of the
@@ -184,7 +190,13 @@ MOVES = 0.3
 """Share of its usual sample-to-sample change past which another signal moves meanwhile."""
 
 
-def _stuck(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault(
+    "stuck_sensor",
+    "Leave them out (on the command line: {option}), and check the sensor, its cable and the "
+    "logger.",
+    "--leave-out",
+)
+def stuck(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """A long run of one value, begun or left by a jump, while another signal moves on; or short
     ones of the same value, all begun and left by jumps."""
     others = signals.beside(signal.name)
@@ -318,7 +330,13 @@ FOLLOWS = 1.0
 those of a motion do, but are the steps of a command."""
 
 
-def _held(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault(
+    "held_signal",
+    "Use the rows at which it is new (on the command line: {option}), or log each message once, "
+    "unless it is a command, which the machine is held at as well.",
+    "--every",
+)
+def held(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """Each value is held for as many samples, as of messages on a bus."""
     there = ~np.isnan(signal.run_values)
     inner = there[1:-1] & there[:-2] & there[2:]
@@ -349,7 +367,13 @@ COARSE = 0.01
 """Share of a signal's rms past which its resolution matters."""
 
 
-def _missing(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault(
+    "missing_samples",
+    "Choose windows and filters much shorter than that.",
+    computed=True,
+    short=True,
+)
+def missing(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """The same samples of this signal and of others, as in a logger's pause, told of the first."""
     mask = np.isnan(signal.values)
     every = (signals.by_name[name] for name in signals.names)
@@ -375,21 +399,32 @@ def _missing(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     )
 
 
-def _constant(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault(
+    "constant_signal",
+    "Check that the channel was connected and is the right one.",
+    computed=True,
+    short=True,
+)
+def constant(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """One value, whatever the others do."""
     if signal.levels.size == 1:
         value = signal.with_unit(signal.levels[0])
         yield Found(f"never varies from {value}, so nothing can be identified from it.")
 
 
-def _quantised(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault(
+    "quantised",
+    "Do not differentiate it without a low-pass, and prefer longer windows or a finer range.",
+    computed=True,
+)
+def quantised(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """A resolution that is coarse against the signal's rms."""
     rms = spread_of(signal.values)
     steps = np.abs(np.diff(signal.values))
     steps = steps[~np.isnan(steps)]
     # Few levels that are held for long are a command's.
-    held = signal.levels.size <= FEW_LEVELS and np.mean(steps == 0) > 0.95
-    if signal.levels.size < 5 or held or signal.resolution <= COARSE * rms:
+    steady = signal.levels.size <= FEW_LEVELS and np.mean(steps == 0) > 0.95
+    if signal.levels.size < 5 or steady or signal.resolution <= COARSE * rms:
         return
     change = float(np.sqrt(np.mean((steps / signal.resolution) ** 2)))
     yield Found(
@@ -399,52 +434,7 @@ def _quantised(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     )
 
 
-FAULTS = (
-    Fault(
-        "missing_samples",
-        _missing,
-        "Choose windows and filters much shorter than that.",
-        computed=True,
-        short=True,
-    ),
-    Fault(
-        "constant_signal",
-        _constant,
-        "Check that the channel was connected and is the right one.",
-        computed=True,
-        short=True,
-    ),
-    Fault(
-        "clipped",
-        _clipped,
-        "Record with a larger range, or leave them out (on the command line: {option}), unless the "
-        "limit is real, as of a command or of a wheel that lifts.",
-        "--leave-out",
-    ),
-    Fault(
-        "stuck_sensor",
-        _stuck,
-        "Leave them out (on the command line: {option}), and check the sensor, its cable and the "
-        "logger.",
-        "--leave-out",
-    ),
-    Fault(
-        "held_signal",
-        _held,
-        "Use the rows at which it is new (on the command line: {option}), or log each message "
-        "once, unless it is a command, which the machine is held at as well.",
-        "--every",
-    ),
-    OUTLIERS,
-    Fault(
-        "quantised",
-        _quantised,
-        "Do not differentiate it without a low-pass, and prefer longer windows or a finer range.",
-        computed=True,
-    ),
-    COPIED,
-    HUM,
-)
+FAULTS = (missing, constant, clipped, stuck, held, outliers, quantised, copied, hum)
 """What may be wrong with one signal by itself, in the order in which it is told."""
 
 
@@ -468,7 +458,7 @@ def check_signals(
     **Raises:** `DataError` for a signal that the record lacks.
     """
     signals = Signals.of(record, names, computed, pairs)
-    return [one for n in signals.names for fault in FAULTS for one in fault.findings(n, signals)]
+    return [one for n in signals.names for each in FAULTS for one in each.findings(n, signals)]
 
 
 @step
@@ -486,8 +476,8 @@ def leave_out(record: Record, *signals: str) -> Operations:
     every = Signals.of(record, signals)
     for name in every.names:
         values = every.by_name[name].values.copy()
-        for fault in (fault for fault in FAULTS if fault.option == "--leave-out"):
-            for found in fault.find(every.by_name[name], every):
+        for each in (each for each in FAULTS if each.option == "--leave-out"):
+            for found in each.find(every.by_name[name], every):
                 values[found.samples] = np.nan
         if np.isnan(values).all():
             raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")

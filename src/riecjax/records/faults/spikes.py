@@ -33,10 +33,10 @@ from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.faults.sampled_signal import (
     ROUNDING,
-    Fault,
     Found,
     SampledSignal,
     Signals,
+    fault,
     is_command,
     levels_of,
     resolution_of,
@@ -382,7 +382,8 @@ def too_many(spikes: Spikes, values: Samples) -> bool:
     return spikes.places.size > MOST * np.sum(~np.isnan(values))
 
 
-def _kept(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+@fault("outliers", DONE["keep"], "--outliers", computed=True)
+def outliers(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """Spikes that were kept, unless others show that they acted."""
     spikes = find_spikes(signal.values)
     others = (other.values for other in signals.beside(signal.name))
@@ -413,9 +414,6 @@ def _found(spikes: Spikes, values: Samples, time: Samples, unit: str) -> Found:
         value="repair",
         advice=MOSTLY if too_many(spikes, values) else "",
     )
-
-
-OUTLIERS = Fault("outliers", _kept, DONE["keep"], "--outliers", computed=True)
 
 
 @step
@@ -482,7 +480,7 @@ def treat_all(
             used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
             time, unit = every[name] - every[name][0], units.get(name, "")
             found = _found(spikes, columns[name], time, unit)._replace(doubt=0.0, advice=DONE[how])
-            findings.append(OUTLIERS.finding(name, found)._replace(signals=(name, *used)))
+            findings.append(outliers.finding(name, found)._replace(signals=(name, *used)))
     return {**columns, **{name: one.values for name, one in treated.items()}}, words, findings
 
 
