@@ -155,8 +155,10 @@ CODES: dict[str, FindingClass] = {
     "lost_rows": _sensors("{signals} part by a jump", disorder=True, feigned=True),
     "two_clocks": _sensors("{signals} run by two clocks", disorder=True),
     "silent_input": _sensors("{signals} says nothing"),
-    "late_signal": _sensors("{signals} is late", undo="delay", disorder=True),
-    "low_passed": _sensors("one of {signals} is filtered", undo="delay", disorder=True),
+    "late_signal": _sensors("{signals} is late", undo="delay", feigned=True, disorder=True),
+    "low_passed": _sensors(
+        "one of {signals} is filtered", undo="delay", feigned=True, disorder=True
+    ),
     "wrong_gain": _sensors("{signals} do not fit each other in size", undo="gain", feigned=True),
     "drifting_signal": _sensors("one of {signals} drifts", undo="zero"),
     "velocity_offset": _sensors("one of {signals} has an offset", undo="zero"),

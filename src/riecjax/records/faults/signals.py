@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.findings import Finding
+from riecjax.findings import Finding, class_of
 from riecjax.records.faults.hum import hum
 from riecjax.records.faults.rows import copied
 from riecjax.records.faults.sampled_signal import (
@@ -459,6 +459,13 @@ def check_signals(
     """
     signals = Signals.of(record, names, computed, pairs)
     return [one for n in signals.names for each in FAULTS for one in each.findings(n, signals)]
+
+
+def holding(record: Record, names: Collection[str]) -> set[str]:
+    """Those of these signals that hold a value for a while, stuck, at a limit or by a message."""
+    signals = Signals.of(record, names) if names else Signals({}, ())
+    faults = [each for each in FAULTS if class_of(each.code).undo == "itself"]
+    return {n for n in signals.names for each in faults if any(each.findings(n, signals))}
 
 
 @step
