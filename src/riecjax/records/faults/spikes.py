@@ -1,11 +1,10 @@
 """Spikes of one to three samples: found against the noise around them, repaired or left out.
 
-Each sample is held against a polynomial through the samples around it, itself left out, and once
-more with the two to each side, which may be spikes as it is. Of what is too far off for noise the
-furthest in its neighbourhood is taken out, and all is looked at again: a spike spoils its
-neighbours' polynomials by less than it is off its own. At last each of those taken out is judged by
-the samples that stay, and put back where it is no spike, until no more are. Motion that no such
-polynomial follows hides spikes that are no larger than it is off them.
+Each sample is held against a polynomial through the samples around it, itself left out. Of what is
+too far off for noise the furthest in its neighbourhood is taken out, and all is looked at again: a
+spike spoils its neighbours' polynomials by less than it is off its own. At last each of those taken
+out is judged by the samples that stay, and put back where it is no spike, until no more are. Motion
+that no such polynomial follows hides spikes that are no larger than it is off them.
 
 What machines do stays: after a step or a corner the polynomial follows one side, and the other side
 is off it for longer than a spike lasts; a pulse among steps of its own size, as of a relay, is one
@@ -20,7 +19,6 @@ levels or slopes part further than they do elsewhere, the spike acted.
 """
 
 import functools
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
@@ -72,11 +70,6 @@ BEYOND = 1e3
 """Times the largest other value past which a sample of a command is none that was meant."""
 IMPOSSIBLE = 1e30
 """What no command takes in any unit, though all of its other values are zero."""
-TAIL = 2.0
-"""Samples at two thirds to all of a threshold, for each one beyond it, past which the noise has
-long tails, of which no line separates spikes."""
-BY_CHANCE = 3
-"""More of them that may be by chance."""
 FIFTH, FEW, TAIL_BLOCK, USUAL_TAIL = 0.2, 0.03, 1024, 3.0
 """A spike is three times as far off as a fifth of all samples nearby are, and once spikes are taken
 out three in a hundred of them. In white noise this asks for 6.5 of its standard deviations, and
@@ -122,13 +115,22 @@ class Spikes(NamedTuple):
     """Samples that are spikes.
 
     **Fields:** `places`, ascending; `repaired`, the local polynomial's values there; `sizes`, how
-    far off it they are; `noise`, the standard deviation of what is around them; shapes `(k,)`.
+    far off it they are; `noise`, the standard deviation of what is around them; shapes `(k,)`;
+    whether they `acted`, so that they stay.
     """
 
     places: Int[np.ndarray, " k"]
     repaired: Float[np.ndarray, " k"]
     sizes: Float[np.ndarray, " k"]
     noise: Float[np.ndarray, " k"]
+    acted: bool = False
+
+    def treated(self, values: Samples, how: Treatment = "repair") -> Samples:
+        """The signal's samples without them."""
+        values = values.copy()
+        if not self.acted:
+            values[self.places] = self.repaired if how == "repair" else np.nan
+        return values
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
@@ -174,28 +176,20 @@ def _taken_out(
     ends = np.flatnonzero((np.convolve(edged, np.ones(OFFSETS.size), "valid") > 0) & ~missing)
     noise = np.zeros(scaled.size)
     for _ in range(PASSES):
-        off, past_two = local.off(cleaned), local.off(cleaned, LONGEST - 1)
+        off = local.off(cleaned)
         noise = _reached(off, BLOCK, 0.5) / NORMAL
         usual = np.median(noise[noise > 0]) if np.any(noise > 0) else 0.0
         noise = np.maximum(np.where(np.isnan(noise), usual, noise), STEADIEST * usual)
         noise = np.maximum(noise, quantum)
+        nearby = np.nan_to_num(_reached(off, TAIL_BLOCK, FIFTH))
         fit, spread, _ = local.fits(np.where(removed, np.nan, scaled), ends, stretch)
         least = np.ones(scaled.size)
         least[ends], off[ends] = spread / local.gain, np.abs(scaled[ends] - fit) / local.gain
-        # By one or two neighbours that are spikes, too, it is no nearer to those past them.
-        share = np.fmax(
-            *(
-                each
-                / np.maximum(
-                    SPIKE * noise, USUAL_TAIL * np.nan_to_num(_reached(each, TAIL_BLOCK, FIFTH))
-                )
-                for each in (off, past_two)
-            )
-        )
-        share = np.where(removed | missing, 0.0, np.nan_to_num(share))
+        share = np.nan_to_num(off / np.maximum(SPIKE * noise, USUAL_TAIL * nearby))
+        share = np.where(removed | missing, 0.0, share)
         # A spike spoils the polynomials of its neighbours: the largest first.
-        nearby = np.lib.stride_tricks.sliding_window_view(np.pad(share, BESIDE), OFFSETS.size)
-        new = (share > least) & (share >= nearby.max(axis=1))
+        beside = np.lib.stride_tricks.sliding_window_view(np.pad(share, BESIDE), OFFSETS.size)
+        new = (share > least) & (share >= beside.max(axis=1))
         removed |= new
         if not new.any() or np.mean(removed) > MANY:
             break
@@ -214,8 +208,6 @@ def _judged(
     # Where noise changes within a block, the block's own is too small for a part of it.
     edged = np.pad(noise, BLOCK, mode="edge")
     most = np.maximum(noise, np.maximum(edged[: -2 * BLOCK], edged[2 * BLOCK :]))
-    share = off / (noise * local.gain)
-    spikes &= share >= _threshold(rest, share[spikes], most)
     # Spikes that are no more often than steps, or whatever else is left, of about that size.
     elsewhere, own = (
         np.searchsorted(ordered, 3 * off) - np.searchsorted(ordered, off / 3)
@@ -250,50 +242,31 @@ def _reached(sizes: Float[np.ndarray, " n"], length: int, share: float) -> Sampl
     return np.repeat(rows[np.arange(blocks), np.maximum(place, 0)], size)[: sizes.size]
 
 
-def _threshold(rest: Samples, sizes: Float[np.ndarray, " k"], noise: Samples) -> float:
-    """Standard deviations past which spikes stand apart from the noise's own tail."""
-    rest = rest / np.maximum(noise, _reached(rest, BLOCK, 0.5) / NORMAL)
-    threshold = SPIKE
-    while sizes.size and threshold <= np.max(sizes):
-        low = threshold / 1.5
-        near = sum(int(np.sum((each > low) & (each <= threshold))) for each in (rest, sizes))
-        normal = rest.size * math.erfc(low / math.sqrt(2))
-        if near <= BY_CHANCE + 1.2 * normal + TAIL * np.sum(sizes > threshold):
-            return threshold
-        threshold *= 1.5
-    return np.inf
-
-
 class Local(NamedTuple):
     """Polynomials of one degree over the samples of a window, by orthonormal `columns`; `taps` of
-    what those through the other samples, and through all past one or two neighbours, are off the
-    one in the middle."""
+    what those through the other samples are off the one in the middle."""
 
     columns: Float[np.ndarray, "samples coefficients"]
-    taps: Float[np.ndarray, "3 samples"]
+    taps: Float[np.ndarray, " samples"]
 
     @classmethod
     @functools.cache
     def of(cls, degree: int) -> "Local":
         """Of a degree, over `BESIDE` samples to each side."""
         columns = np.linalg.qr((OFFSETS[:, None] / BESIDE) ** np.arange(degree + 1))[0]
-        taps = np.zeros((LONGEST, OFFSETS.size))
-        for beside, row in enumerate(taps):
-            others = np.abs(OFFSETS) > beside
-            row[others] = columns[BESIDE] @ np.linalg.pinv(columns[others])
-            row[BESIDE] = -1.0
-        return cls(columns, taps)
+        taps = columns @ columns[BESIDE]
+        # A sample is off the one through all by so much less as that follows it.
+        return cls(columns, (taps - (OFFSETS == 0)) / (1 - taps[BESIDE]))
 
     @property
     def gain(self) -> float:
         """Times the noise that a sample is off the one through the others, by noise alone."""
-        return float(np.linalg.norm(self.taps[0]))
+        return float(np.linalg.norm(self.taps))
 
-    def off(self, values: Samples, beside: int = 0) -> Samples:
-        """How far each sample is off the one through those past so many neighbours, over its gain
-        for white noise; NaN where its window has gaps or ends."""
-        taps = self.taps[beside]
-        off = np.abs(np.convolve(values, taps[::-1], "valid")) / np.linalg.norm(taps)
+    def off(self, values: Samples) -> Samples:
+        """How far each sample is off the one through the others, over its gain for white noise;
+        NaN where its window has gaps or ends."""
+        off = np.abs(np.convolve(values, self.taps[::-1], "valid")) / self.gain
         return np.pad(off, BESIDE, constant_values=np.nan)
 
     def error(self, values: Samples) -> float:
@@ -402,8 +375,7 @@ def _found(spikes: Spikes, values: Samples, time: Samples, unit: str) -> Found:
     with np.errstate(all="ignore"):
         noises, largest = np.median(spikes.sizes / spikes.noise), np.max(spikes.sizes)
         # Of the signal's energy about its mean, with the spikes.
-        own, rest = np.sum((spikes.sizes / largest) ** 2), values.copy()
-        rest[spikes.places] = spikes.repaired
+        own, rest = np.sum((spikes.sizes / largest) ** 2), spikes.treated(values)
         rest = np.nansum(((rest - np.nanmean(rest)) / largest) ** 2)
     against = f", {noises:.3g} times the noise there (median)" if np.isfinite(noises) else ""
     return Found(
@@ -420,11 +392,10 @@ def _found(spikes: Spikes, values: Samples, time: Samples, unit: str) -> Found:
 def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") -> Operations:
     """Replace spikes of one to three samples by what the samples around them say.
 
-    A spike is found against the noise around it: its sixth differences stand out by 4.5 standard
-    deviations, and it lies 6 off a polynomial of degree 3, 5 or 7 through the 8 samples to each
-    side, weighed by Tukey's biweight. Steps, corners and pulses of commands stay, and blows to
-    which another signal answers. Of a signal of which more than 5 % are spikes nothing is changed:
-    that is a fault of its channel.
+    A spike is found against the noise around it: it lies 6 standard deviations off a polynomial of
+    degree 3, 5 or 7 through the 8 samples to each side, spikes among them left out. Steps, corners
+    and pulses of commands stay, and blows to which another signal answers. Of a signal of which
+    more than 5 % are spikes nothing is changed: that is a fault of its channel.
 
     **Arguments:** the signals to repair, all if none is named; `how`: `"repair"`, `"missing"` to
     mark spikes as missing, or `"keep"`.
@@ -433,18 +404,10 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     """
     columns = {n: record.signal(n).with_nan for n in {**dict.fromkeys(signals), **record.arrays}}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
-    for name, signal in _treated(signals or tuple(columns), columns, times, how).items():
-        if not signal.acted:
-            yield name, LinearOp.of_values("{}: without outliers", signal.values)
-
-
-class Treated(NamedTuple):
-    """Samples as they are after treatment, their spikes as they were recorded, and whether these
-    acted: then they are still there."""
-
-    values: Samples
-    spikes: Spikes
-    acted: bool = False
+    for name, spikes in _treatable(signals or tuple(columns), columns, times, how).items():
+        if not spikes.acted:
+            values = spikes.treated(columns[name], how)
+            yield name, LinearOp.of_values("{}: without outliers", values)
 
 
 def treat_all(
@@ -469,48 +432,47 @@ def treat_all(
     columns = {name: column for name, (column, _) in whole.items()}
     words = [f"{name}: {said}" for name, (_, said) in whole.items() if said]
     every = {n: times.get(n, (time_step or 1.0) * np.arange(v.size)) for n, v in columns.items()}
-    treated, findings = _treated(tuple(columns), columns, every, how), []
-    for name, (_, spikes, acted) in treated.items():
-        count = spikes.places.size
-        if acted:
+    treated, findings = dict(columns), []
+    for name, spikes in _treatable(tuple(columns), columns, every, how).items():
+        count, values = spikes.places.size, columns[name]
+        treated[name] = spikes.treated(values, how)
+        if spikes.acted:
             words.append(f"{name}: {count} samples of short pulses kept, which other signals show")
-        else:
-            done = "repaired" if how == "repair" else "marked as missing"
-            words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
-            used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
-            time, unit = every[name] - every[name][0], units.get(name, "")
-            found = _found(spikes, columns[name], time, unit)._replace(doubt=0.0, advice=DONE[how])
-            findings.append(outliers.finding(name, found)._replace(signals=(name, *used)))
-    return {**columns, **{name: one.values for name, one in treated.items()}}, words, findings
+            continue
+        done = "repaired" if how == "repair" else "marked as missing"
+        words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
+        used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
+        found = _found(spikes, values, every[name] - every[name][0], units.get(name, ""))
+        found = outliers.finding(name, found._replace(doubt=0.0, advice=DONE[how]))
+        findings.append(found._replace(signals=(name, *used)))
+    return treated, words, findings
 
 
-def _treated(
+def _treatable(
     names: Sequence[str],
     columns: Mapping[str, Samples],
     times: Mapping[str, Samples],
     how: Treatment,
-) -> dict[str, Treated]:
-    """Of these signals those with spikes, unless there are too many.
+) -> dict[str, Spikes]:
+    """Spikes of those of these signals that have some, unless there are too many.
 
     **Raises:** `DataError` for another treatment.
     """
     if how not in DONE:
         raise DataError(f"outliers are for {', '.join(DONE)}; got '{how}'.")
-    treated: dict[str, Treated] = {}
+    found: dict[str, Spikes] = {}
     for name in names if how != "keep" else ():
         values, time = columns[name], times[name]
         steps = np.diff(time) if time.size > 1 else np.ones(1)
-        pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
         # No polynomial reaches across a pause.
+        pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
         spikes = find_spikes(np.insert(values, pauses, np.nan))
         if spikes.places.size and not too_many(spikes, values):
             places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
-            changed = values.copy()
-            changed[places] = spikes.repaired if how == "repair" else np.nan
-            treated[name] = Treated(changed, spikes._replace(places=places))
-    without = {**columns, **{name: one.values for name, one in treated.items()}}
-    for name, (_, spikes, _) in treated.items():
+            found[name] = spikes._replace(places=places)
+    without = {n: found[n].treated(v) if n in found else v for n, v in columns.items()}
+    for name, spikes in found.items():
         others = (n for n in without if n != name and np.array_equal(times[n], times[name]))
-        if are_answered(spikes.places, [without[other] for other in others]):
-            treated[name] = Treated(columns[name], spikes, acted=True)
-    return treated
+        acted = are_answered(spikes.places, [without[other] for other in others])
+        found[name] = spikes._replace(acted=acted)
+    return found
