@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from riecjax.records.faults.wrapped import unwrapped
+from riecjax.records.faults.spikes import unwrapped
 from riecjax.records.recording import read_recording
 
 TIME = np.arange(4000) / 200

@@ -39,7 +39,6 @@ from riecjax.records.faults.sampled_signal import (
     levels_of,
     resolution_of,
 )
-from riecjax.records.faults.wrapped import unwrapped
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record, run_lengths
 from riecjax.records.signal import NORMAL, Samples
@@ -140,7 +139,7 @@ def find_spikes(values: Samples) -> Spikes:
     values = np.asarray(values, float)
     known = values[~np.isnan(values)]
     if known.size < FEWEST:
-        return Spikes(np.zeros(0, int), *np.zeros((3, 0)))
+        return Spikes(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0))
     # How widely values spread that are not spikes.
     low, high = (np.quantile(known, side) for side in ([0.1, 0.01, 0.0], [0.9, 0.99, 1.0]))
     scale = float(min(next((s for s in high - low if s > 0), 1.0), np.finfo(float).max))
@@ -408,6 +407,45 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
         if not spikes.acted:
             values = spikes.treated(columns[name], how)
             yield name, LinearOp.of_values("{}: without outliers", values)
+
+
+TURNS = (2 * np.pi, 360.0)
+"""A turn in radians and in degrees."""
+QUICKEST = 0.25
+"""Turns from sample to sample past which nothing tells which way it went."""
+MOST_TURNS = 0.05
+"""Share of samples that begin a turn at most."""
+REGISTERS = (2.0**16, 2.0**32)
+"""Numbers that registers count."""
+
+
+def unwrapped(values: Samples, turns: Iterable[float] = TURNS) -> tuple[Samples, str]:
+    """Values that go on where they began anew, and in words what was done; empty if they never did.
+
+    They jump from one end of a turn to the other, and nowhere else. Those of an angle fill a turn.
+    Those of a register of signed numbers that was read as unsigned are whole, and count down below
+    zero from 2^bits.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    there = values[known]
+    sizes = np.abs(np.diff(there))
+    for turn in turns:
+        jumps = sizes > turn / 2
+        usual = np.max(sizes[~jumps], initial=0.0)
+        if not jumps.any() or usual >= QUICKEST * turn:
+            continue
+        if turn in REGISTERS:
+            is_one = np.all((there >= 0) & (there < turn) & (there == np.floor(there)))
+            whole = np.where(values >= turn / 2, values - turn, values)
+            said = f"signed numbers of {np.log2(turn):g} bits, read as unsigned, put right"
+        else:
+            fills = turn - 2 * usual <= np.ptp(there) <= turn + usual
+            is_one, whole = fills and np.mean(jumps) <= MOST_TURNS, values.copy()
+            whole[known] = np.unwrap(there, period=turn)
+            said = f"unwrapped, {jumps.sum()} times"
+        if is_one and np.max(np.abs(np.diff(whole[known]))) <= 2 * usual:
+            return whole, said
+    return values, ""
 
 
 def treat_all(

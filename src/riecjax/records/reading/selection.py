@@ -13,8 +13,7 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.derived import derived, sensitivities
-from riecjax.records.faults.spikes import treat_all
-from riecjax.records.faults.wrapped import REGISTERS, unwrapped
+from riecjax.records.faults.spikes import REGISTERS, treat_all, unwrapped
 from riecjax.records.noise_judgement import given_noise, judged
 from riecjax.records.preparation.resampling import on_grid, on_grid_noise
 from riecjax.records.reading import times as clocks
