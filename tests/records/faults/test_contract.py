@@ -55,6 +55,7 @@ HOLES = [slice(k, k + 6) for k in range(150, 3900, 379)]
 ACTED = {
     "clipped": Acted("clipped", lambda u, _: np.clip(u, -1.5 * u.std(), 1.5 * u.std())),
     "clipped above": Acted("clipped", lambda u, _: np.minimum(u, 1.7 * u.std())),
+    "clipped at a crest": Acted("clipped", lambda u, _: np.minimum(u, 0.9 * u.max())),
     "stuck": Acted("stuck_sensor", at(None, slice(1000, 1400))),
     "drops to zero": Acted("stuck_sensor", at(0.0, slice(1000, 1400))),
     "drops out": Acted("stuck_sensor", at(-9.99, *HOLES)),

@@ -1,6 +1,5 @@
 """Lines of the mains: found in a signal's spectrum, told from motion, and taken off."""
 
-import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
@@ -32,10 +31,8 @@ AROUND = 20
 """Bins to each side whose median is what surrounds a bin."""
 ALONE = 6.0
 """Hz to each side in which no other line may be: drives and friction have them in rows."""
-OUTSHONE = (2.0, 30.0)
-"""Times that a line's power is that of any other bin there, and of another line."""
-LINES = 0.05
-"""Probability that noise makes any of the others look like a line."""
+OUTSHONE = 2.0
+"""Times that a line's power is that of any other bin there."""
 LOWEST = 3
 """Order of the lowest harmonic that stands out of a grid's lines, at most."""
 LOBE = 3
@@ -99,9 +96,7 @@ class Spectrum(NamedTuple):
         half = max(int(ALONE / self.resolution), AROUND) + own
         near = np.arange(max(peak - half, LOBE), min(peak + half, self.power.size - LOBE))
         others = near[np.abs(near - peak) > own]
-        lines = self.power[others[self.chance[others] * others.size < LINES]]
-        highest, peaked = np.max(self.power[others], initial=0.0), np.max(lines, initial=0.0)
-        if self.power[peak] <= max(OUTSHONE[0] * highest, OUTSHONE[1] * peaked):
+        if self.power[peak] <= OUTSHONE * np.max(self.power[others], initial=0.0):
             return None
         off = at / self.resolution - peak
         loss = np.sinc(off) / (1 - off**2)
@@ -171,7 +166,9 @@ def hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     position. The mains keep to no such ratio; where no pair tells, they are taken for a fault of a
     channel that is alone with them.
     """
-    spectra, by_grid = _spectra(signals)
+    if _spectra not in signals.kept:
+        signals.kept[_spectra] = _spectra(signals)
+    spectra, by_grid = signals.kept[_spectra]
     for grid in (grid for grid in MAINS if grid in by_grid.get(signal.name, {})):
         lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
         largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
@@ -197,7 +194,6 @@ def hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
         )
 
 
-@functools.lru_cache(1)
 def _spectra(signals: Signals) -> tuple[dict[str, Spectrum], dict[str, dict[float, list[Line]]]]:
     """Spectra of what sensors recorded, and the lines of grids in them."""
     # Steps of commands have lines of their own.

@@ -10,8 +10,8 @@ over that stretch it moves, and its mean square is 2.5 to 4 times that of the no
 import functools
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -159,19 +159,20 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
     )
 
 
-# What is computed of all signals is kept by which these are.
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Signals:
     """The signals of a record, of which some are looked at.
 
     **Fields:** `by_name`, all of them; `names` of those that are looked at; `computed`, those that
-    no sensor recorded; `pairs` of a signal and its derivative.
+    no sensor recorded; `pairs` of a signal and its derivative; `kept`, what a function found of all
+    of them.
     """
 
     by_name: Mapping[str, SampledSignal]
     names: Sequence[str]
     computed: Collection[str] = ()
     pairs: Sequence[tuple[str, str]] = ()
+    kept: dict[Callable, Any] = field(default_factory=dict)
 
     @classmethod
     def of(
