@@ -143,6 +143,11 @@ def stuck(log: Logger, name: str, seconds: float) -> None:
     log.rows[name][begin : begin + int(seconds * RATE)] = log.rows[name][begin]
 
 
+def held(log: Logger, name: str, samples: int) -> None:
+    """A message that comes once in so many rows."""
+    log.rows[name] = np.repeat(log.rows[name][::samples], samples)[:SAMPLES]
+
+
 def dropouts(log: Logger, name: str, samples: int) -> None:
     """At 20 places, to what a logger writes for none: zero of a position, else the value before."""
     for place in (SAMPLES // 20) * np.arange(20) + log.rng.integers(0, SAMPLES // 40, 20):
@@ -231,6 +236,7 @@ FAULTS = {
     "huge spike in force": Fault(huge_spike, "force", (1e6, 1e30, 1e300), ("outliers",)),
     "stuck velocity": Fault(stuck, "velocity", (0.1, 0.5, 5.0), ("stuck_sensor",)),
     "stuck force": Fault(stuck, "force", (0.1, 0.5, 5.0), ("stuck_sensor",)),
+    "held velocity": Fault(held, "velocity", (2, 5, 10), ("held_signal",)),
     "dropouts of position": Fault(dropouts, "position", (4, 8, 16), ("stuck_sensor",)),
     "dropouts of velocity": Fault(dropouts, "velocity", (4, 8, 16), ("stuck_sensor",)),
     "copied velocity": Fault(copied, "velocity", (2.5, -1.0, 1.0), ("copied_signal",)),

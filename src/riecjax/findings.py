@@ -33,8 +33,8 @@ class FindingClass(NamedTuple):
       `collinear`: little or nothing tells parameters apart.
     - `of_size`: of the size of errors, which a part that all of them share may make.
     - `undo`: how its fault is taken off a record to size it: by the `"delay"`, `"gain"` or `"zero"`
-      of a pair of a signal and its derivative, or by leaving out what is beyond a sensor's
-      `"reach"`; `feigned`: what a signal beyond its reach seems to have as well.
+      of a pair of a signal and its derivative, or, of what is wrong with a signal by `"itself"`,
+      by its remedy; `feigned`: what such a signal seems to have as well.
     - `disorder`: sensors of one motion do not go together, so that no term is to be looked for.
     - `step`: what to do about it, in words with the same places, and the `options` of
       `riecjax identify` that do it.
@@ -51,7 +51,7 @@ class FindingClass(NamedTuple):
     short: bool = False
     collinear: bool = False
     of_size: bool = False
-    undo: Literal["", "delay", "gain", "zero", "reach"] = ""
+    undo: Literal["", "delay", "gain", "zero", "itself"] = ""
     feigned: bool = False
     disorder: bool = False
     step: str = ""
@@ -155,16 +155,19 @@ CODES: dict[str, FindingClass] = {
     "lost_rows": _sensors("{signals} part by a jump", disorder=True, feigned=True),
     "two_clocks": _sensors("{signals} run by two clocks", disorder=True),
     "silent_input": _sensors("{signals} says nothing"),
-    "late_signal": _sensors("{signals} is late", undo="delay", disorder=True),
-    "low_passed": _sensors("one of {signals} is filtered", undo="delay", disorder=True),
+    "late_signal": _sensors("{signals} is late", undo="delay", feigned=True, disorder=True),
+    "low_passed": _sensors(
+        "one of {signals} is filtered", undo="delay", feigned=True, disorder=True
+    ),
     "wrong_gain": _sensors("{signals} do not fit each other in size", undo="gain", feigned=True),
     "drifting_signal": _sensors("one of {signals} drifts", undo="zero"),
     "velocity_offset": _sensors("one of {signals} has an offset", undo="zero"),
     "repeated_rows": _sensors("rows stand in the recording twice"),
     "wrong_zero": _sensors("some sensor's zero is off"),
     "constant_signal": _sensors("{signals} never varies"),
-    "stuck_sensor": _sensors("{signals} is stuck for a while", undo="reach"),
-    "clipped": _sensors("{signals} is clipped", undo="reach"),
+    "stuck_sensor": _sensors("{signals} is stuck for a while", undo="itself"),
+    "clipped": _sensors("{signals} is clipped", undo="itself"),
+    "held_signal": _sensors("{signals} comes more seldom than rows", undo="itself"),
     "outliers": _sensors("{signals} has outliers"),
     "hum": _sensors("the mains hum in {signals}"),
     "missing_samples": _sensors("samples of {signals} are missing"),

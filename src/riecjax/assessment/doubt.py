@@ -40,8 +40,9 @@ from riecjax.estimation.check import Check, parameters_reading
 from riecjax.estimation.estimate import Estimate
 from riecjax.findings import Finding, class_of
 from riecjax.leaves import size_of
-from riecjax.records import leave_out, shift
+from riecjax.records import shift
 from riecjax.records.faults.derivative_pairs import compare, relations
+from riecjax.records.preparation.steps import undone
 from riecjax.records.record import Record
 from riecjax.records.recording import Recording
 from riecjax.validation.tests import BUILT_IN, Test
@@ -293,8 +294,11 @@ def with_doubts(
     """
     # Share by which each parameter moves once all records have no such fault.
     doubts: dict[str, dict[str, float]] = {}
-    for code in {finding.code for finding in checked.findings if finding.about.undo}:
-        faults = [finding for finding in checked.findings if finding.code == code]
+    undoable = [
+        f for f in checked.findings if f.about.undo and (f.remedy or f.about.undo != "itself")
+    ]
+    for code in {finding.code for finding in undoable}:
+        faults = [finding for finding in undoable if finding.code == code]
         with contextlib.suppress(DataError, IdentifiabilityError):
             other = again([_undone(record, model, faults) for record in records])
             doubts[code] = {
@@ -315,8 +319,8 @@ def with_doubts(
 def _undone(record: Record, model: Model, faults: Sequence[Finding]) -> Record:
     """The record without faults of one code, as pairs of a signal and its derivative show them."""
     undo = faults[0].about.undo
-    if undo == "reach":
-        return leave_out(record, *dict.fromkeys(name for fault in faults for name in fault.signals))
+    if undo == "itself":
+        return undone(record, [fault.remedy for fault in faults])
     for relation in relations(model.derivatives):
         if not {*relation.names} <= {*record.arrays} or (pair := compare(record, relation)) is None:
             continue

@@ -210,8 +210,8 @@ def of_sensors(model: Model, recording: Recording, read: Collection[str]) -> lis
     known = [one for one in model.kinematics if {*one.names} <= {*record.arrays}]
     of_signals = check_signals(record, read, computed=computed, pairs=pairs)
     # A value that is held, or cut off, is no gain: to scale it makes the rest wrong as well.
-    # Nor are rows lost where one signal alone jumps.
-    held = {n for f in of_signals if f.about.undo == "reach" for n in f.signals}
+    # Nor are rows lost where one signal alone jumps, or is it late for what it held.
+    held = {n for f in of_signals if f.about.undo == "itself" for n in f.signals}
     of_pairs = [
         finding
         for finding in check_derivatives(record, [*pairs, *known])

@@ -1,4 +1,5 @@
 from .faults.derivative_pairs import align as align
+from .faults.hum import notch as notch
 from .faults.signals import check_signals as check_signals
 from .faults.signals import leave_out as leave_out
 from .faults.spikes import repair_outliers as repair_outliers
@@ -7,7 +8,6 @@ from .noise_judgement import GivenNoise as GivenNoise
 from .noise_judgement import judged as judged
 from .preparation.filtering import unfilter as unfilter
 from .preparation.filtering import with_local_derivative as with_local_derivative
-from .preparation.hum import notch as notch
 from .preparation.resampling import set_clocks as set_clocks
 from .preparation.resampling import shift as shift
 from .preparation.resampling import upsample as upsample

@@ -11,8 +11,14 @@ import numpy as np
 
 from riecjax.errors import DataError, MissingSignalError, ModelError, printable, require
 from riecjax.findings import Finding
-from riecjax.records.faults.derivative_pairs import align, declared_pairs, without_computed
+from riecjax.records.faults.derivative_pairs import (
+    align,
+    declared_pairs,
+    relations,
+    without_computed,
+)
 from riecjax.records.faults.rows import duplicates, without_repetitions
+from riecjax.records.faults.signals import holding
 from riecjax.records.noise_judgement import given_noise
 from riecjax.records.preparation.steps import halves, idle_cuts, prepare, split
 from riecjax.records.reading.channels import LONGEST_MESSAGE, Channels, read_channels
@@ -259,6 +265,11 @@ def _recording(
         pairs, given = declared_pairs(model), given_noise(settings.noise, record.arrays).kernels
         record, found = without_computed(record, pairs, given)
         aligned = align(record, pairs, settings.align)
+        # What a sensor holds for a while is no delay, and is found no more once it is shifted.
+        late = {name for finding in aligned.findings for name in finding.signals}
+        if settings.align == "auto" and (held := holding(record, late)):
+            others = [one for one in relations(pairs) if not held & {*one.names}]
+            aligned = align(record, others)
         record, last_steps = prepare(aligned.record, getattr(model, "derived", {}), after)
     findings = [
         *(Finding("time_unit_doubtful", why, doubt=1.0) for why in filter(None, [selected.doubt])),

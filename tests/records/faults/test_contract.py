@@ -5,12 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from tests.machines import noisy, waves
+from benchmarks.recovery.faults import recorded
+from benchmarks.recovery.machines import MACHINES
+from tests.machines import JOINT_SENSORS, Shape, joint, joint_record, noisy, waves
 
-from riecjax.records.faults.signals import check_signals, leave_out
-from riecjax.records.faults.spikes import repair_outliers
-from riecjax.records.preparation.hum import notch
+from riecjax.findings import Finding
+from riecjax.records.faults.signals import FAULTS, check_signals
 from riecjax.records.record import Record
+from riecjax.records.recording import read_recording
+from riecjax.settings import Reading
 
 STEP, COUNT = 0.005, 4000
 TIME = STEP * np.arange(COUNT)
@@ -22,14 +25,11 @@ def sound(seed: int = 0) -> dict[str, np.ndarray]:
     return noisy({"x": x, "v": v, "u": a + 3 * v + 200 * x}, 0.01, seed)
 
 
-class Fault(NamedTuple):
-    """A fault of the force: its code, what it does, the option against it, and how many samples
-    that treats."""
+class Acted(NamedTuple):
+    """A fault of the force: its code and what it does."""
 
     code: str
     act: Callable[[np.ndarray, dict[str, np.ndarray]], np.ndarray]
-    remedy: Callable[[Record], Record] | None = None
-    option: str = ""
 
 
 def at(value: float | None, *stretches: slice) -> Callable:
@@ -48,26 +48,31 @@ def spiked(u: np.ndarray, others: dict[str, np.ndarray]) -> np.ndarray:
     return u + 2 * u.std() * np.isin(np.arange(COUNT), [500, 1501, 1502, 3003])
 
 
+# The row of the last message, each of which comes up to one row early or late.
+SENT = 10 * np.arange(COUNT // 10) + np.random.default_rng(0).integers(-1, 2, COUNT // 10)
+HELD = SENT.clip(0)[np.searchsorted(SENT.clip(0), np.arange(COUNT), "right") - 1]
 HOLES = [slice(k, k + 6) for k in range(150, 3900, 379)]
-LEFT_OUT = {"remedy": lambda r: leave_out(r, "u"), "option": "--leave-out"}
-FAULTS = {
-    "clipped": Fault("clipped", lambda u, _: np.clip(u, -1.5 * u.std(), 1.5 * u.std()), **LEFT_OUT),
-    "clipped above": Fault("clipped", lambda u, _: np.minimum(u, 1.7 * u.std()), **LEFT_OUT),
-    "stuck": Fault("stuck_sensor", at(None, slice(1000, 1400)), **LEFT_OUT),
-    "drops to zero": Fault("stuck_sensor", at(0.0, slice(1000, 1400)), **LEFT_OUT),
-    "drops out": Fault("stuck_sensor", at(-9.99, *HOLES), **LEFT_OUT),
-    "repeats the last": Fault("stuck_sensor", at(None, *HOLES), **LEFT_OUT),
-    "spikes": Fault("outliers", spiked, lambda r: repair_outliers(r, how="missing"), "--outliers"),
-    "coarse": Fault("quantised", lambda u, _: 0.1 * u.std() * np.round(10 * u / u.std())),
-    "gap": Fault("missing_samples", at(np.nan, slice(1000, 1100))),
-    "constant": Fault("constant_signal", lambda u, _: np.full(COUNT, u[0])),
-    "copied": Fault("copied_signal", lambda _, others: -2.5 * others["x"]),
-    "hum": Fault(
-        "hum",
-        lambda u, _: u + 0.1 * u.std() * np.sin(2 * np.pi * 50.02 * TIME),
-        lambda r: notch(r, 50.0),
-        "--notch",
+ACTED = {
+    "clipped": Acted("clipped", lambda u, _: np.clip(u, -1.5 * u.std(), 1.5 * u.std())),
+    "clipped above": Acted("clipped", lambda u, _: np.minimum(u, 1.7 * u.std())),
+    "clipped at a crest": Acted("clipped", lambda u, _: np.minimum(u, 0.9 * u.max())),
+    "stuck": Acted("stuck_sensor", at(None, slice(1000, 1400))),
+    "drops to zero": Acted("stuck_sensor", at(0.0, slice(1000, 1400))),
+    "drops out": Acted("stuck_sensor", at(-9.99, *HOLES)),
+    "repeats the last": Acted("stuck_sensor", at(None, *HOLES)),
+    "held twice": Acted("held_signal", lambda u, _: np.repeat(u[::2], 2)),
+    "held": Acted("held_signal", lambda u, _: np.repeat(u[::10], 10)),
+    "held unevenly": Acted("held_signal", lambda u, _: u[HELD]),
+    "held and rounded": Acted(
+        "held_signal",
+        lambda u, _: 0.01 * u.std() * np.round(np.repeat(u[::10], 10) / u.std() * 100),
     ),
+    "spikes": Acted("outliers", spiked),
+    "coarse": Acted("quantised", lambda u, _: 0.1 * u.std() * np.round(10 * u / u.std())),
+    "gap": Acted("missing_samples", at(np.nan, slice(1000, 1100))),
+    "constant": Acted("constant_signal", lambda u, _: np.full(COUNT, u[0])),
+    "copied": Acted("copied_signal", lambda _, others: -2.5 * others["x"]),
+    "hum": Acted("hum", lambda u, _: u + 0.1 * u.std() * np.sin(2 * np.pi * 50.02 * TIME)),
 }
 PAIRS = [("x", "v")]
 
@@ -76,62 +81,122 @@ def checked(signals: dict[str, np.ndarray]) -> list:
     return check_signals(Record.from_samples(signals, time_step=STEP), signals, pairs=PAIRS)
 
 
-CODES = ("clipped", "stuck_sensor", "outliers", "quantised", "missing_samples", "copied_signal")
+def mended(path, signals: dict[str, np.ndarray], findings: list[Finding]) -> Record:
+    """What the program reads of a file with these signals, and with what findings propose."""
+    table = np.column_stack([TIME, *signals.values()])
+    np.savetxt(path, table, delimiter=",", header=",".join(["t", *signals]), comments="")
+    options = {option.flag: (name, option) for name, option in Reading.options().items()}
+    asked = {"outliers": "keep", "align": "none"}
+    for flag, value in {found.remedy for found in findings}:
+        name, option = options[flag]
+        asked[name] = option.parsed(value)
+    return read_recording(path, **asked).record
 
 
-@pytest.mark.no_finding(*CODES, "constant_signal", "hum")
+CODES = ("clipped", "stuck_sensor", "held_signal", "outliers", "quantised", "missing_samples")
+
+
+def test_each_fault_has_a_test_here():
+    assert {fault.code for fault in FAULTS} == {acted.code for acted in ACTED.values()}
+
+
+@pytest.mark.no_finding(*CODES, "copied_signal", "constant_signal", "hum")
 @pytest.mark.parametrize("seed", range(8))
 def test_a_sound_record_shows_none(seed):
     assert checked(sound(seed)) == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.001, 0.01, 0.05])
+@pytest.mark.parametrize("name", MACHINES)
+def test_sound_machines_show_none(name, noise):
+    for seed in range(3):
+        assert checked(recorded(MACHINES[name], None, "severe", seed, noise)[0][1]) == []
+
+
+@pytest.mark.raises_finding("held_signal")
+@pytest.mark.parametrize("every", [2, 5, 8, 16])
+def test_a_message_in_fast_rows_is_told_with_how_seldom_it_comes(every):
+    signals = sound()
+    (finding,) = checked(signals | {"u": np.repeat(signals["u"][::every], every)})
+    assert finding.remedy == ("--every", f"{every}")
+    assert f"each value for {every} samples" in finding.message
+    assert f"it is {STEP * (every - 1):.4g} s old" in finding.message
+
+
+@pytest.mark.no_finding("held_signal", "stuck_sensor")
+@pytest.mark.parametrize("case", JOINT_SENSORS)
+def test_an_axis_that_sticks_is_neither_stuck_nor_held(case):
+    record = joint_record(joint(3, Shape(10_001, 500)), case, 3)
+    found = {f.code for f in check_signals(record, record.arrays)}
+    assert not found & {"held_signal", "stuck_sensor", "clipped"}
+
+
+@pytest.mark.no_finding("held_signal")
+@pytest.mark.parametrize("speed", [0.05, 0.1, 0.24])
+def test_an_encoder_at_an_even_speed_is_not_held(speed):
+    signals = sound() | {"u": np.round(speed * np.arange(COUNT))}
+    assert "held_signal" not in {f.code for f in checked(signals)}
+
+
+@pytest.mark.no_finding("held_signal")
+def test_steps_of_a_command_are_not_held():
+    steps = np.repeat(np.random.default_rng(0).normal(size=COUNT // 20), 20)
+    assert "held_signal" not in {f.code for f in checked(sound() | {"u": steps})}
+
+
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        pytest.param(name, seed, marks=pytest.mark.raises_finding(fault.code))
-        for name, fault in FAULTS.items()
+        pytest.param(name, seed, marks=pytest.mark.raises_finding(acted.code))
+        for name, acted in ACTED.items()
         for seed in range(3)
     ],
 )
-def test_a_fault_is_named_alone_and_its_remedy_undoes_it(name, seed):
-    fault, signals = FAULTS[name], sound(seed)
-    faulty = signals | {"u": fault.act(signals["u"], signals)}
+def test_a_fault_is_named_alone_and_its_remedy_undoes_it(name, seed, tmp_path):
+    acted, signals = ACTED[name], sound(seed)
+    faulty = signals | {"u": acted.act(signals["u"], signals)}
     # A limit is told of at either end.
-    finding, *others = checked(faulty)
-    assert {found.code for found in (finding, *others)} == {fault.code}
-    assert "u" in finding.signals
-    assert finding.message.split()[0].rstrip(":") in finding.signals
-    assert fault.option == next(iter(finding.remedy), "")
-    assert bool(finding.remedy) == bool(finding.doubt) or fault.code == "copied_signal"
-    if fault.remedy is None:
+    findings = checked(faulty)
+    assert {found.code for found in findings} == {acted.code}
+    assert "u" in findings[0].signals
+    assert findings[0].message.split()[0].rstrip(":,") in findings[0].signals
+    (option,) = (fault.option for fault in FAULTS if fault.code == acted.code)
+    assert option == next(iter(findings[0].remedy), "")
+    assert bool(option) == bool(findings[0].doubt) or acted.code == "copied_signal"
+    if not option:
         return
-    record = fault.remedy(Record.from_samples(faulty, time_step=STEP))
+    record = mended(tmp_path / "a.csv", faulty, findings)
     after = [f.code for f in check_signals(record, faulty, pairs=PAIRS)]
-    if fault.code == "hum":
-        assert after == []
-        np.testing.assert_allclose(record["u"], signals["u"], atol=0.03 * signals["u"].std())
+    left = record.signal("u").with_nan
+    if option == "--leave-out":
+        # Samples that say something else than the motion are gone, and no other.
+        assert after == ["missing_samples"]
+        changed = np.flatnonzero(faulty["u"] != signals["u"])
+        assert {*changed} <= {*np.flatnonzero(np.isnan(left))}
+        assert np.isnan(left).sum() <= changed.size + len(HOLES)
         return
-    # Samples that say something else than the motion are gone, and no other.
-    assert after == ["missing_samples"]
-    changed = np.flatnonzero(faulty["u"] != signals["u"])
-    gone = np.flatnonzero(np.isnan(record.signal("u").with_nan))
-    assert {*changed} <= {*gone}
-    assert gone.size <= changed.size + len(HOLES)
+    assert after == []
+    if option == "--every":
+        times = np.rint(np.asarray(record.elapsed) / STEP).astype(int)
+        np.testing.assert_array_equal(left, faulty["u"][times])
+    else:
+        np.testing.assert_allclose(left, signals["u"], atol=0.06 * signals["u"].std())
 
 
 @pytest.mark.parametrize(("factor", "offset"), [(-1.0, 0.0), (1e-150, 0.0), (1e140, 0.0), (3, 7)])
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", ACTED)
 def test_unit_sign_and_offset_do_not_matter(name, factor, offset):
     signals = sound()
-    u = FAULTS[name].act(signals["u"], signals)
+    u = ACTED[name].act(signals["u"], signals)
     changed = {"x": signals["x"], "v": signals["v"], "u": factor * u + offset * u[0]}
-    assert {f.code for f in checked(changed)} == {FAULTS[name].code}
+    assert {f.code for f in checked(changed)} == {ACTED[name].code}
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", ACTED)
 def test_a_gap_elsewhere_hides_no_fault(name):
     signals = sound()
-    u = FAULTS[name].act(signals["u"], signals)
+    u = ACTED[name].act(signals["u"], signals)
     u[2000:2020] = np.nan
     found = {f.code for f in checked(signals | {"u": u})}
-    assert found == {FAULTS[name].code, "missing_samples"}
+    assert found == {ACTED[name].code, "missing_samples"}

@@ -22,8 +22,8 @@ def test_they_go_on(turn, first, noise):
     angle = turning(noise) * turn / (2 * np.pi)
     shown = (angle - first * turn) % turn + first * turn
     shown[100:120] = np.nan
-    whole, count = unwrapped(shown)
-    assert count > 10
+    whole, said = unwrapped(shown)
+    assert int(said.split()[1]) > 10
     known = ~np.isnan(shown)
     np.testing.assert_allclose(np.diff(whole[known] - angle[known]), 0, atol=1e-9)
 
@@ -42,8 +42,8 @@ def test_they_go_on(turn, first, noise):
     ],
 )
 def test_what_is_no_such_angle_stays(values):
-    whole, count = unwrapped(values)
-    assert count == 0
+    whole, said = unwrapped(values)
+    assert said == ""
     assert whole is values
 
 

@@ -48,9 +48,8 @@ from jaxtyping import Bool, Complex, Float, Int
 from riecjax.errors import DataError
 from riecjax.findings import Finding, line_taken_off, option_for
 from riecjax.leaves import is_concrete
-from riecjax.records.faults.once import once
 from riecjax.records.faults.rows import cut_rows
-from riecjax.records.faults.sampled_signal import ENOUGH
+from riecjax.records.faults.sampled_signal import ENOUGH, once
 from riecjax.records.preparation.filtering import with_local_derivative
 from riecjax.records.preparation.resampling import shift
 from riecjax.records.reading.units import readings

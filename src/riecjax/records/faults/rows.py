@@ -27,7 +27,15 @@ from jaxtyping import Float
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
 from riecjax.leaves import is_concrete
-from riecjax.records.faults.sampled_signal import ENOUGH, SampledSignal, size_of, spread_of
+from riecjax.records.faults.sampled_signal import (
+    ENOUGH,
+    Found,
+    SampledSignal,
+    Signals,
+    fault,
+    size_of,
+    spread_of,
+)
 from riecjax.records.linear_op import LinearOp
 from riecjax.records.record import HasRecord, Record
 from riecjax.records.signal import NORMAL, Samples
@@ -50,6 +58,8 @@ SURE = 9.0
 """Standard deviations of all jumps, estimated from their median, past which one is none of them."""
 AGREE = 0.3
 """Share by which a jump may differ between the two lengths."""
+NONE = np.zeros(0)
+"""The samples of a recording that lacks a signal."""
 HARMLESS = 0.003
 """Share of the signal's deviation up to which a jump does no harm."""
 
@@ -143,38 +153,28 @@ def duplicates(recordings: Sequence[NamedRecord]) -> list[Finding]:
     if not is_concrete([one.record.arrays for one in recordings]):
         return []
     columns = [{k: np.asarray(v) for k, v in one.record.arrays.items()} for one in recordings]
-    groups: dict[frozenset[str], list[int]] = {}
-    for number, signals in enumerate(columns):
-        groups.setdefault(frozenset(signals), []).append(number)
     found: dict[tuple[int, int], Finding] = {}
-    for names, others in itertools.combinations_with_replacement(groups, 2):
-        common = sorted(names & others)
-        members = sorted({*groups[names], *groups[others]})
-        if not common or len(members) < 2:
-            continue
-        chosen = [{name: columns[number][name] for name in common} for number in members]
-        for first, second, shift in _candidates(chosen):
-            pair = members[first], members[second]
-            across = names == others or (pair[0] in groups[names]) != (pair[1] in groups[names])
-            if pair in found or not across:
-                continue
+    for name in sorted({name for each in columns for name in each}):
+        for first, second, shift in _candidates([each.get(name, NONE) for each in columns]):
+            common = columns[first].keys() & columns[second].keys()
+            one, other = ({n: columns[k][n] for n in common} for k in (first, second))
             starts = max(shift, 0), max(-shift, 0)
-            if rows := _rows_in_common(chosen[first], chosen[second], starts):
-                one, other = (recordings[number] for number in pair)
-                counts = [each.record.sample_count for each in (one, other)]
-                step = float(one.record.time_step)
-                shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
-                what = (
-                    f"all of {shorter.name} lies in {longer.name}"
-                    if rows >= min(counts)
-                    else f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, "
-                    f"are those of {one.name} from {starts[0] * step:.4g} s on"
-                )
-                found[pair] = Finding(
-                    "duplicate_recording",
-                    f"{what}, sample by sample: a copy tells nothing new, and makes intervals up "
-                    f"to 1.4 times too narrow.",
-                )
+            if (first, second) in found or not (rows := _rows_in_common(one, other, starts)):
+                continue
+            one, other = recordings[first], recordings[second]
+            counts, step = [r.record.sample_count for r in (one, other)], one.record.time_step
+            shorter, longer = (other, one) if counts[1] <= counts[0] else (one, other)
+            what = (
+                f"all of {shorter.name} lies in {longer.name}"
+                if rows >= min(counts)
+                else f"{rows * step:.4g} s of {other.name}, from {starts[1] * step:.4g} s on, are "
+                f"those of {one.name} from {starts[0] * step:.4g} s on"
+            )
+            found[first, second] = Finding(
+                "duplicate_recording",
+                f"{what}, sample by sample: a copy tells nothing new, and makes intervals up to "
+                f"1.4 times too narrow.",
+            )
     return [found[pair] for pair in sorted(found)]
 
 
@@ -189,36 +189,28 @@ def refuse_duplicates(recordings: Sequence[NamedRecord]) -> None:
         )
 
 
-def _candidates(columns: Sequence[Mapping[str, np.ndarray]]) -> Iterator[tuple[int, int, int]]:
-    """Pairs of recordings with blocks in common, and by how many rows later the first has them.
+def _candidates(columns: Sequence[Samples]) -> Iterator[tuple[int, int, int]]:
+    """Pairs of columns with blocks in common, and by how many rows later the first has them.
 
     Samples are rounded to 16 times what rounding may have parted them by, so that most blocks of
     16 rows are still the same. Offsets come by falling number of blocks, at most three of a pair.
     """
     block, coarse, tries = 16, 16 * ROUNDED, 3
-    spreads = {n: [s for each in columns if (s := spread_of(each[n])) > 0] for n in columns[0]}
-    quanta = {n: coarse * float(np.median(sizes)) if sizes else 1.0 for n, sizes in spreads.items()}
-    keys = [
-        np.unique(row_keys([np.round(v / quanta[n]) for n, v in each.items()], block), True)
-        for each in columns
-    ]
+    spreads = [spread for column in columns if column.size and (spread := spread_of(column)) > 0]
+    quantum = coarse * float(np.median(spreads)) if spreads else 1.0
+    keys = [np.unique(row_keys([np.round(c / quantum)], block), True) for c in columns]
     key, place = (np.concatenate(parts) for parts in zip(*keys))
     owner = np.repeat(np.arange(len(keys)), [each.size for each, _ in keys])
     order = np.lexsort((owner, key))
     key, place, owner = key[order], place[order], owner[order]
     same = np.flatnonzero(np.isfinite(key[1:]) & (key[1:] == key[:-1]))
-    span = 2 * max(next(iter(each.values())).size for each in columns)
-    shift = place[same] - place[same + 1] + span // 2
-    codes, votes = np.unique(
-        (owner[same] * len(keys) + owner[same + 1]) * span + shift, return_counts=True
-    )
-    tried: Counter[int] = Counter()
-    for code in codes[np.argsort(-votes, kind="stable")].tolist():
-        pair, shift = divmod(code, span)
-        tried[pair] += 1
-        if tried[pair] <= tries:
-            first, second = divmod(pair, len(keys))
-            yield first, second, shift - span // 2
+    offsets = np.stack([owner[same], owner[same + 1], place[same] - place[same + 1]])
+    pairs, votes = np.unique(offsets, axis=1, return_counts=True)
+    tried: Counter[tuple[int, int]] = Counter()
+    for first, second, shift in pairs[:, np.argsort(-votes, kind="stable")].T.tolist():
+        tried[first, second] += 1
+        if tried[first, second] <= tries:
+            yield first, second, shift
 
 
 def _rows_in_common(
@@ -242,31 +234,32 @@ def _rows_in_common(
     return rows if strides and all(agree(n, stride) for stride in strides for n in near) else 0
 
 
-def copied_signals(signals: Sequence[SampledSignal]) -> Iterator[Finding]:
-    """Pairs of which one is the other times a factor, perhaps with an offset.
+@fault(
+    "copied_signal",
+    "Check which column is which (on the command line: --map), and leave the copy out.",
+)
+def copied(other: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """Signals before this one of which it is one times a factor, perhaps with an offset.
 
     Two sensors have two noises. What parts them here is no more than rounding, which is white,
     where the little that parts a slow force from its spring is smooth.
     """
-    for one, other in itertools.combinations(signals, 2):
-        stride = max(one.values.size // ENOUGH, 1)
-        line = _line(one.values[::stride], other.values[::stride], 1.0)
-        line = line and _line(one.values, other.values, SMOOTH)
-        if line is None:
+    for name in itertools.takewhile(lambda name: name != other.name, signals.names):
+        one, stride = signals.by_name[name], max(other.values.size // ENOUGH, 1)
+        line = name in signals.recorded and _line(one.values[::stride], other.values[::stride], 1.0)
+        if not line or (line := _line(one.values, other.values, SMOOTH)) is None:
             continue
         factor, offset = line
         least = ROUNDED * np.nanstd(other.values)
         more = f" plus {offset:.4g}" if abs(offset) > least else ""
-        said = f"{other.name} is {factor:.4g} times {one.name}{more}"
+        said = f"{other.name} is {factor:.4g} times {name}{more}"
         if abs(factor - 1) < ROUNDED and abs(offset) < least:
-            said = f"{other.name} holds the samples of {one.name}"
-        yield Finding(
-            "copied_signal",
+            said = f"{other.name} holds the samples of {name}"
+        yield Found(
             f"{said}, to the last digit or rounding, so that both are one measurement, and nothing "
-            f"tells their terms apart. Check which column is which (on the command line: --map), "
-            f"and leave the copy out.",
-            (one.name, other.name),
+            f"tells their terms apart.",
             doubt=1.0,
+            signals=(name, other.name),
         )
 
 

@@ -1,12 +1,20 @@
-"""A signal with what checks ask of it: which values it takes, the quantum between them, its rest.
+"""A signal with what is asked of it, and what may be wrong with it: a `Fault`.
+
+Of a signal: which values it takes, the quantum between them, its rest.
 
 Rest is a stretch about zero in which a signal scatters no more than its noise. A motion that passes
 through zero, or turns there, is within three standard deviations of the noise for a while too. But
 over that stretch it moves, and its mean square is 2.5 to 4 times that of the noise alone.
 """
 
-from typing import Any, NamedTuple
+import functools
+import hashlib
+import shlex
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
+import jax
 import numpy as np
 
 from riecjax.findings import Finding
@@ -75,6 +83,8 @@ def is_command(values: np.ndarray, levels: np.ndarray, rounding: float) -> bool:
 
 ENOUGH = 2**12
 """Samples that tell whether one signal follows from others."""
+FEWEST_SAMPLES = 50
+"""Present samples below which only missing and constant signals are told of."""
 LONGEST_REST = 0.5
 """Share of samples at one value past which that is where the signal rests."""
 
@@ -117,9 +127,11 @@ class SampledSignal(NamedTuple):
         """A value of the signal in words."""
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
-    def finding(self, code: str, message: str, **fields: Any) -> Finding:
-        """A finding about this signal."""
-        return Finding(code, f"{self.name}: {message}", (self.name,), **fields)
+    def shown_in(self, runs: np.ndarray) -> np.ndarray:
+        """Which samples these runs, by their number, have."""
+        chosen = np.zeros(self.run_starts.size, bool)
+        chosen[runs] = True
+        return np.repeat(chosen, self.run_lengths)
 
 
 def sampled_signal(record: Record, name: str) -> SampledSignal:
@@ -147,6 +159,114 @@ def sampled_signal(record: Record, name: str) -> SampledSignal:
         np.diff(starts, append=values.size),
         is_command(values, levels, rounding),
     )
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The signals of a record, of which some are looked at.
+
+    **Fields:** `by_name`, all of them; `names` of those that are looked at; `computed`, those that
+    no sensor recorded; `pairs` of a signal and its derivative; `kept`, what a function found of all
+    of them.
+    """
+
+    by_name: Mapping[str, SampledSignal]
+    names: Sequence[str]
+    computed: Collection[str] = ()
+    pairs: Sequence[tuple[str, str]] = ()
+    kept: dict[Callable, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        record: Record,
+        names: Iterable[str],
+        computed: Collection[str] = (),
+        pairs: Iterable[tuple[str, str]] = (),
+    ) -> "Signals":
+        """Those of a record, these first.
+
+        **Raises:** `DataError` for a signal that the record lacks.
+        """
+        names = tuple(dict.fromkeys(names))
+        every = {n: sampled_signal(record, n) for n in dict.fromkeys([*names, *record.arrays])}
+        return cls(every, names, computed, [p for p in pairs if {*p} <= {*every}])
+
+    def beside(self, name: str) -> list[SampledSignal]:
+        """All others."""
+        return [signal for other, signal in self.by_name.items() if other != name]
+
+    @functools.cached_property
+    def recorded(self) -> dict[str, SampledSignal]:
+        """Those of sensors, as far as their samples are enough to tell."""
+        return {
+            name: signal
+            for name, signal in self.by_name.items()
+            if name not in self.computed and signal.sample_count >= FEWEST_SAMPLES
+        }
+
+
+class Found(NamedTuple):
+    """A fault of one signal.
+
+    **Fields:** `said` of it, empty where it is real; `doubt` and `step`, as of a finding; `samples`
+    that it spoiled, shape `(n,)`; `value` of the option against it, if that is not the signal's
+    name; `advice` in place of the fault's, where no option helps; `signals` that have it together,
+    all of which `said` names.
+    """
+
+    said: str
+    doubt: float = 0.0
+    samples: np.ndarray | None = None
+    step: str = ""
+    value: str = ""
+    advice: str = ""
+    signals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What may be wrong with one signal by itself: how it is found, said, and undone.
+
+    **Fields:** `code` of its finding; `find`, where a signal has it; `advice`, what to do about it,
+    with a place for the `option` that undoes it; and whether signals are looked at that were
+    `computed`, or are constant or `short`.
+    """
+
+    code: str
+    find: "Find"
+    advice: str
+    option: str = ""
+    computed: bool = False
+    short: bool = False
+
+    def findings(self, name: str, signals: Signals) -> Iterator[Finding]:
+        """What is said of one of the signals."""
+        signal = signals.by_name[name]
+        enough = signal.levels.size > 1 and signal.sample_count >= FEWEST_SAMPLES
+        if (self.computed or name not in signals.computed) and (self.short or enough):
+            every = self.find(signal, signals)
+            yield from (self.finding(name, found) for found in every if found.said)
+
+    def finding(self, name: str, found: Found) -> Finding:
+        """What is said of a signal that has it."""
+        helps = self.option and not found.advice
+        remedy = (self.option, found.value or name) if helps else ()
+        said = found.said if found.signals else f"{name}: {found.said}"
+        advice = found.advice or self.advice.format(option=shlex.join(remedy))
+        signals = found.signals or (name,)
+        step = found.step.format(name)
+        return Finding(
+            self.code, f"{said} {advice}", signals, doubt=found.doubt, remedy=remedy, step=step
+        )
+
+
+Find = Callable[[SampledSignal, Signals], Iterator[Found]]
+
+
+def fault(code: str, advice: str, option: str = "", **more: bool) -> Callable[[Find], Fault]:
+    """A fault of what finds it; arguments are its fields."""
+    return lambda find: Fault(code, find, advice, option, **more)
 
 
 def percent(part: float, whole: float) -> str:
@@ -210,3 +330,44 @@ def rest_of(record: Record, name: str) -> Rest | None:
     if not max(LEAST, OF_SLOW * lengths.sum() / values.size) < share < 1:
         return None
     return Rest(float(share), max(REACH[0] * noise, REACH[1] * usual))
+
+
+# What is looked at once: samples are searched for faults when a recording is read, and checked for
+# those that are left before it is summed. Where nothing changed in between, the answer is the same.
+
+Given = ParamSpec("Given")
+Answer = TypeVar("Answer")
+
+KEPT = 2**6
+"""Answers of a search that are kept: of the signals of a recording or two."""
+
+
+def once(search: Callable[Given, Answer]) -> Callable[Given, Answer]:
+    """A function of samples that answers from memory if it is asked the same again.
+
+    Samples are compared by their digest, which takes a thousandth of the time that a search takes,
+    and keeps none of them.
+    """
+    # An answer in a tuple of its own: it may be `None`.
+    kept: dict[Any, tuple[Answer]] = {}
+
+    @functools.wraps(search)
+    def asked(*given: Given.args, **named: Given.kwargs) -> Answer:
+        leaves, structure = jax.tree.flatten((given, named))
+        key = structure, *map(_content, leaves)
+        found = kept.get(key)
+        if found is None:
+            found = kept[key] = (search(*given, **named),)
+            for oldest in list(kept)[:-KEPT]:
+                kept.pop(oldest, None)
+        return found[0]
+
+    return asked
+
+
+def _content(leaf: Any) -> Any:
+    """What it is compared by."""
+    if not isinstance(leaf, np.ndarray):
+        return leaf
+    digest = hashlib.sha1(leaf.tobytes(), usedforsecurity=False).digest()
+    return leaf.shape, leaf.dtype.str, digest

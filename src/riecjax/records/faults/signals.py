@@ -1,12 +1,11 @@
 """Faults of sensors, converters and loggers, found in the samples alone.
 
-A signal may sit at one value: at the end of its range, as of a converter, or as a sensor that is
-stuck does while the rest of the record moves. No check fires on what machines do: axes at rest,
-relays and steps, encoders that show one value for a while, bumps in a road. The message says what
-to do about a fault.
+A signal may sit at one value: at the end of its range, as of a converter, as a sensor that is
+stuck does while the rest of the record moves, or until the next message of a slow bus comes. No
+check fires on what machines do: axes at rest, relays and steps, encoders that show one value for a
+while, bumps in a road.
 """
 
-import shlex
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
@@ -14,20 +13,22 @@ from typing import NamedTuple
 import numpy as np
 
 from riecjax.errors import DataError
-from riecjax.findings import Finding
-from riecjax.records.faults.rows import copied_signals
+from riecjax.findings import Finding, class_of
+from riecjax.records.faults.hum import hum
+from riecjax.records.faults.rows import copied
 from riecjax.records.faults.sampled_signal import (
     ENOUGH,
     FEW_LEVELS,
     LONGEST_REST,
+    Found,
     SampledSignal,
+    Signals,
+    fault,
     percent,
-    sampled_signal,
     spread_of,
 )
 from riecjax.records.faults.spikes import outliers
-from riecjax.records.linear_op import LinearOp, Operations, longest_stretch, step
-from riecjax.records.preparation.hum import hum
+from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record, runs
 
 PILE_UP = 5.0
@@ -64,26 +65,30 @@ class Visits(NamedTuple):
     """Visits that came from far off, and left for far off."""
 
 
-def clipped(signal: SampledSignal, others: Sequence[SampledSignal] = ()) -> Iterator[Finding]:
+@fault(
+    "clipped",
+    "Record with a larger range, or leave them out (on the command line: {option}), unless the "
+    "limit is real, as of a command or of a wheel that lifts.",
+    "--leave-out",
+)
+def clipped(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """Runs into an extreme from far off, which a crest never does, and sits there.
 
     Unless other signals say that the limit is real, as the motion of a wheel that lifts does of the
     force on its tyre.
     """
-    for side in (one for one in limits(signal) if not is_real(signal, one, others)):
-        remedy = ("--leave-out", signal.name)
-        yield signal.finding(
-            "clipped",
+    for side in limits(signal):
+        said = (
             f"sits at its {'maximum' if side.sign > 0 else 'minimum'} of "
             f"{signal.with_unit(side.extreme)} in {side.starts.size} place(s), "
             f"{percent(side.samples, signal.sample_count)} of the samples, first at "
-            f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does. "
-            f"Record with a larger range, or leave them out (on the command line: "
-            f"{shlex.join(remedy)}), unless the limit is real, as of a command or of a wheel that "
-            f"lifts.",
+            f"{signal.time[side.starts[0]]:.4g} s, as a converter at the end of its range does."
+        )
+        yield Found(
+            "" if is_real(signal, side, signals.beside(signal.name)) else said,
             doubt=side.samples / signal.sample_count,
-            remedy=remedy,
-            step=f"Leave out what {signal.name} shows at the end of its range",
+            samples=side.sign * (signal.values - side.extreme) >= -signal.rounding,
+            step="Leave out what {} shows at the end of its range",
         )
 
 
@@ -185,42 +190,35 @@ MOVES = 0.3
 """Share of its usual sample-to-sample change past which another signal moves meanwhile."""
 
 
-def stuck(signal: SampledSignal, others: Sequence[SampledSignal]) -> Iterator[Finding]:
+@fault(
+    "stuck_sensor",
+    "Leave them out (on the command line: {option}), and check the sensor, its cable and the "
+    "logger.",
+    "--leave-out",
+)
+def stuck(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """A long run of one value, begun or left by a jump, while another signal moves on; or short
     ones of the same value, all begun and left by jumps."""
-    remedy = ("--leave-out", signal.name)
-    how = (
-        f"Leave them out (on the command line: {shlex.join(remedy)}), and check the sensor, its "
-        f"cable and the logger."
-    )
-    if (runs := dropouts(signal)).size:
-        starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
-        shown = np.unique(signal.run_values[runs])
-        value = signal.with_unit(float(shown[0])) if shown.size == 1 else "one value"
-        yield signal.finding(
-            "stuck_sensor",
-            f"drops out: it shows exactly {value} for {int(np.median(lengths))} samples (median) "
-            f"in {runs.size} places, and goes on elsewhere, first at "
-            f"{signal.time[starts[0]]:.4g} s ({percent(int(lengths.sum()), signal.sample_count)} "
-            f"of the samples). {how}",
-            # They are far off: each counts for several.
-            doubt=1.0,
-            remedy=remedy,
-            step=f"Leave out what {signal.name} showed while it dropped out",
-        )
-    if (runs := long_runs(signal, others)).size:
-        starts, lengths = signal.run_starts[runs], signal.run_lengths[runs]
-        samples = int(lengths.sum())
-        yield signal.finding(
-            "stuck_sensor",
-            f"stays at exactly {signal.with_unit(float(signal.run_values[runs[0]]))} "
-            f"for {lengths[0]} samples from {signal.time[starts[0]]:.4g} s on "
-            f"while the rest of the record {_rest_of_record(others, starts[0], lengths[0])} "
-            f"({samples} samples in {runs.size} place(s), "
-            f"{percent(samples, signal.sample_count)}). {how}",
-            doubt=samples / signal.sample_count,
-            remedy=remedy,
-            step=f"Leave out what {signal.name} showed while it was stuck",
+    others = signals.beside(signal.name)
+    for still, long in ((dropouts(signal), False), (long_runs(signal, others), True)):
+        if not still.size:
+            continue
+        starts, lengths = signal.run_starts[still], signal.run_lengths[still]
+        value, samples = signal.with_unit(float(signal.run_values[still[0]])), int(lengths.sum())
+        first, share = f"{signal.time[starts[0]]:.4g} s", percent(samples, signal.sample_count)
+        one = value if np.unique(signal.run_values[still]).size == 1 else "one value"
+        yield Found(
+            f"stays at exactly {value} for {lengths[0]} samples from {first} on while the rest of "
+            f"the record {_rest_of_record(others, starts[0], lengths[0])} ({samples} samples in "
+            f"{still.size} place(s), {share})."
+            if long
+            else f"drops out: it shows exactly {one} for {int(np.median(lengths))} samples "
+            f"(median) in {still.size} places, and goes on elsewhere, first at {first} ({share} of "
+            f"the samples).",
+            # What drops out is far off: each sample counts for several.
+            doubt=samples / signal.sample_count if long else 1.0,
+            samples=signal.shown_in(still),
+            step=f"Leave out what {{}} showed while it {'was stuck' if long else 'dropped out'}",
         )
 
 
@@ -320,68 +318,124 @@ def _rest_of_record(others: Sequence[SampledSignal], start: int, length: int) ->
     return "stands as still" if still and all(still) else ""
 
 
-COARSE = 0.01
-"""Share of a signal's rms past which its resolution matters."""
-FEWEST_SAMPLES = 50
-"""Present samples below which only missing and constant signals are reported."""
+FEWEST_MESSAGES = 20
+"""Values, each held, that tell of messages."""
+ON_TIME, JITTER = 0.95, 0.25
+"""Share of values that are held for as long as the others, or for some times that, and by how much
+of it they may miss that."""
+QUANTA = 3.0
+"""Quanta from value to value (median) up to which it is an encoder at an even speed."""
+FOLLOWS = 1.0
+"""Mean square of a value's change, in their variance, past which values do not follow each other as
+those of a motion do, but are the steps of a command."""
 
 
-def missing_samples(record: Record, signals: Iterable[SampledSignal]) -> Iterator[Finding]:
-    """One finding for all signals that lack the same samples, as they do in a logger's pause."""
-    alike: dict[bytes, list[SampledSignal]] = {}
-    for signal in signals:
-        alike.setdefault(np.isnan(signal.values).tobytes(), []).append(signal)
-    for group in alike.values():
-        mask = np.isnan(group[0].values)
-        time, step = group[0].time, group[0].time_step
-        starts, stops = runs(mask)
-        if not starts.size:
-            continue
-        # One sample, halfway, stands for all of a logger's pause.
-        inside = (starts > 0) & (stops < mask.size)
-        before, after = time[np.maximum(starts - 1, 0)], time[np.minimum(stops, mask.size - 1)]
-        passed = np.where(inside, np.round((after - before) / step) - 1, 0).astype(int)
-        lost = np.maximum(stops - starts, passed)
-        first = float(before[0] + step if starts[0] > 0 else time[0])
-        count = int(lost.sum())
-        total = count + int((~mask).sum())
-        longest = max(longest_stretch(record, group[0].name), 1)
-        names = tuple(signal.name for signal in group)
-        yield Finding(
-            "missing_samples",
-            f"{', '.join(names)}: {percent(count, total)} of the samples ({count} of {total}) are "
-            f"missing in {lost.size} gap{'s' * (lost.size > 1)}, first at {first:.4g} s; the "
-            f"longest unbroken stretch lasts {(longest - 1) * step:.4g} s. Choose windows and "
-            f"filters much shorter than that.",
-            names,
+@fault(
+    "held_signal",
+    "Use the rows at which it is new (on the command line: {option}), or log each message once, "
+    "unless it is a command, which the machine is held at as well.",
+    "--every",
+)
+def held(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """Each value is held for as many samples, as of messages on a bus."""
+    there = ~np.isnan(signal.run_values)
+    inner = there[1:-1] & there[:-2] & there[2:]
+    lengths, values = signal.run_lengths[1:-1][inner], signal.run_values[there]
+    if lengths.size < FEWEST_MESSAGES or signal.levels.size <= FEW_LEVELS:
+        return
+    every = round(float(np.median(lengths)))
+    late = np.abs(lengths - every * np.maximum(np.round(lengths / every), 1)) / every
+    steps, size = np.abs(np.diff(values)), spread_of(values)
+    change = float(np.sqrt(np.mean((steps / size) ** 2)))
+    if (
+        every > 1
+        and np.mean(late <= JITTER) >= ON_TIME
+        and np.median(steps) > QUANTA * signal.resolution
+        and change**2 < FOLLOWS
+    ):
+        yield Found(
+            f"shows each value for {every} samples, as of a message that comes so seldom: at the "
+            f"last of them it is {(every - 1) * signal.time_step:.4g} s old, and between them it "
+            f"changes by {percent(change, 1.0)} of its deviation (rms).",
+            doubt=min(change / 2, 1.0),
+            step=f"Use the rows at which {{}} is new, one of {every}",
+            value=f"{every}",
         )
 
 
-def quantised(signal: SampledSignal) -> Iterator[Finding]:
+COARSE = 0.01
+"""Share of a signal's rms past which its resolution matters."""
+
+
+@fault(
+    "missing_samples",
+    "Choose windows and filters much shorter than that.",
+    computed=True,
+    short=True,
+)
+def missing(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """The same samples of this signal and of others, as in a logger's pause, told of the first."""
+    mask = np.isnan(signal.values)
+    every = (signals.by_name[name] for name in signals.names)
+    names = tuple(each.name for each in every if np.array_equal(np.isnan(each.values), mask))
+    starts, stops = runs(mask)
+    if not starts.size or signal.name != names[0]:
+        return
+    # One sample, halfway, stands for all of a logger's pause.
+    time, step = signal.time, signal.time_step
+    inside = (starts > 0) & (stops < mask.size)
+    before, after = time[np.maximum(starts - 1, 0)], time[np.minimum(stops, mask.size - 1)]
+    passed = np.where(inside, np.round((after - before) / step) - 1, 0).astype(int)
+    lost = np.maximum(stops - starts, passed)
+    first = float(before[0] + step if starts[0] > 0 else time[0])
+    count = int(lost.sum())
+    total = count + signal.sample_count
+    longest = int(np.max(np.diff(runs(~mask), axis=0), initial=1))
+    yield Found(
+        f"{', '.join(names)}: {percent(count, total)} of the samples ({count} of {total}) are "
+        f"missing in {lost.size} gap{'s' * (lost.size > 1)}, first at {first:.4g} s; the longest "
+        f"unbroken stretch lasts {(longest - 1) * step:.4g} s.",
+        signals=names,
+    )
+
+
+@fault(
+    "constant_signal",
+    "Check that the channel was connected and is the right one.",
+    computed=True,
+    short=True,
+)
+def constant(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """One value, whatever the others do."""
+    if signal.levels.size == 1:
+        value = signal.with_unit(signal.levels[0])
+        yield Found(f"never varies from {value}, so nothing can be identified from it.")
+
+
+@fault(
+    "quantised",
+    "Do not differentiate it without a low-pass, and prefer longer windows or a finer range.",
+    computed=True,
+)
+def quantised(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
     """A resolution that is coarse against the signal's rms."""
     rms = spread_of(signal.values)
     steps = np.abs(np.diff(signal.values))
     steps = steps[~np.isnan(steps)]
     # Few levels that are held for long are a command's.
-    held = signal.levels.size <= FEW_LEVELS and np.mean(steps == 0) > 0.95
-    if signal.levels.size < 5 or held or signal.resolution <= COARSE * rms:
+    steady = signal.levels.size <= FEW_LEVELS and np.mean(steps == 0) > 0.95
+    if signal.levels.size < 5 or steady or signal.resolution <= COARSE * rms:
         return
     change = float(np.sqrt(np.mean((steps / signal.resolution) ** 2)))
-    yield signal.finding(
-        "quantised",
+    yield Found(
         f"its resolution of {signal.with_unit(signal.resolution)} is "
         f"{percent(signal.resolution, rms)} of its rms, and it changes by {change:.2g} such steps "
-        f"from sample to sample (rms). Do not differentiate it without a low-pass, and prefer "
-        f"longer windows or a finer range.",
+        f"from sample to sample (rms)."
     )
 
 
-def _sampled(record: Record, names: Iterable[str]) -> dict[str, SampledSignal]:
-    """These signals first, then all others of a record.
-
-    **Raises:** `DataError` for a signal that the record lacks.
-    """
-    return {name: sampled_signal(record, name) for name in dict.fromkeys([*names, *record.arrays])}
+FAULTS = (missing, constant, clipped, stuck, held, outliers, quantised, copied, hum)
+"""What may be wrong with one signal by itself, in the order in which it is told."""
 
 
 # Values too large to be squared are for the fit to refuse; here they only compare as infinite.
@@ -395,44 +449,23 @@ def check_signals(
 ) -> list[Finding]:
     """Look for faults of sensors, converters and loggers in these signals.
 
-    Codes: `missing_samples`, `constant_signal`, `clipped`, `stuck_sensor`, `outliers`,
-    `quantised`, `copied_signal` and `hum`. A signal that is constant, or has fewer than 50 samples,
-    is not looked at further. Not under jit.
+    Codes are those of `FAULTS`. A signal that is constant, or has fewer than 50 samples, is not
+    looked at further. Not under jit.
 
     **Arguments:** `computed`, signals that no sensor recorded, of which only what a computation
     keeps is reported; `pairs` of a signal and its derivative, which tell hum from motion.
 
     **Raises:** `DataError` for a signal that the record lacks.
     """
-    names = tuple(dict.fromkeys(names))
-    every = _sampled(record, names)
-    findings = list(missing_samples(record, [every[name] for name in names]))
-    for name in names:
-        signal = every[name]
-        if signal.levels.size == 1:
-            findings.append(
-                signal.finding(
-                    "constant_signal",
-                    f"never varies from {signal.with_unit(signal.levels[0])}, so nothing can be "
-                    f"identified from it. Check that the channel was connected and is the right "
-                    f"one.",
-                )
-            )
-        elif signal.sample_count >= FEWEST_SAMPLES:
-            rest = [other for other in every.values() if other is not signal]
-            if name not in computed:
-                findings += clipped(signal, rest)
-                findings += stuck(signal, rest)
-            findings += outliers(signal, rest)
-            findings += quantised(signal)
-    recorded = {
-        name: signal
-        for name, signal in every.items()
-        if name not in computed and signal.sample_count >= FEWEST_SAMPLES
-    }
-    findings += copied_signals([recorded[name] for name in names if name in recorded])
-    findings += hum(recorded, [p for p in pairs if {*p} <= {*recorded}], names)
-    return findings
+    signals = Signals.of(record, names, computed, pairs)
+    return [one for n in signals.names for each in FAULTS for one in each.findings(n, signals)]
+
+
+def holding(record: Record, names: Collection[str]) -> set[str]:
+    """Those of these signals that hold a value for a while, stuck, at a limit or by a message."""
+    signals = Signals.of(record, names) if names else Signals({}, ())
+    faults = [each for each in FAULTS if class_of(each.code).undo == "itself"]
+    return {n for n in signals.names for each in faults if any(each.findings(n, signals))}
 
 
 @step
@@ -440,24 +473,19 @@ def leave_out(record: Record, *signals: str) -> Operations:
     """Mark as missing what a stuck sensor showed, or one at the end of its range.
 
     These are the samples of which `stuck_sensor` and `clipped` speak: a long run of one value, and
-    a limit into which the signal ran. Windows that touch one count no more.
+    a limit into which the signal ran, a real one too. Windows that touch one count no more.
 
     **Raises:** `DataError` for no signal, one that the record lacks, or one of which nothing would
     be left.
     """
     if not signals:
         raise DataError(f"name the signals to leave out of; there are: {', '.join(record.arrays)}.")
-    every = _sampled(record, signals)
-    for name in signals:
-        signal = every[name]
-        values = signal.values.copy()
-        others = [every[other] for other in record.arrays if other != name]
-        stuck = np.zeros(signal.run_starts.size, bool)
-        stuck[[*long_runs(signal, others), *dropouts(signal)]] = True
-        values[np.repeat(stuck, signal.run_lengths)] = np.nan
-        # Limits that may be real among them.
-        for side in limits(signal):
-            values[side.sign * (signal.values - side.extreme) >= -signal.rounding] = np.nan
+    every = Signals.of(record, signals)
+    for name in every.names:
+        values = every.by_name[name].values.copy()
+        for each in (each for each in FAULTS if each.option == "--leave-out"):
+            for found in each.find(every.by_name[name], every):
+                values[found.samples] = np.nan
         if np.isnan(values).all():
             raise DataError(f"nothing would be left of '{name}': it is at its limit throughout.")
         yield name, LinearOp.of_values("{}: left out where it is stuck or at its limit", values)

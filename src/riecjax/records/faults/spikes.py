@@ -1,10 +1,10 @@
 """Spikes of one to three samples: found against the noise around them, repaired or left out.
 
-A spike of height h adds h times 1, -6, 15, -20, 15, -6, 1 to seven differences of sixth order, in
-which smooth motion is next to nothing and white noise of standard deviation sigma has sqrt(924)
-sigma. Samples near a large one are suspects. Each is judged by a polynomial through the samples
-around it, itself left out and others weighed by Tukey's biweight, which no neighbouring spike
-moves. Motion that no such polynomial follows hides spikes that are no larger than it is off them.
+Each sample is held against a polynomial through the samples around it, itself left out. Of what is
+too far off for noise the furthest in its neighbourhood is taken out, and all is looked at again: a
+spike spoils its neighbours' polynomials by less than it is off its own. At last each of those taken
+out is judged by the samples that stay, and put back where it is no spike, until no more are. Motion
+that no such polynomial follows hides spikes that are no larger than it is off them.
 
 What machines do stays: after a step or a corner the polynomial follows one side, and the other side
 is off it for longer than a spike lasts; a pulse among steps of its own size, as of a relay, is one
@@ -19,9 +19,8 @@ levels or slopes part further than they do elsewhere, the spike acted.
 """
 
 import functools
-import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -30,47 +29,37 @@ from jaxtyping import Bool, Float, Int
 
 from riecjax.errors import DataError
 from riecjax.findings import Finding
-from riecjax.records.faults.once import once
 from riecjax.records.faults.sampled_signal import (
-    LAST_DIGITS,
     ROUNDING,
+    Found,
     SampledSignal,
+    Signals,
+    fault,
     is_command,
     levels_of,
+    once,
     resolution_of,
 )
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record, run_lengths
-from riecjax.records.signal import DIFFERENCE_ORDER, GAIN, NORMAL, Samples
+from riecjax.records.signal import NORMAL, Samples
 from riecjax.records.time_base import SHORTEST_PAUSE
 
-SUSPECT = 4.5
-"""Standard deviations past which a sixth difference makes suspects of the samples around it."""
+SPIKE = 6.0
+"""Standard deviations that a spike is off the polynomial at the least."""
 LONGEST = 3
 """Neighbouring samples past which it is no spike."""
-CLEAR = 5.0
+CLEAR = 6.0
 """Times that a spike is further off the polynomial than all samples around it are (rms)."""
 NEIGHBOUR = 4.0
 """The same of the nearest sample on each side, which at a step is off one that spans it."""
-TUKEY = 4.685
-"""Scales past which a sample has no weight."""
-AT_ONCE = 256
-"""Polynomials that are fitted side by side: more leave the processor's cache, and their products
-are large enough that NumPy starts threads, which costs more than it gains."""
-ROUNDS, FIRST = 8, 3
-"""Times that weights are found anew, the first of them for the least sum of absolute values."""
-NEARBY = 2.0
-"""Standard deviations off the first of these fits past which the others are made."""
 RIDGE = 1e-9
 """What keeps a fit through fewer samples than coefficients from a division by zero."""
-SPIKE = 6.0
-"""Standard deviations that a spike is off the polynomial at the least."""
-MOST_SUSPECTS = 0.8
-"""Share of samples past which suspects are how the signal is; 13 are around each spike."""
 DEGREES, BESIDE = (3, 5, 7), 8
 """Of the polynomials, and samples to each side that they go through. Of each signal, those that lie
-nearest to samples left out: a cubic has 0.37 of the noise in its middle, and bends least. Motion
-quicker than the last shows in sixth differences too."""
+nearest to samples left out: a cubic has 0.37 of the noise in its middle, and bends least."""
+OFFSETS = np.arange(-BESIDE, BESIDE + 1)
+"""Of a polynomial's samples from the one in its middle."""
 FEWEST = 20
 """Samples below which nothing is looked for."""
 BLOCK = 128
@@ -81,25 +70,18 @@ BEYOND = 1e3
 """Times the largest other value past which a sample of a command is none that was meant."""
 IMPOSSIBLE = 1e30
 """What no command takes in any unit, though all of its other values are zero."""
-TAIL = 2.0
-"""Samples at two thirds to all of a threshold, for each one beyond it, past which the noise has
-long tails, of which no line separates spikes."""
-BY_CHANCE = 3
-"""More of them that may be by chance."""
-FEW, TAIL_BLOCK, USUAL_TAIL = 0.03, 1024, 3.0
-"""A spike adds two thirds of its size to a difference; that is to be twice what three in a hundred
-of them reach nearby once spikes are taken out. In white noise this asks for 6.5 of its standard
-deviations, and among corners, kicks or steps for more than is usual there."""
+FIFTH, FEW, TAIL_BLOCK, USUAL_TAIL = 0.2, 0.03, 1024, 3.0
+"""A spike is three times as far off as a fifth of all samples nearby are, and once spikes are taken
+out three in a hundred of them. In white noise this asks for 6.5 of its standard deviations, and
+among corners, kicks or steps for more than is usual there."""
+NEARLY = 4.5
+"""Standard deviations off a polynomial past which what is left may be steps, or the like."""
 PASSES = 12
-"""Times that suspects are found anew, once spikes do not hide others."""
+"""Times that spikes are taken out, once others do not hide them."""
+MANY = 0.5
+"""Share of the samples past which what is taken out is how the signal is."""
 LARGEST = 1e60
 """Robust scales at which values are cut off, so that their squares are numbers."""
-GAIN_OF_TWO = float(np.linalg.norm(np.convolve(np.poly([1.0] * DIFFERENCE_ORDER), [1, 1])))
-LARGE = 6.5
-"""Standard deviations of the sum of two neighbouring differences that make suspects, too: two equal
-spikes side by side add 10 times their height to it, in which noise has 16 of its own, and 9 to each
-difference, in which it has 30. They are looked at where polynomials mostly miss samples by no more
-than twice the noise: beside motion that none follows, its corners would count."""
 MOST = 0.05
 """Share of the samples past which spikes are a fault of the channel, and are not repaired."""
 LISTED = 3
@@ -118,24 +100,37 @@ Treatment: TypeAlias = Literal["repair", "missing", "keep"]
 or they stay."""
 DONE = {
     "repair": "A polynomial through the samples around took the place of each; if they really "
-    "acted, keep them (--outliers keep)",
-    "missing": "They were marked as missing",
-    "keep": "Least squares follow them: repair them (--outliers repair; in Python "
-    "rx.records.repair_outliers(record)), unless they really acted",
+    "acted, keep them (--outliers keep).",
+    "missing": "They were marked as missing.",
+    "keep": "Least squares follow them: repair them ({option}; in Python "
+    "rx.records.repair_outliers(record)), unless they really acted.",
 }
+MOSTLY = (
+    f"So many are a fault of the channel and were left as they are: check the sensor, its cable "
+    f"and the logger (more than {MOST:.0%} of the samples)."
+)
 
 
 class Spikes(NamedTuple):
     """Samples that are spikes.
 
     **Fields:** `places`, ascending; `repaired`, the local polynomial's values there; `sizes`, how
-    far off it they are; `noise`, the standard deviation of what is around them; shapes `(k,)`.
+    far off it they are; `noise`, the standard deviation of what is around them; shapes `(k,)`;
+    whether they `acted`, so that they stay.
     """
 
     places: Int[np.ndarray, " k"]
     repaired: Float[np.ndarray, " k"]
     sizes: Float[np.ndarray, " k"]
     noise: Float[np.ndarray, " k"]
+    acted: bool = False
+
+    def treated(self, values: Samples, how: Treatment = "repair") -> Samples:
+        """The signal's samples without them."""
+        values = values.copy()
+        if not self.acted:
+            values[self.places] = self.repaired if how == "repair" else np.nan
+        return values
 
 
 # Values up to the largest number overflow when scaled; they are cut off.
@@ -146,7 +141,7 @@ def find_spikes(values: Samples) -> Spikes:
     values = np.asarray(values, float)
     known = values[~np.isnan(values)]
     if known.size < FEWEST:
-        return Spikes(np.zeros(0, int), *np.zeros((3, 0)))
+        return Spikes(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0))
     # How widely values spread that are not spikes.
     low, high = (np.quantile(known, side) for side in ([0.1, 0.01, 0.0], [0.9, 0.99, 1.0]))
     scale = float(min(next((s for s in high - low if s > 0), 1.0), np.finfo(float).max))
@@ -164,272 +159,151 @@ def find_spikes(values: Samples) -> Spikes:
         noise = np.zeros(values.size)
     else:
         local = min(map(Local.of, DEGREES), key=lambda each: each.error(scaled))
-        spikes, noise = _judged(scaled, resolution_of(levels), local)
-        places, stretch = np.flatnonzero(spikes), np.cumsum(np.isnan(scaled))
-        fit, *_ = fits(np.where(spikes, np.nan, scaled), places, noise, stretch, local)
-        repaired = centre + scale * fit
+        removed, noise = _taken_out(scaled, resolution_of(levels), local)
+        spikes, cleaned = _judged(scaled, removed, noise, local)
+        places = np.flatnonzero(spikes)
+        repaired = centre + scale * cleaned[places]
     return Spikes(places, repaired, np.abs(values[places] - repaired), scale * noise[places])
 
 
-def _judged(
+def _taken_out(
     scaled: Samples, quantum: float, local: "Local"
 ) -> tuple[Bool[np.ndarray, " n"], Samples]:
-    """Which samples are spikes, and the noise around each."""
-    cleaned, sizes = scaled.copy(), np.zeros(scaled.size)
-    noise, stretch, half = sizes, np.cumsum(np.isnan(scaled)), DIFFERENCE_ORDER // 2
-    # Fits are made anew where something changed that they depend on.
-    kept, noise_of_kept = np.full((4, scaled.size), np.nan), sizes.copy()
-    # Up to two samples from an end or a gap the differences hold a fifth of a spike at the most.
-    ends = np.convolve(~np.isnan(scaled), np.ones(5), "same") < 5
+    """Samples that may be spikes, the furthest off first, and the noise around each."""
+    missing = np.isnan(scaled)
+    removed, cleaned, stretch = np.zeros(scaled.size, bool), scaled.copy(), np.cumsum(missing)
+    # There polynomials go through what is on one side, each by itself.
+    edged = np.pad(missing, BESIDE, constant_values=True)
+    ends = np.flatnonzero((np.convolve(edged, np.ones(OFFSETS.size), "valid") > 0) & ~missing)
+    noise = np.zeros(scaled.size)
     for _ in range(PASSES):
-        differences = np.diff(cleaned, DIFFERENCE_ORDER)
-        sixth = np.abs(differences) / GAIN
-        around = _by_block(sixth, BLOCK, scaled.size) / NORMAL
-        usual = np.median(around[around > 0]) if np.any(around > 0) else 0.0
-        around = np.maximum(np.where(np.isnan(around), usual, around), STEADIEST * usual)
-        noise = np.maximum(around, quantum)
-        large = np.zeros(scaled.size, bool)
-        large[half:-half] = sixth > SUSPECT * noise[half:-half]
-        if large.any():
-            # Motion that no polynomial follows: what a fifth reaches nearby, which 5 % of spikes
-            # hardly raise; below the same off the polynomials.
-            bends = _by_block(sixth, TAIL_BLOCK, sixth.size, _fifth)
-            large[half:-half] &= sixth > 2 * bends
-        of_two = np.abs(differences[1:] + differences[:-1]) / GAIN_OF_TWO
-        pairs = of_two > LARGE * noise[half : -half - 1]
-        if pairs.any() and np.median(noise) > local.error(cleaned) / 2:
-            large[half : -half - 1] |= pairs
-        near = large
-        if large.any():
-            # The first and last three samples stand in the middle of no difference.
-            near = np.convolve(large, np.ones(DIFFERENCE_ORDER + 1), "same") > 0
-            near &= local.stands_out(cleaned)
-        suspects = np.flatnonzero((near | ends) & ~np.isnan(cleaned) & (sizes == 0))
-        if not 0 < suspects.size <= MOST_SUSPECTS * scaled.size:
-            break
-        before, now = noise_of_kept[suspects], noise[suspects]
-        matters = (now != before) & (np.maximum(now, before) > kept[3, suspects])
-        anew = suspects[matters | np.isnan(kept[0, suspects])]
-        kept[:, anew] = fits(np.where(sizes > 0, np.nan, scaled), anew, noise, stretch, local)
-        noise_of_kept[anew] = noise[anew]
-        fit, scale, *_ = kept[:, suspects]
-        off = np.abs(scaled[suspects] - fit)
-        beyond = off > SPIKE * scale
-        if beyond.any():
-            rest = _by_block(local.off(cleaned), TAIL_BLOCK, scaled.size, _fifth)
-            beyond &= off > USUAL_TAIL * local.gain * rest[suspects]
-        if not beyond.any():
-            break
+        off = local.off(cleaned)
+        noise = _reached(off, BLOCK, 0.5) / NORMAL
+        usual = np.median(noise[noise > 0]) if np.any(noise > 0) else 0.0
+        noise = np.maximum(np.where(np.isnan(noise), usual, noise), STEADIEST * usual)
+        noise = np.maximum(noise, quantum)
+        nearby = np.nan_to_num(_reached(off, TAIL_BLOCK, FIFTH))
+        fit, spread, _ = local.fits(np.where(removed, np.nan, scaled), ends, stretch)
+        least = np.ones(scaled.size)
+        least[ends], off[ends] = spread / local.gain, np.abs(scaled[ends] - fit) / local.gain
+        share = np.nan_to_num(off / np.maximum(SPIKE * noise, USUAL_TAIL * nearby))
+        share = np.where(removed | missing, 0.0, share)
         # A spike spoils the polynomials of its neighbours: the largest first.
-        largest = np.zeros(scaled.size + 2 * BESIDE)
-        largest[suspects + BESIDE] = np.where(beyond, off, 0.0)
-        nearby = np.lib.stride_tricks.sliding_window_view(largest, 2 * BESIDE + 1).max(axis=1)
-        new = beyond & (off >= nearby[suspects])
-        sizes[suspects[new]], cleaned[suspects[new]] = (off / scale)[new], fit[new]
-        reach = np.arange(-BESIDE - LONGEST, BESIDE + LONGEST + 1)
-        kept[0, np.clip(suspects[new][:, None] + reach, 0, scaled.size - 1)] = np.nan
-    if not sizes.any():
-        return sizes > 0, noise
-    spikes = (sizes > 0) & (run_lengths(sizes > 0) <= LONGEST)
-    off = sizes
-    for _ in range(2):  # what is dropped tells more of those beside it
-        places, cleaned = np.flatnonzero(spikes), np.where(spikes, np.nan, scaled)
-        fit, scale, clear, _ = fits(cleaned, places, noise, stretch, local)
-        cleaned[places] = fit
-        off = np.abs(scaled - cleaned)
-        spikes[places] &= off[places] > np.maximum(clear, SPIKE / 2 * scale)
-    sixth = np.abs(np.diff(cleaned, DIFFERENCE_ORDER)) / GAIN
-    rest = local.off(cleaned)
-    for sizes_there, gain in ((sixth, 1.0), (rest, local.gain)):
-        spikes &= off > USUAL_TAIL * gain * _by_block(sizes_there, TAIL_BLOCK, off.size, _tail)
+        beside = np.lib.stride_tricks.sliding_window_view(np.pad(share, BESIDE), OFFSETS.size)
+        new = (share > least) & (share >= beside.max(axis=1))
+        removed |= new
+        if not new.any() or np.mean(removed) > MANY:
+            break
+        places = np.flatnonzero(removed)
+        cleaned[places] = local.fits(np.where(removed, np.nan, scaled), places, stretch)[0]
+    return removed, noise
+
+
+def _judged(
+    scaled: Samples, removed: Bool[np.ndarray, " n"], noise: Samples, local: "Local"
+) -> tuple[Bool[np.ndarray, " n"], Samples]:
+    """Which of the samples that may be spikes are, and the signal without them."""
+    spikes, cleaned = _clear(scaled, removed & (run_lengths(removed) <= LONGEST), noise, local)
+    off, rest = np.abs(scaled - cleaned), np.nan_to_num(local.off(cleaned))
+    spikes &= off > USUAL_TAIL * local.gain * _reached(rest, TAIL_BLOCK, FEW)
     # Where noise changes within a block, the block's own is too small for a part of it.
     edged = np.pad(noise, BLOCK, mode="edge")
     most = np.maximum(noise, np.maximum(edged[: -2 * BLOCK], edged[2 * BLOCK :]))
-    spikes &= sizes >= _threshold(rest, sizes[spikes], most)
     # Spikes that are no more often than steps, or whatever else is left, of about that size.
     elsewhere, own = (
         np.searchsorted(ordered, 3 * off) - np.searchsorted(ordered, off / 3)
-        for ordered in map(np.sort, (rest[rest > SUSPECT * most], off[spikes]))
+        for ordered in map(np.sort, (rest[rest > NEARLY * most], off[spikes]))
     )
-    return spikes & (elsewhere < own), noise
+    return _clear(scaled, spikes & (elsewhere < own), noise, local)
 
 
-def medians(rows: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, " rows"]:
-    """Of each row what is no NaN; NaN where nothing is."""
-    ordered = np.sort(rows, axis=1)
-    count = np.sum(~np.isnan(rows), axis=1)
-    at = np.arange(len(rows))
-    return (
-        ordered[at, np.maximum(count - 1, 0) // 2] + ordered[at, count // 2 % rows.shape[1]]
-    ) / 2
+def _clear(
+    scaled: Samples, spikes: Bool[np.ndarray, " n"], noise: Samples, local: "Local"
+) -> tuple[Bool[np.ndarray, " n"], Samples]:
+    """Those of these samples that stand clear of all around, and the signal without them."""
+    cleaned, stretch, before = scaled, np.cumsum(np.isnan(scaled)), 0
+    # What is dropped tells more of those beside it.
+    while np.sum(spikes) != before:
+        places, before = np.flatnonzero(spikes), np.sum(spikes)
+        cleaned = np.where(spikes, np.nan, scaled)
+        cleaned[places], spread, clear = local.fits(cleaned, places, stretch)
+        off = np.abs(scaled - cleaned)[places]
+        spikes = spikes.copy()
+        spikes[places] = off > np.maximum(clear, SPIKE / 2 * spread * noise[places])
+    return spikes, np.where(spikes, cleaned, scaled)
 
 
-def _tail(rows: Float[np.ndarray, "rows n"], share: float = FEW) -> Float[np.ndarray, " rows"]:
-    """Of each row what such a share of it reaches."""
-    place = rows.shape[1] - 1 - int(share * rows.shape[1])
-    return np.partition(np.nan_to_num(rows), place, axis=1)[:, place]
-
-
-_fifth = functools.partial(_tail, share=0.2)
-
-
-def _by_block(
-    sizes: Float[np.ndarray, " m"], length: int, count: int, statistic: Callable = medians
-) -> Float[np.ndarray, " count"]:
-    """At each of so many samples a statistic of the sizes in its block of about this length.
-
-    Of rows, the last filled up with NaN, it makes a number each.
-    """
+def _reached(sizes: Float[np.ndarray, " n"], length: int, share: float) -> Samples:
+    """At each sample what such a share of its block of about this length reaches, but NaN."""
     blocks = max(sizes.size // length, 1)
     size = -(-sizes.size // blocks)
     padded = np.pad(sizes, (0, blocks * size - sizes.size), constant_values=np.nan)
-    local = np.repeat(statistic(padded.reshape(blocks, size)), size)
-    return np.pad(local, (0, max(count - local.size, 0)), mode="edge")[:count]
-
-
-def _threshold(rest: Samples, sizes: Float[np.ndarray, " k"], noise: Samples) -> float:
-    """Standard deviations past which spikes stand apart from the noise's own tail."""
-    rest = rest / np.maximum(noise, _by_block(rest, BLOCK, rest.size) / NORMAL)
-    threshold = SPIKE
-    while sizes.size and threshold <= np.max(sizes):
-        low = threshold / 1.5
-        near = sum(int(np.sum((each > low) & (each <= threshold))) for each in (rest, sizes))
-        normal = rest.size * math.erfc(low / math.sqrt(2))
-        if near <= BY_CHANCE + 1.2 * normal + TAIL * np.sum(sizes > threshold):
-            return threshold
-        threshold *= 1.5
-    return np.inf
+    rows = np.sort(padded.reshape(blocks, size), axis=1)
+    place = np.ceil((1 - share) * np.sum(~np.isnan(rows), axis=1)).astype(int) - 1
+    return np.repeat(rows[np.arange(blocks), np.maximum(place, 0)], size)[: sizes.size]
 
 
 class Local(NamedTuple):
     """Polynomials of one degree over the samples of a window, by orthonormal `columns`; `taps` of
-    what those through the other samples, and through all past one or two neighbours, are off the
-    one in the middle."""
+    what those through the other samples are off the one in the middle."""
 
     columns: Float[np.ndarray, "samples coefficients"]
-    taps: Float[np.ndarray, "3 samples"]
+    taps: Float[np.ndarray, " samples"]
 
     @classmethod
     @functools.cache
     def of(cls, degree: int) -> "Local":
         """Of a degree, over `BESIDE` samples to each side."""
-        places = np.arange(-BESIDE, BESIDE + 1)
-        columns = np.linalg.qr((places[:, None] / BESIDE) ** np.arange(degree + 1))[0]
-        taps = np.zeros((LONGEST, places.size))
-        for beside, row in enumerate(taps):
-            others = np.abs(places) > beside
-            row[others] = columns[BESIDE] @ np.linalg.pinv(columns[others])
-            row[BESIDE] = -1.0
-        return cls(columns, taps)
-
-    def off(self, values: Samples) -> Samples:
-        """How far each sample is off the one through all, over its gain for white noise.
-
-        0 where its window has gaps or ends.
-        """
-        taps = self.columns @ self.columns[BESIDE]
-        taps[BESIDE] -= 1
-        off = np.abs(np.convolve(values, taps[::-1], "valid")) / np.linalg.norm(taps)
-        return np.pad(np.nan_to_num(off), BESIDE)
-
-    def stands_out(self, values: Samples) -> Bool[np.ndarray, " n"]:
-        """Whether samples are off the one through the others, or through those past one or two
-        neighbours, by twice what a fifth of all nearby are; and where none goes through all.
-
-        A spike of up to three samples is, if no other is near.
-        """
-        found = np.zeros(values.size, bool)
-        for taps in self.taps:
-            off = np.abs(np.convolve(values, taps[::-1], "valid"))
-            off = np.pad(off, BESIDE, constant_values=np.nan)
-            found |= ~(off <= 2 * _by_block(off, TAIL_BLOCK, off.size, _fifth))
-        return found
+        columns = np.linalg.qr((OFFSETS[:, None] / BESIDE) ** np.arange(degree + 1))[0]
+        taps = columns @ columns[BESIDE]
+        # A sample is off the one through all by so much less as that follows it.
+        return cls(columns, (taps - (OFFSETS == 0)) / (1 - taps[BESIDE]))
 
     @property
     def gain(self) -> float:
-        """Times `off` that a sample is off the one through the others."""
-        return float(1 / np.sqrt(1 - np.sum(self.columns[BESIDE] ** 2)))
+        """Times the noise that a sample is off the one through the others, by noise alone."""
+        return float(np.linalg.norm(self.taps))
+
+    def off(self, values: Samples) -> Samples:
+        """How far each sample is off the one through the others, over its gain for white noise;
+        NaN where its window has gaps or ends."""
+        off = np.abs(np.convolve(values, self.taps[::-1], "valid")) / self.gain
+        return np.pad(off, BESIDE, constant_values=np.nan)
 
     def error(self, values: Samples) -> float:
         """How far samples mostly are off the one through the others."""
-        return float(self.gain * np.median(self.off(values)))
+        return float(self.gain * np.median(np.nan_to_num(self.off(values))))
 
+    def fits(
+        self, values: Samples, places: Int[np.ndarray, " k"], stretch: Int[np.ndarray, " n"]
+    ) -> tuple[Samples, Samples, Samples]:
+        """At some places the polynomial through the other samples of the unbroken stretch, which
+        `stretch` numbers.
 
-def fits(
-    values: Samples,
-    places: Int[np.ndarray, " k"],
-    noise: Samples,
-    stretch: Int[np.ndarray, " n"],
-    local: Local,
-) -> Float[np.ndarray, "4 k"]:
-    """At some places the polynomial through the other samples of the unbroken stretch, which
-    `stretch` numbers.
-
-    It is weighed by Tukey's biweight, which no neighbouring spike moves.
-
-    **Returns:** its value; the standard deviation off it; by how much a spike stands clear of all
-    others; and what noise must be below so as not to matter to it.
-    """
-    if not places.size:
-        return np.zeros((4, 0))
-    # The median of the seven samples around each that is near, which no spike of up to three moves.
-    near = places[:, None] + np.arange(-BESIDE, BESIDE + 1)
-    used = np.unique(near.clip(0, values.size - 1))
-    padded = np.pad(values, LONGEST, constant_values=np.nan)
-    median = np.full(values.size, np.nan)
-    median[used] = medians(np.lib.stride_tricks.sliding_window_view(padded, 2 * LONGEST + 1)[used])
-    offsets, parts = np.arange(-BESIDE, BESIDE + 1), []
-    count, middle = local.columns.shape[1], local.columns[BESIDE]
-    products = (local.columns[:, :, None] * local.columns[:, None, :]).reshape(offsets.size, -1)
-    for some in np.split(places, np.arange(AT_ONCE, places.size, AT_ONCE)):
-        near = some[:, None] + offsets
+        **Returns:** its value; the standard deviation off it in that of the noise; and how far a
+        spike is off it that stands clear of all others.
+        """
+        middle, count = self.columns[BESIDE], self.columns.shape[1]
+        near = places[:, None] + OFFSETS
         inside = np.clip(near, 0, values.size - 1)
-        there = (near == inside) & (stretch[inside] == stretch[some][:, None])
-        there &= (offsets != 0) & ~np.isnan(values[inside])
-        window = np.where(there, values[inside], np.nan)
-        digits = LAST_DIGITS * (1 + np.abs(medians(window)))
-        least = noise[some] + digits
-        window = np.where(there, window, 0.0)
-        off = np.where(there, np.abs(window - median[inside]), np.nan)
-        spread = medians(off) / NORMAL
-        start = there * (off <= SUSPECT * np.fmax(least, spread)[:, None])
-        weight, looked = start.astype(float), np.arange(some.size)
-        grams, fitted = np.zeros((some.size, count, count)), np.zeros((some.size, count))
-        scale = least.copy()
-        for i in range(ROUNDS):
-            if i == FIRST:
-                # No further round takes a polynomial this near away from a sample.
-                far = ~(np.abs(values[some] - fitted @ middle) < NEARBY * scale)
-                looked = np.flatnonzero(far)
-                if not looked.size:
-                    break
-            weights, samples, present = weight[looked], window[looked], there[looked]
-            gram = (weights @ products).reshape(-1, count, count) + RIDGE * np.eye(count)
-            fit = np.linalg.solve(gram, (weights * samples @ local.columns)[..., None])[..., 0]
-            rest = np.where(present, np.abs(samples - fit @ local.columns.T), np.nan)
-            own = medians(rest) / NORMAL
-            grams[looked], fitted[looked], off[looked] = gram, fit, rest
-            scale[looked], spread[looked] = (
-                np.fmax(least[looked], own),
-                np.fmin(spread[looked], own),
-            )
-            share = np.nan_to_num(rest) / scale[looked, None]
-            # Absolute values first, whose least sum is one: weights then do not settle elsewhere.
-            weight[looked] = (
-                start[looked] / np.maximum(share, 1.0)
-                if i < FIRST
-                else present * np.maximum(1 - (share / TUKEY) ** 2, 0.0) ** 2
-            )
-        enough = np.sum(weight > 0, axis=1) > count
-        reach = np.linalg.solve(grams, middle) @ middle
-        clear = CLEAR * np.sqrt(np.nansum(off**2, axis=1) / np.sum(there, axis=1))
-        before, after = off[:, :BESIDE], off[:, BESIDE + 1 :]
-        for side in (before[:, : -LONGEST - 1 : -1], after[:, :LONGEST]):
+        there = (near == inside) & (stretch[inside] == stretch[places][:, None])
+        there &= (OFFSETS != 0) & ~np.isnan(values[inside])
+        window = np.where(there, values[inside], 0.0)
+        products = (self.columns[:, :, None] * self.columns[:, None, :]).reshape(OFFSETS.size, -1)
+        gram = (there @ products).reshape(-1, count, count) + RIDGE * np.eye(count)
+        sides = np.stack([window @ self.columns, np.broadcast_to(middle, (places.size, count))], 2)
+        fit, reach = np.moveaxis(np.linalg.solve(gram, sides), 2, 0)
+        rest = np.where(there, np.abs(window - fit @ self.columns.T), np.nan)
+        clear = CLEAR * np.sqrt(np.nansum(rest**2, axis=1) / np.sum(there, axis=1))
+        for side in (
+            rest[:, BESIDE - LONGEST : BESIDE][:, ::-1],
+            rest[:, BESIDE + 1 :][:, :LONGEST],
+        ):
             nearest = side[np.arange(len(side)), np.argmax(~np.isnan(side), axis=1)]
             clear = np.fmax(clear, NEIGHBOUR * nearest)
-        scale = np.where(enough, scale, np.inf) * np.sqrt(1 + reach)
-        parts.append([fitted @ middle, scale, clear, np.nan_to_num(spread - digits)])
-    return np.concatenate(parts, axis=1)
+        enough = np.sum(there, axis=1) > count
+        spread = np.where(enough, np.sqrt(1 + reach @ middle), np.inf)
+        return fit @ middle, spread, clear * spread
 
 
 def are_answered(places: Int[np.ndarray, " k"], others: Iterable[Samples]) -> bool:
@@ -482,65 +356,47 @@ def too_many(spikes: Spikes, values: Samples) -> bool:
     return spikes.places.size > MOST * np.sum(~np.isnan(values))
 
 
-def outliers(signal: SampledSignal, others: Iterable[SampledSignal] = ()) -> list[Finding]:
-    """The finding of a signal whose spikes were kept, unless others show that they acted."""
+@fault("outliers", DONE["keep"], "--outliers", computed=True)
+def outliers(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """Spikes that were kept, unless others show that they acted."""
     spikes = find_spikes(signal.values)
-    if not spikes.places.size or are_answered(spikes.places, (one.values for one in others)):
-        return []
-    return [finding_of(signal.name, spikes, signal.values, signal.time, signal.unit)]
+    others = (other.values for other in signals.beside(signal.name))
+    if spikes.places.size and not are_answered(spikes.places, others):
+        yield _found(spikes, signal.values, signal.time, signal.unit)
 
 
-def finding_of(
-    name: str,
-    spikes: Spikes,
-    values: Samples,
-    time: Samples,
-    unit: str = "",
-    done: Treatment = "keep",
-) -> Finding:
-    """How many spikes there are, where, how large, and what was done.
+def _found(spikes: Spikes, values: Samples, time: Samples, unit: str) -> Found:
+    """How many spikes there are, where, and how large.
 
-    What was kept puts parameters in doubt by the spikes' share of the signal's energy.
+    What is kept puts parameters in doubt by the spikes' share of the signal's energy.
     """
     count = spikes.places.size
     listed = ", ".join(f"{time[place]:.6g}" for place in spikes.places[:LISTED])
     more = f" s and {count - LISTED} more" if count > LISTED else " s"
-    beyond_repair = too_many(spikes, values)
-    kept, doubt = beyond_repair or done == "keep", 0.0
     with np.errstate(all="ignore"):
         noises, largest = np.median(spikes.sizes / spikes.noise), np.max(spikes.sizes)
-        if kept:
-            # Of the signal's energy about its mean, with the spikes.
-            own, rest = np.sum((spikes.sizes / largest) ** 2), values.copy()
-            rest[spikes.places] = spikes.repaired
-            rest = np.nansum(((rest - np.nanmean(rest)) / largest) ** 2)
-            doubt = float(own / (own + rest))
+        # Of the signal's energy about its mean, with the spikes.
+        own, rest = np.sum((spikes.sizes / largest) ** 2), spikes.treated(values)
+        rest = np.nansum(((rest - np.nanmean(rest)) / largest) ** 2)
     against = f", {noises:.3g} times the noise there (median)" if np.isfinite(noises) else ""
-    said = (
-        f"So many are a fault of the channel and were left as they are: check the sensor, its "
-        f"cable and the logger (more than {MOST:.0%} of the samples)"
-        if beyond_repair
-        else DONE[done]
-    )
-    message = (
-        f"{name}: {count} {'sample is a spike' if count == 1 else 'samples are spikes'} "
+    return Found(
+        f"{count} {'sample is a spike' if count == 1 else 'samples are spikes'} "
         f"({100 * count / np.sum(~np.isnan(values)):.2g} %), up to "
-        f"{f'{largest:.4g} {unit}'.rstrip()} off the samples around{against}, at {listed}{more}. "
-        f"{said}."
+        f"{f'{largest:.4g} {unit}'.rstrip()} off the samples around{against}, at {listed}{more}.",
+        doubt=float(own / (own + rest)),
+        value="repair",
+        advice=MOSTLY if too_many(spikes, values) else "",
     )
-    remedy = ("--outliers", "repair") if kept and not beyond_repair else ()
-    return Finding("outliers", message, (name,), doubt=doubt, remedy=remedy)
 
 
 @step
 def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") -> Operations:
     """Replace spikes of one to three samples by what the samples around them say.
 
-    A spike is found against the noise around it: its sixth differences stand out by 4.5 standard
-    deviations, and it lies 6 off a polynomial of degree 3, 5 or 7 through the 8 samples to each
-    side, weighed by Tukey's biweight. Steps, corners and pulses of commands stay, and blows to
-    which another signal answers. Of a signal of which more than 5 % are spikes nothing is changed:
-    that is a fault of its channel.
+    A spike is found against the noise around it: it lies 6 standard deviations off a polynomial of
+    degree 3, 5 or 7 through the 8 samples to each side, spikes among them left out. Steps, corners
+    and pulses of commands stay, and blows to which another signal answers. Of a signal of which
+    more than 5 % are spikes nothing is changed: that is a fault of its channel.
 
     **Arguments:** the signals to repair, all if none is named; `how`: `"repair"`, `"missing"` to
     mark spikes as missing, or `"keep"`.
@@ -549,9 +405,10 @@ def repair_outliers(record: Record, *signals: str, how: Treatment = "repair") ->
     """
     columns = {n: record.signal(n).with_nan for n in {**dict.fromkeys(signals), **record.arrays}}
     times = dict.fromkeys(columns, np.asarray(record.elapsed))
-    for name, signal in _treated(signals or tuple(columns), columns, times, how).items():
-        if not signal.acted:
-            yield name, LinearOp.of_values("{}: without outliers", signal.values)
+    for name, spikes in _treatable(signals or tuple(columns), columns, times, how).items():
+        if not spikes.acted:
+            values = spikes.treated(columns[name], how)
+            yield name, LinearOp.of_values("{}: without outliers", values)
 
 
 TURNS = (2 * np.pi, 360.0)
@@ -560,60 +417,37 @@ QUICKEST = 0.25
 """Turns from sample to sample past which nothing tells which way it went."""
 MOST_TURNS = 0.05
 """Share of samples that begin a turn at most."""
-REGISTERS = (16, 32)
-"""Bits of registers of signed numbers."""
+REGISTERS = (2.0**16, 2.0**32)
+"""Numbers that registers count."""
 
 
-def unwrapped(values: Samples) -> tuple[Samples, int]:
-    """An angle that goes on from turn to turn, and how often it began anew; 0 if it never did.
+def unwrapped(values: Samples, turns: Iterable[float] = TURNS) -> tuple[Samples, str]:
+    """Values that go on where they began anew, and in words what was done; empty if they never did.
 
-    It is one whose values fill a turn, and jump from one end of it to the other, and nowhere else.
+    They jump from one end of a turn to the other, and nowhere else. Those of an angle fill a turn.
+    Those of a register of signed numbers that was read as unsigned are whole, and count down below
+    zero from 2^bits.
     """
     known = np.flatnonzero(~np.isnan(values))
-    steps = np.diff(values[known])
-    sizes = np.abs(steps)
-    for turn in TURNS:
+    there = values[known]
+    sizes = np.abs(np.diff(there))
+    for turn in turns:
         jumps = sizes > turn / 2
-        if not jumps.any() or np.mean(jumps) > MOST_TURNS:
+        usual = np.max(sizes[~jumps], initial=0.0)
+        if not jumps.any() or usual >= QUICKEST * turn:
             continue
-        usual, reach = np.max(sizes[~jumps], initial=0.0), np.ptp(values[known])
-        fills = turn - 2 * usual <= reach <= turn + usual
-        around = np.abs(sizes[jumps] - turn) <= 2 * usual
-        if usual < QUICKEST * turn and fills and around.all():
-            whole = values.copy()
-            whole[known] -= turn * np.cumsum(np.append(0, np.where(jumps, np.sign(steps), 0)))
-            return whole, int(jumps.sum())
-    return values, 0
-
-
-def signed(values: Samples) -> tuple[Samples, int]:
-    """A register of signed numbers that was read as unsigned put right, and its bits; 0 if none.
-
-    Below zero it counts down from 2^bits: it holds whole numbers, and leaps from one end of that
-    range to the other where the signed number passes zero by no more than it steps elsewhere.
-    """
-    known = values[~np.isnan(values)]
-    for bits in REGISTERS:
-        count = 2.0**bits
-        inside = known.size > 1 and known.min() >= 0 and count / 2 < known.max() < count
-        if not inside or (known != np.floor(known)).any():
-            continue
-        whole = np.where(values >= count / 2, values - count, values)
-        leaps, steps = (np.abs(np.diff(v[~np.isnan(v)])) for v in (values, whole))
-        leaps = leaps > count / 2
-        usual = np.max(steps[~leaps], initial=0.0)
-        if leaps.any() and usual < count / 4 and np.max(steps[leaps]) <= 2 * usual:
-            return whole, bits
-    return values, 0
-
-
-class Treated(NamedTuple):
-    """Samples as they are after treatment, their spikes as they were recorded, and whether these
-    acted: then they are still there."""
-
-    values: Samples
-    spikes: Spikes
-    acted: bool = False
+        if turn in REGISTERS:
+            is_one = np.all((there >= 0) & (there < turn) & (there == np.floor(there)))
+            whole = np.where(values >= turn / 2, values - turn, values)
+            said = f"signed numbers of {np.log2(turn):g} bits, read as unsigned, put right"
+        else:
+            fills = turn - 2 * usual <= np.ptp(there) <= turn + usual
+            is_one, whole = fills and np.mean(jumps) <= MOST_TURNS, values.copy()
+            whole[known] = np.unwrap(there, period=turn)
+            said = f"unwrapped, {jumps.sum()} times"
+        if is_one and np.max(np.abs(np.diff(whole[known]))) <= 2 * usual:
+            return whole, said
+    return values, ""
 
 
 def treat_all(
@@ -634,52 +468,51 @@ def treat_all(
 
     **Raises:** `DataError` for another treatment.
     """
-    turns = {name: unwrapped(column) for name, column in columns.items()}
-    columns = {name: column for name, (column, _) in turns.items()}
+    whole = {name: unwrapped(column) for name, column in columns.items()}
+    columns = {name: column for name, (column, _) in whole.items()}
+    words = [f"{name}: {said}" for name, (_, said) in whole.items() if said]
     every = {n: times.get(n, (time_step or 1.0) * np.arange(v.size)) for n, v in columns.items()}
-    words = [f"{n}: unwrapped, {count} times" for n, (_, count) in turns.items() if count]
-    treated, findings = _treated(tuple(columns), columns, every, how), []
-    for name, (_, spikes, acted) in treated.items():
-        count = spikes.places.size
-        if acted:
+    treated, findings = dict(columns), []
+    for name, spikes in _treatable(tuple(columns), columns, every, how).items():
+        count, values = spikes.places.size, columns[name]
+        treated[name] = spikes.treated(values, how)
+        if spikes.acted:
             words.append(f"{name}: {count} samples of short pulses kept, which other signals show")
-        else:
-            done = "repaired" if how == "repair" else "marked as missing"
-            words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
-            used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
-            time, unit = every[name] - every[name][0], units.get(name, "")
-            finding = finding_of(name, spikes, columns[name], time, unit, how)
-            findings.append(finding._replace(signals=(name, *used)))
-    return {**columns, **{name: one.values for name, one in treated.items()}}, words, findings
+            continue
+        done = "repaired" if how == "repair" else "marked as missing"
+        words.append(f"{name}: {count} outlier{'s' * (count > 1)} {done}")
+        used = [k for k, f in formulas.items() if name in re.findall(r"\w+", f)]
+        found = _found(spikes, values, every[name] - every[name][0], units.get(name, ""))
+        found = outliers.finding(name, found._replace(doubt=0.0, advice=DONE[how]))
+        findings.append(found._replace(signals=(name, *used)))
+    return treated, words, findings
 
 
-def _treated(
+def _treatable(
     names: Sequence[str],
     columns: Mapping[str, Samples],
     times: Mapping[str, Samples],
     how: Treatment,
-) -> dict[str, Treated]:
-    """Of these signals those with spikes, unless there are too many.
+) -> dict[str, Spikes]:
+    """Spikes of those of these signals that have some, unless there are too many.
 
     **Raises:** `DataError` for another treatment.
     """
     if how not in DONE:
         raise DataError(f"outliers are for {', '.join(DONE)}; got '{how}'.")
-    treated: dict[str, Treated] = {}
+    found: dict[str, Spikes] = {}
     for name in names if how != "keep" else ():
         values, time = columns[name], times[name]
         steps = np.diff(time) if time.size > 1 else np.ones(1)
-        pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
         # No polynomial reaches across a pause.
+        pauses = np.flatnonzero(steps > SHORTEST_PAUSE * np.median(steps)) + 1
         spikes = find_spikes(np.insert(values, pauses, np.nan))
         if spikes.places.size and not too_many(spikes, values):
             places = spikes.places - np.searchsorted(pauses + np.arange(pauses.size), spikes.places)
-            changed = values.copy()
-            changed[places] = spikes.repaired if how == "repair" else np.nan
-            treated[name] = Treated(changed, spikes._replace(places=places))
-    without = {**columns, **{name: one.values for name, one in treated.items()}}
-    for name, (_, spikes, _) in treated.items():
+            found[name] = spikes._replace(places=places)
+    without = {n: found[n].treated(v) if n in found else v for n, v in columns.items()}
+    for name, spikes in found.items():
         others = (n for n in without if n != name and np.array_equal(times[n], times[name]))
-        if are_answered(spikes.places, [without[other] for other in others]):
-            treated[name] = Treated(columns[name], spikes, acted=True)
-    return treated
+        acted = are_answered(spikes.places, [without[other] for other in others])
+        found[name] = spikes._replace(acted=acted)
+    return found

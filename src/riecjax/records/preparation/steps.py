@@ -1,13 +1,14 @@
 """From a record as read to the records that a model's equations are estimated and validated on."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from riecjax.errors import DataError
+from riecjax.records.faults.hum import notch
 from riecjax.records.faults.signals import leave_out
 from riecjax.records.linear_op import Step, words_of
 from riecjax.records.noise_judgement import judged
@@ -19,7 +20,6 @@ from riecjax.records.preparation.filtering import (
     remove_offset,
     unfilter,
 )
-from riecjax.records.preparation.hum import notch
 from riecjax.records.preparation.resampling import set_clocks, shift, upsample
 from riecjax.records.record import Record
 from riecjax.records.time_base import STEP_TOLERANCE
@@ -102,6 +102,18 @@ def prepare(
         record = record.every(p.every)
         words.append(f"every {p.every}{ending} sample")
     return record, words
+
+
+def undone(record: Record, remedies: Iterable[tuple[str, ...]]) -> Record:
+    """A record prepared as these options of the command line say, each a name and what it takes."""
+    said: dict[str, dict[str, None]] = {}
+    for option, text in remedies:
+        said.setdefault(option, {})[text] = None
+    options = Prepare.options().items()
+    given = {
+        name: option.parsed(*said[option.flag]) for name, option in options if option.flag in said
+    }
+    return prepare(record, {}, Prepare(**given))[0]
 
 
 def cut(start: float | None, stop: float | None, record: Record) -> Record:

@@ -13,7 +13,7 @@ import numpy as np
 from riecjax.errors import DataError
 from riecjax.findings import Finding
 from riecjax.records.derived import derived, sensitivities
-from riecjax.records.faults.spikes import signed, treat_all
+from riecjax.records.faults.spikes import REGISTERS, treat_all, unwrapped
 from riecjax.records.noise_judgement import given_noise, judged
 from riecjax.records.preparation.resampling import on_grid, on_grid_noise
 from riecjax.records.reading import times as clocks
@@ -100,11 +100,10 @@ def record_from_channels(
     registers = []
     # A new name takes the place of a column that is called so.
     for name, column in (names | rename).items():
-        values, bits = channels.columns[column], 0
+        values, said = channels.columns[column], ""
         if not clocks.is_word_of_time(column):
-            values, bits = signed(values)
-        if bits:
-            registers.append(f"{name}: signed numbers of {bits} bits, read as unsigned, put right")
+            values, said = unwrapped(values, REGISTERS)
+        registers += [f"{name}: {said}"] * bool(said)
         unit = channels.named(column)[1]
         if name in rename and not unit:
             unit = clocks.unit_of_time(column) if name == "t" else unit_behind(column)

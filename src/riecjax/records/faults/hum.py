@@ -7,8 +7,14 @@ import numpy as np
 import scipy
 
 from riecjax.errors import DataError
-from riecjax.findings import Finding
-from riecjax.records.faults.sampled_signal import SampledSignal, percent, size_of
+from riecjax.records.faults.sampled_signal import (
+    Found,
+    SampledSignal,
+    Signals,
+    fault,
+    percent,
+    size_of,
+)
 from riecjax.records.linear_op import LinearOp, Operations, step
 from riecjax.records.record import Record
 
@@ -25,10 +31,8 @@ AROUND = 20
 """Bins to each side whose median is what surrounds a bin."""
 ALONE = 6.0
 """Hz to each side in which no other line may be: drives and friction have them in rows."""
-OUTSHONE = (2.0, 30.0)
-"""Times that a line's power is that of any other bin there, and of another line."""
-LINES = 0.05
-"""Probability that noise makes any of the others look like a line."""
+OUTSHONE = 2.0
+"""Times that a line's power is that of any other bin there."""
 LOWEST = 3
 """Order of the lowest harmonic that stands out of a grid's lines, at most."""
 LOBE = 3
@@ -92,9 +96,7 @@ class Spectrum(NamedTuple):
         half = max(int(ALONE / self.resolution), AROUND) + own
         near = np.arange(max(peak - half, LOBE), min(peak + half, self.power.size - LOBE))
         others = near[np.abs(near - peak) > own]
-        lines = self.power[others[self.chance[others] * others.size < LINES]]
-        highest, peaked = np.max(self.power[others], initial=0.0), np.max(lines, initial=0.0)
-        if self.power[peak] <= max(OUTSHONE[0] * highest, OUTSHONE[1] * peaked):
+        if self.power[peak] <= OUTSHONE * np.max(self.power[others], initial=0.0):
             return None
         off = at / self.resolution - peak
         loss = np.sinc(off) / (1 - off**2)
@@ -152,52 +154,56 @@ def lines_of(spectrum: Spectrum, grid: float) -> list[Line]:
     return found
 
 
-def hum(
-    signals: Mapping[str, SampledSignal], pairs: Sequence[tuple[str, str]], names: Sequence[str]
-) -> Iterator[Finding]:
-    """Grids whose lines stand in some of these signals and are not what the machine does.
+@fault(
+    "hum",
+    "Take it out (on the command line: {option}), and look at the cable's screen and earth.",
+    "--notch",
+)
+def hum(signal: SampledSignal, signals: Signals) -> Iterator[Found]:
+    """Grids whose lines stand in a signal and are not what the machine does.
 
     A machine that turns at 50 Hz moves all channels, a velocity 2 pi 50 times as far as its
     position. The mains keep to no such ratio; where no pair tells, they are taken for a fault of a
     channel that is alone with them.
-
-    **Arguments:** `pairs` of a signal and its derivative; `names` of those to report on.
     """
+    if _spectra not in signals.kept:
+        signals.kept[_spectra] = _spectra(signals)
+    spectra, by_grid = signals.kept[_spectra]
+    for grid in (grid for grid in MAINS if grid in by_grid.get(signal.name, {})):
+        lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
+        largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
+        verdicts = {n: _is_motion(n, line, spectra, signals.pairs) for n, line in largest.items()}
+        own = verdicts.pop(signal.name)
+        others = {*verdicts.values()}
+        if own or (own is None and others and (True in others or False not in others)):
+            continue
+        amplitude, rms = largest[signal.name].amplitude, spectra[signal.name].rms
+        share = sum((line.amplitude / rms) ** 2 for line in lines[signal.name]) / 2
+        at = ", ".join(
+            f"{line.nominal:.4g} Hz"
+            if abs(line.seen - line.nominal) <= 0.1 * grid
+            else f"{line.nominal:.4g} Hz (seen at {line.seen:.4g} Hz)"
+            for line in lines[signal.name]
+        )
+        yield Found(
+            f"a line at {at} stands out, of amplitude {signal.with_unit(amplitude)}, "
+            f"{percent(amplitude, rms)} of the signal's rms, as the mains put there. It acts as "
+            f"noise with {percent(share, 1.0)} of the signal's power.",
+            doubt=min(share, 1.0),
+            value=f"{grid:.4g}",
+        )
+
+
+def _spectra(signals: Signals) -> tuple[dict[str, Spectrum], dict[str, dict[float, list[Line]]]]:
+    """Spectra of what sensors recorded, and the lines of grids in them."""
     # Steps of commands have lines of their own.
-    known = {
+    spectra = {
         name: spectrum
-        for name, signal in signals.items()
+        for name, signal in signals.recorded.items()
         if not signal.is_command
         and (spectrum := spectrum_of(signal.values, signal.time_step)) is not None
     }
-    by_grid = {name: _foreign(spectrum) for name, spectrum in known.items()}
-    for grid in MAINS:
-        lines = {name: of[grid] for name, of in by_grid.items() if grid in of}
-        largest = {name: max(of, key=lambda line: line.amplitude) for name, of in lines.items()}
-        verdicts = {name: _is_motion(name, largest[name], known, pairs) for name in lines}
-        for name in (n for n in names if n in lines):
-            others = {verdicts[other] for other in lines if other != name}
-            hums = not others or (False in others and True not in others)
-            if verdicts[name] or (verdicts[name] is None and not hums):
-                continue
-            amplitude, rms = largest[name].amplitude, known[name].rms
-            share = sum((line.amplitude / rms) ** 2 for line in lines[name]) / 2
-            at = ", ".join(
-                f"{line.nominal:.4g} Hz"
-                if abs(line.seen - line.nominal) <= 0.1 * grid
-                else f"{line.nominal:.4g} Hz (seen at {line.seen:.4g} Hz)"
-                for line in lines[name]
-            )
-            yield signals[name].finding(
-                "hum",
-                f"a line at {at} stands out, of amplitude {signals[name].with_unit(amplitude)}, "
-                f"{percent(amplitude, rms)} of the signal's rms, as the mains put there. "
-                f"It acts as noise with {percent(share, 1.0)} of the signal's power. Take it out "
-                f"(on the command line: --notch {grid:.4g}), and look at the cable's screen and "
-                f"earth.",
-                doubt=min(share, 1.0),
-                remedy=("--notch", f"{grid:.4g}"),
-            )
+    return spectra, {name: _foreign(spectrum) for name, spectrum in spectra.items()}
 
 
 def _foreign(spectrum: Spectrum) -> dict[float, list[Line]]:
