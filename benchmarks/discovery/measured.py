@@ -55,14 +55,11 @@ def silverbox_found(data: Path) -> dict[str, Any]:
     identified = told(found)["values"]
     widths = {f"{name}_width": width for name, width in told(found)["widths"].items()}
     values = {**identified, **widths}
-    by = OutputError(
-        Tiles(samples=silverbox_refined.WINDOW * silverbox.FACTOR),
-        channels=("y",),
-        method=FixedStep(1),
-        every=silverbox.FACTOR,
-    )
+    tiles = Tiles(samples=silverbox_refined.WINDOW * silverbox.FACTOR)
+    by = OutputError(tiles, channels=("y",), method=FixedStep(1))
     build = _by_widths(found)
     fitted = silverbox_refined.slice_of(fine, *silverbox.TRAIN)
+    fitted = silverbox_refined.as_recorded(fitted)
     # Widths last: of coefficients that are far off, a width may run away.
     nearer = rx.refine(build, fitted, identified, by, known=widths)
     begun = {**{name: float(nearer[name]) for name in identified}, **widths}

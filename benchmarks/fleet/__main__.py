@@ -177,8 +177,7 @@ def words(document: dict[str, Any]) -> str:
             f"`identify` from it takes {1e3 * found['identify_seconds']:.0f} ms of one core. In a "
             f"fleet with one worker it takes {1e3 * found['fleet_seconds']:.0f} ms of all "
             f"processes together: their start, checks of sensors, a look for drift, all sums on "
-            f"disk and the report "
-            f"included.",
+            f"disk and the report included.",
         ]
     if (found := document.get("breaks")) is not None:
         said += [

@@ -68,13 +68,17 @@ def circuit(values: Mapping[str, float]) -> Circuit:
 def fitted(fine: rx.Record, start: Mapping[str, float], known: Mapping[str, float]) -> Fit:
     """The circuit on a slice that was up-sampled by `FACTOR`, from a start."""
     by = rx.OutputError(Tiles(samples=WINDOW * FACTOR), channels=("y",), method=rx.FixedStep(1))
-    # Samples between those that were recorded would tell the same again.
-    recorded = np.arange(fine.sample_count) % FACTOR == 0
-    fine = fine.with_signals({"y": dataclasses.replace(fine.signal("y"), present=recorded)})
+    fine = as_recorded(fine)
     began = time.perf_counter()
     refined = rx.refine(circuit({**start, **known}), fine, start, by, known=known)
     float(refined.search.cost)
     return Fit(refined, time.perf_counter() - began)
+
+
+def as_recorded(fine: rx.Record) -> rx.Record:
+    """Without samples between those that were recorded, which would tell the same again."""
+    recorded = np.arange(fine.sample_count) % FACTOR == 0
+    return fine.with_signals({"y": dataclasses.replace(fine.signal("y"), present=recorded)})
 
 
 def slice_of(fine: rx.Record, first: int, last: int) -> rx.Record:

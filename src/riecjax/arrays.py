@@ -47,6 +47,11 @@ def are_traced(*trees: Any) -> bool:
     return any(map(is_traced, jax.tree.leaves(trees)))
 
 
+def is_concrete(*trees: Any) -> bool:
+    """Whether no leaf is being traced, so that values can be looked at: on an accelerator too."""
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
+
+
 class _Functions:
     """The functions of a part of NumPy, each beside JAX's."""
 

@@ -11,10 +11,8 @@ import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-import equinox as eqx
 import jax
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array
 from numpy.typing import ArrayLike
 
@@ -72,10 +70,3 @@ def finite(value: ArrayLike | Sequence[Any] | Mapping[Any, Any] | None) -> Any:
 def told(thing: object, *names: str) -> dict[str, Any]:
     """Attributes of an object that are numbers, texts or arrays of them, by name."""
     return {name: finite(getattr(thing, name)) for name in names}
-
-
-def is_concrete(*trees: object) -> bool:
-    """Whether no leaf is being traced, so that values can be looked at."""
-    return not any(
-        isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees) if eqx.is_array(leaf)
-    )

@@ -33,7 +33,7 @@ from riecjax.criteria.windows import (
 from riecjax.equations.equation import Equation
 from riecjax.equations.noisy_columns import Columns, NoisyColumns, noisy_columns, sampled_columns
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.records.signal import Noise
 
@@ -146,7 +146,7 @@ class AbstractCriterion(eqx.Module):
             return record.sample_count
         if isinstance(self.windows, RandomWindows):
             return self.windows.count
-        if not is_concrete(self.windows, record.time_step):
+        if not xp.is_concrete(self.windows, record.time_step):
             return None
         # In real numbers: windows may be more than 32-bit integers hold. A lag of k samples has
         # n - k starts; a bin's lags have n - k on average at its middle.

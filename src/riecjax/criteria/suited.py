@@ -20,7 +20,6 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
 from riecjax.errors import MissingSignalError, require
-from riecjax.leaves import is_concrete
 from riecjax.records.preparation.filtering import local_slope
 from riecjax.records.record import Record
 from riecjax.settings import Contradiction, Fit
@@ -160,7 +159,7 @@ def with_velocities(model: Model, record: Record) -> tuple[Record, list[str]]:
                 break
             except MissingSignalError as error:
                 name, of = error.signal, below.get(error.signal)
-                if of not in record.arrays or not is_concrete(record):
+                if of not in record.arrays or not xp.is_concrete(record):
                     break
             op = local_slope(record, of)
             record = record.through({name: op})
@@ -211,7 +210,7 @@ def with_less_noise(model: Model, record: Record, criterion: AbstractCriterion) 
         noticed = by_position > 2 * NOTICED**2 * xp.var(xp.asarray(record.arrays[position]))
         chosen = noticed & (by_velocity < by_position)
         integrated = term.with_fields(of=velocity, derivative=0, measured=tuple(measured))
-        if is_concrete(chosen):
+        if xp.is_concrete(chosen):
             return [integrated if chosen else term]
         share, factor = xp.asarray(chosen, float), term.factor
         return [

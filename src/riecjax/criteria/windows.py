@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, as_leaf, is_concrete
+from riecjax.leaves import Leaf, as_leaf
 from riecjax.records.record import Record
 
 Sums = TypeVar("Sums")
@@ -95,7 +95,7 @@ class AbstractWindows(eqx.Module):
 
     def check(self, sample_count: int, time_step: Array, multiple: int = 1) -> None:
         """Raise `DataError` if the record is too short or too coarse (not under jit)."""
-        if not is_concrete(self.alpha, self.beta, time_step):
+        if not xp.is_concrete(self.alpha, self.beta, time_step):
             return
         step, beta = float(time_step), float(self.beta)
         duration = step * (sample_count - 1)
@@ -120,7 +120,7 @@ class AbstractWindows(eqx.Module):
         **Raises:** `ModelError` when it is differentiated by alpha or beta.
         """
         band = self.alpha, self.beta
-        alpha, beta = band if is_concrete(band) else _rounded_away(band)
+        alpha, beta = band if xp.is_concrete(band) else _rounded_away(band)
         unit, most = xp.multiply(multiple, time_step), (sample_count - 1) // multiple
         shortest = xp.clip(xp.divide(alpha, unit), 1, most)
         longest = xp.clip(xp.divide(beta, unit), shortest, most)
@@ -174,7 +174,7 @@ def _band(alpha: float | Leaf, beta: float | Leaf) -> tuple[Leaf, Leaf]:
         if isinstance(value, str) or value is None or np.ndim(value):
             write = "rx.AllWindows(0.05, 0.5), with the shortest and the longest window in seconds"
             require(name, value, (), write)
-    if is_concrete(alpha, beta) and not 0 < float(alpha) < float(beta):
+    if xp.is_concrete(alpha, beta) and not 0 < float(alpha) < float(beta):
         raise ModelError(
             f"windows need 0 < alpha < beta; got alpha = {float(alpha):g} s and "
             f"beta = {float(beta):g} s."
@@ -214,7 +214,7 @@ class AllWindows(AbstractWindows):
         A power of two, so that blocks of starts divide evenly.
         """
         steps = [record.time_step for record in records]
-        if self.longest_samples is not None or not is_concrete(self.beta, steps):
+        if self.longest_samples is not None or not xp.is_concrete(self.beta, steps):
             return self
         samples = max(float(self.beta) / float(step) for step in steps)
         limit = power_of_two(samples + 2)
@@ -225,7 +225,7 @@ class AllWindows(AbstractWindows):
 
         An upper limit that was determined for shorter ones is dropped, or it would cut longer ones.
         """
-        longer = is_concrete(beta, self.beta) and float(beta) > float(self.beta)
+        longer = xp.is_concrete(beta, self.beta) and float(beta) > float(self.beta)
         limit = None if longer else self.longest_samples
         return dataclasses.replace(super().between(alpha, beta), longest_samples=limit)
 

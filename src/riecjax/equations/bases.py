@@ -15,7 +15,7 @@ from jaxtyping import Float
 from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, as_leaf, is_concrete
+from riecjax.leaves import Leaf, as_leaf
 
 
 class AbstractBasis(eqx.Module):
@@ -64,7 +64,7 @@ class RoofFunctions(AbstractBasis):
         points = self.break_points
         if points.ndim != 1 or points.shape[0] < 2:
             raise ModelError("roof functions need at least two break points.")
-        if is_concrete(points) and not bool(np.all(np.diff(points) > 0)):
+        if xp.is_concrete(points) and not bool(np.all(np.diff(points) > 0)):
             raise ModelError(f"break points must increase; got {points.tolist()}.")
 
     @property
@@ -219,7 +219,7 @@ class AbstractShape(AbstractBasis):
 
     def words(self, name: str, of: str) -> list[str]:
         """`stop_stiffness deadzone(x; 0.1)`."""
-        at = f"; {float(self.width):.4g}" if is_concrete(self.width) else ""
+        at = f"; {float(self.width):.4g}" if xp.is_concrete(self.width) else ""
         return [f"{name}_{self.label} {type(self).__name__.lower()}({of}{at})"]
 
     @property
@@ -259,5 +259,5 @@ class Stribeck(AbstractShape):
 
 
 def _require_positive(what: str, size: Leaf | None) -> None:
-    if size is not None and is_concrete(size) and not float(size) > 0:
+    if size is not None and xp.is_concrete(size) and not float(size) > 0:
         raise ModelError(f"{what} must be positive; got {float(size):g}.")

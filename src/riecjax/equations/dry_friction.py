@@ -27,7 +27,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, combined, evaluate, product
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm, reversing_states
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.records.faults.sampled_signal import Rest, rest_of
 from riecjax.records.record import Record
 from riecjax.records.signal import Signal
@@ -114,7 +114,7 @@ def in_motion(model: Model, record: Record) -> Model:
 def rests_of(model: Model, record: Record) -> dict[str, Rest]:
     """Rests of the signals at whose zero some equation jumps, by signal; none under trace."""
     is_batch = next(iter(record.arrays.values())).ndim != 1
-    if is_batch or not is_concrete(model, record):
+    if is_batch or not xp.is_concrete(model, record):
         return {}
     terms = [term for equation in model.equations for term in equation.terms]
     names = sorted(record.arrays)

@@ -7,11 +7,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array
 
+from riecjax.arrays import is_concrete
 from riecjax.equations.expressions import evaluate, label_of, read_expression, signals_read
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, from_elsewhere, samples_of
 from riecjax.errors import ModelError, require
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.records.reading.units import contradict
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal

@@ -50,7 +50,6 @@ from riecjax.equations.hidden_elements import (
 from riecjax.equations.quantity import Quantity
 from riecjax.equations.term import AbstractTerm, made_by, reversing_states
 from riecjax.errors import ModelError, users_code
-from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_few
 from riecjax.records.record import Signals
 from riecjax.simulation.reversals import regime_at
@@ -431,7 +430,7 @@ def read_system(
         reversing=reversing_states(terms, states, (*states, *unknowns, *driving)),
         implicit=implicit,
     )
-    if is_concrete(equations, values):
+    if xp.is_concrete(equations, values):
         require_solvable(label, system)
     return system
 

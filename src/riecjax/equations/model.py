@@ -37,7 +37,7 @@ from riecjax.equations.memories import Memory
 from riecjax.equations.quantity import BY_EQUATIONS, FrozenDict, Machine, Quantity
 from riecjax.equations.term import AbstractTerm, Term
 from riecjax.errors import ModelError, refuse_unknown, require
-from riecjax.leaves import Leaf, is_concrete, is_number
+from riecjax.leaves import Leaf, is_number
 from riecjax.records.record import Record
 from riecjax.shows import Shown
 
@@ -293,7 +293,7 @@ class Model(Shown, eqx.Module):
             # What is differentiated most often stands for the inertia, a named coefficient first;
             # of a force element, which has none, what it was given.
             first = min(equation.terms, key=lambda t: (-t.derivative, not t.parameters))
-            turned = is_concrete(first.factor) and float(np.asarray(first.factor)) < 0
+            turned = xp.is_concrete(first.factor) and float(np.asarray(first.factor)) < 0
             own = added.get(next(rest), ())
             return (*equation.terms, *(-term if turned else term for term in own))
 

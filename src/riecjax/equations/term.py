@@ -19,7 +19,7 @@ from riecjax.arrays import Array
 from riecjax.equations.bases import AbstractBasis
 from riecjax.equations.expressions import Expression, called, combined, evaluate, source_of
 from riecjax.errors import DataError, ModelError, require, users_code
-from riecjax.leaves import Leaf, PlainMethods, as_leaf, is_concrete, is_number
+from riecjax.leaves import Leaf, PlainMethods, as_leaf, is_number
 from riecjax.records.record import Record, Signals
 from riecjax.records.signal import Signal
 
@@ -36,7 +36,7 @@ class Column(NamedTuple):
 
 def _number(what: str, value: Any) -> Leaf:
     """One number, as a leaf."""
-    if not is_number(value) or (is_concrete(value) and not np.isfinite(value)):
+    if not is_number(value) or (xp.is_concrete(value) and not np.isfinite(value)):
         raise ModelError(f"{what} must be one finite number; got {value!r}.")
     return as_leaf(value)
 

@@ -56,7 +56,7 @@ from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.errors import ModelError, require
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, as_leaf, is_concrete, is_number
+from riecjax.leaves import Leaf, as_leaf, is_number
 from riecjax.linear_algebra import eliminate, solve_scaled, unit_diagonal, unit_scale
 from riecjax.summaries.normal_equations import NormalEquations, ShortBlocks
 from riecjax.uncertainty.covariances import BlockStatistics, block_statistics
@@ -130,11 +130,11 @@ class Constraints(eqx.Module):
                 )
             low, high = (end if at is None else at for end, at in zip((-np.inf, np.inf), given))
             limits[name] = as_leaf(low), as_leaf(high)
-            if is_concrete(low, high) and not low < high:
+            if xp.is_concrete(low, high) and not low < high:
                 raise ModelError(
                     f"the bounds of {name} are equal or in the wrong order: {low:g} to {high:g}."
                 )
-            if start is None or not is_concrete(low, high, start[name]):
+            if start is None or not xp.is_concrete(low, high, start[name]):
                 continue
             at = np.asarray(start[name])
             if at != np.clip(at, np.asarray(low, at.dtype), np.asarray(high, at.dtype)):
@@ -143,12 +143,14 @@ class Constraints(eqx.Module):
                     f"{high:g}. Widen them, or start between them."
                 )
         for name, prior in known.items():
-            if not is_pair(prior) or (is_concrete(prior[0]) and not np.isfinite(float(prior[0]))):
+            if not is_pair(prior) or (
+                xp.is_concrete(prior[0]) and not np.isfinite(float(prior[0]))
+            ):
                 raise ModelError(
                     f"the prior of {name} is {prior!r}. Write (mean, standard deviation), a finite "
                     f"mean."
                 )
-            if is_concrete(prior[1]) and not prior[1] > 0:
+            if xp.is_concrete(prior[1]) and not prior[1] > 0:
                 raise ModelError(f"the prior of {name} needs a positive standard deviation.")
             known[name] = as_leaf(prior[0]), as_leaf(prior[1])
         return cls(limits, known)

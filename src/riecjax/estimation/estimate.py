@@ -20,7 +20,7 @@ from riecjax.errors import ModelError
 from riecjax.estimation.parameters import ParameterTable
 from riecjax.estimation.stages import EquationFit, StageSolution
 from riecjax.findings import Finding
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import gram_condition_limit
 from riecjax.shows import Tabled, save
 from riecjax.summaries.summary import Summary
@@ -698,7 +698,7 @@ class Estimate(Tabled, eqx.Module):
 
 def _single(values: Any, *index: int) -> Any:
     """One of the numbers, as a NumPy scalar unless it is traced: that formats as a float does."""
-    return np.asarray(values)[index] if is_concrete(values) else values[index]
+    return np.asarray(values)[index] if xp.is_concrete(values) else values[index]
 
 
 def finding(

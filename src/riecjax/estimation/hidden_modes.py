@@ -26,7 +26,7 @@ from riecjax.arrays import Array
 from riecjax.equations.hidden_elements import Expanded, HiddenElement, HiddenMode, SeriesSpring
 from riecjax.equations.model import Model
 from riecjax.errors import IdentifiabilityError, ModelError
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import solve_scaled, symmetric_eigen
 from riecjax.summaries.normal_equations import (
     EquationSums,
@@ -394,7 +394,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
     known = {name: xp.asarray(value) for name, value in given.items()}
     found, stages, shown = [], [], np.array(True)
     equations = summary.equations()
-    looked_at = is_concrete(equations, known)
+    looked_at = xp.is_concrete(equations, known)
     for i, expanded in enumerate(model.expanded):
         stage = ModeStage.of(expanded, equations[i], known)
         at, band, place = np.zeros(0), None, None
@@ -409,7 +409,7 @@ def find_modes(model: Model, summary: Summary, given: Values, rank: int = 0) -> 
             used = jax.tree.map(lambda leaf, best=best: xp.take(leaf, best, axis=0), stacked)
             stage = ModeStage.of(expanded, used, known)
             place = first + best if summary.bins else None
-            band = options[int(best)] if summary.bins and is_concrete(best) else None
+            band = options[int(best)] if summary.bins and xp.is_concrete(best) else None
             shown = shown & there
             # Sums that are not finite themselves are for the fit to refuse.
             finite = looked_at and all(bool(np.isfinite(e.moments).all()) for e in equations[i])
@@ -504,7 +504,7 @@ def search_band(summary: Summary, element: HiddenElement) -> tuple[Leaf, Leaf]:
     hz = element.hz if isinstance(element, HiddenMode) else None
     if hz is not None:
         steps = [one.time_step for one in summary.recordings]
-        rate = 1 / max(map(float, steps)) if is_concrete(steps) else np.inf
+        rate = 1 / max(map(float, steps)) if xp.is_concrete(steps) else np.inf
         if not hz < rate / 2:
             raise ModelError(
                 f"no mode near {hz:g} Hz can be seen at {rate:g} samples a second: give one below "

@@ -28,7 +28,6 @@ from riecjax.estimation.stages import (
     solve_stages,
     stages_over_records,
 )
-from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import factor_of_gram, gram_condition_limit
 from riecjax.records.record import Records
 from riecjax.records.recording import explaining_errors, findings_of
@@ -174,7 +173,7 @@ def estimated(
         apart = xp.where(other.shown & xp.all(xp.isfinite(apart)), apart, 0.0)
         uncertainty = fit.uncertainty.widened(apart[:, None] * apart[None, :])
         fit = dataclasses.replace(fit, uncertainty=uncertainty)
-    if is_concrete(fit.stages):
+    if xp.is_concrete(fit.stages):
         raise_if_nothing_to_fit(table, totals)
         # Sums that were made under jit have no constant to tell means from motion by.
         if modes is None and all(s.stages[0][0].constant is not None for s in summary.recordings):
@@ -197,7 +196,7 @@ def estimated(
         stage_names=tuple(table.stages[stage.stage][0] for stage in fit.stages),
         equation_names=tuple(model.equation_names[stage.stage] for stage in fit.stages),
         rows_offered=offered * np.array([each[s.stage] for s in fit.stages]),
-        summary=summary if is_concrete(fit.stages, summary) else None,
+        summary=summary if xp.is_concrete(fit.stages, summary) else None,
     )
 
 

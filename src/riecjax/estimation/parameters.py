@@ -16,11 +16,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array
 
+from riecjax.arrays import is_concrete
 from riecjax.equations.hidden_elements import HiddenElement, HiddenMode, SeriesSpring
 from riecjax.equations.model import Model
 from riecjax.equations.quantity import Quantity
 from riecjax.errors import ModelError, refuse_unknown, require
-from riecjax.leaves import Leaf, is_concrete, is_number
+from riecjax.leaves import Leaf, is_number
 from riecjax.summaries.task import require_key
 
 Value = TypeVar("Value")

@@ -18,7 +18,7 @@ from riecjax import arrays as xp
 from riecjax.arrays import Array
 from riecjax.errors import DataError, MissingSignalError, require
 from riecjax.extensions import require_packages
-from riecjax.leaves import PlainMethods, is_concrete
+from riecjax.leaves import PlainMethods
 from riecjax.records.signal import Noise, Signal, SignalNoise, both
 from riecjax.records.time_base import time_base
 from riecjax.shows import Drawn
@@ -95,7 +95,7 @@ class Record(PlainMethods, Drawn, eqx.Module):
                 "the time step must be one number of seconds; got an array. For the time of each "
                 'sample write rx.Record.from_samples({"x": x}, time=t).'
             )
-        if is_concrete(time_step):
+        if xp.is_concrete(time_step):
             try:
                 time_step = np.asarray(time_step, float)
             except (TypeError, ValueError):

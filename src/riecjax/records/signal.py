@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from riecjax import arrays as xp
 from riecjax.errors import DataError, require
-from riecjax.leaves import Leaf, as_leaf, is_concrete
+from riecjax.leaves import Leaf, as_leaf
 
 Samples = Float[np.ndarray, " n"]
 Taps = Float[np.ndarray, " taps"]
@@ -189,7 +189,7 @@ class Noise:
         """
         require("the noise", std, Mapping, "{'x': 0.01}, standard deviation by signal", DataError)
         for name, value in std.items():
-            level = np.asarray(value if is_concrete(value) else 0.0)
+            level = np.asarray(value if xp.is_concrete(value) else 0.0)
             if level.dtype.kind not in "iuf" or not (np.isfinite(level) & (level >= 0)).all():
                 raise DataError(
                     f"the standard deviation of the noise of '{name}' must be a number from 0 on, "
@@ -210,7 +210,7 @@ class Noise:
                 )
         levels = {name: as_leaf(value) for name, value in std.items()}
         kernels = {
-            n: {} if is_concrete(level) and not np.any(level) else {n: level[..., None]}
+            n: {} if xp.is_concrete(level) and not np.any(level) else {n: level[..., None]}
             for n, level in levels.items()
         }
         joint = [name for name in names if any(name in pair for pair in pairs)]

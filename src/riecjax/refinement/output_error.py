@@ -46,7 +46,7 @@ from riecjax.arrays import Array
 from riecjax.criteria.criterion import SHORT_BLOCKS_OF_ROWS
 from riecjax.errors import DataError, ModelError, require
 from riecjax.estimation.parameters import ParameterTable
-from riecjax.leaves import Leaf, is_concrete, is_number
+from riecjax.leaves import Leaf, is_number
 from riecjax.records.noise_judgement import judged
 from riecjax.records.record import Record, shared_length
 from riecjax.refinement.objective import (
@@ -110,7 +110,7 @@ class AbstractShooting(eqx.Module):
         **Raises:** `DataError` if the record has no such window.
         """
         longest, count = self.longest(record), record.sample_count
-        if is_concrete(record):
+        if xp.is_concrete(record):
             stretches = [(part.start, part.stop) for part in record.segments(inputs)]
         elif record.present(inputs) is None:
             stretches = [(0, count)]
@@ -172,7 +172,7 @@ class Tiles(AbstractShooting):
         """One sample more than there are steps."""
         if self.samples is not None:
             return self.samples + 1
-        if not is_concrete(record.time_step):
+        if not xp.is_concrete(record.time_step):
             raise ModelError(
                 "the number of samples of a window must be known before tracing: give "
                 "Tiles(samples=...) or keep the record's time step out of jit and vmap."
@@ -458,7 +458,7 @@ class OutputError(AbstractObjective):
                     f"sigma is given for '{name}', which is not compared; compared are: "
                     f"{', '.join(channels)}."
                 )
-            if not is_number(value) or (is_concrete(value) and not 0 < float(value) < np.inf):
+            if not is_number(value) or (xp.is_concrete(value) and not 0 < float(value) < np.inf):
                 raise ModelError(
                     f"sigma of {name} is {value!r}: a standard deviation is a positive number, in "
                     f"the unit of {name}."
@@ -495,7 +495,7 @@ class OutputError(AbstractObjective):
             estimated=estimated,
             most_steps=MOST_STEPS if self.method is None else 0,
         )
-        if self.method is not None or not is_concrete(residuals):
+        if self.method is not None or not xp.is_concrete(residuals):
             return residuals
         steps = max(
             suitable_steps(

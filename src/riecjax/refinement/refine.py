@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Key
 
+from riecjax.arrays import is_concrete
 from riecjax.errors import require
 from riecjax.estimation.constraints import Bounds, Constraints
 from riecjax.estimation.estimate import Estimate
 from riecjax.estimation.parameters import require_settings
-from riecjax.leaves import is_concrete
 from riecjax.records.noise_judgement import ABOVE_NOISE
 from riecjax.records.record import Record, Records, as_records, deviation
 from riecjax.refinement.objective import AbstractObjective, AbstractResiduals

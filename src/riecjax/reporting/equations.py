@@ -4,11 +4,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from riecjax.arrays import is_concrete
 from riecjax.equations.equation import Equation
 from riecjax.equations.expressions import Expression, constant
 from riecjax.equations.model import Model
 from riecjax.equations.term import AbstractTerm
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 
 Signed = tuple[bool, str]
 """Whether a summand is subtracted, and the summand."""

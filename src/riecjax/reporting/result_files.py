@@ -12,12 +12,12 @@ from typing import Any
 import msgspec
 
 from riecjax import shows
+from riecjax.arrays import is_concrete
 from riecjax.errors import DataError, ModelError, printable
 from riecjax.estimation.estimate import Estimate, RefinementStatus, Search
 from riecjax.estimation.parameters import TABLE_KINDS
 from riecjax.estimation.stages import EquationFit, Solution, StageSolution
 from riecjax.findings import Finding
-from riecjax.leaves import is_concrete
 from riecjax.reporting.answer import Answer, read
 from riecjax.reporting.document import is_intact, unread_schema
 from riecjax.summaries import summary as summaries

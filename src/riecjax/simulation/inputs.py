@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from riecjax.arrays import is_concrete
 from riecjax.errors import ModelError
-from riecjax.leaves import is_concrete
 
 
 def band_limited_noise(

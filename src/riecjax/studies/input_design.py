@@ -26,8 +26,8 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Key
 
 from riecjax import Adaptive, FixedStep, ModelError, Record, Signal, simulate
+from riecjax.arrays import is_concrete
 from riecjax.errors import refuse_unknown
-from riecjax.leaves import is_concrete
 from riecjax.linear_algebra import solve_scaled
 from riecjax.refinement import ByFunction, as_parametric_system
 from riecjax.simulation import AbstractSystem, multisine, suitable_steps

@@ -22,7 +22,7 @@ from riecjax.equations.equation import Equation
 from riecjax.equations.model import Model
 from riecjax.equations.term import from_elsewhere
 from riecjax.errors import ModelError
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.records.record import Record
 from riecjax.records.signal import Noise
 
@@ -466,7 +466,7 @@ class Outline(eqx.Module):
         """Of a model."""
         stages = tuple(tuple((e.name, e.parameters) for e in stage) for stage in model.stages)
         fingerprint = ""
-        if is_concrete(model):
+        if xp.is_concrete(model):
             equations = [[_described(e) for e in stage] for stage in model.stages]
             written = json.dumps(equations, sort_keys=True, default=_without_address)
             fingerprint = hashlib.sha256(written.encode()).hexdigest()

@@ -3,6 +3,7 @@
 from jaxtyping import Array, Key
 from numpy.typing import ArrayLike
 
+from riecjax.arrays import is_concrete
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import with_less_noise
 from riecjax.criteria.windows import LengthBins
@@ -10,7 +11,6 @@ from riecjax.equations.dry_friction import in_motion
 from riecjax.equations.equation import Equation
 from riecjax.equations.model import AtRest, Model, as_model
 from riecjax.errors import ModelError
-from riecjax.leaves import is_concrete
 from riecjax.records.noise_judgement import GivenNoise
 from riecjax.records.record import Record, Records
 from riecjax.records.recording import explaining_errors

@@ -16,7 +16,7 @@ from riecjax.criteria.criterion import PARTS, AbstractCriterion
 from riecjax.criteria.windows import MOST_BLOCKS, LengthBins
 from riecjax.equations.model import Model
 from riecjax.errors import DataError, ModelError, require
-from riecjax.leaves import Leaf, is_concrete
+from riecjax.leaves import Leaf
 from riecjax.linear_algebra import factor_of_gram, joined_factor
 from riecjax.records.signal import Noise
 from riecjax.shows import Shown
@@ -178,7 +178,7 @@ class Summary(Shown, eqx.Module):
 
         **Raises:** `ModelError` for a negative factor.
         """
-        if is_concrete(factor) and not float(factor) >= 0:
+        if xp.is_concrete(factor) and not float(factor) >= 0:
             raise ModelError(f"sums are scaled by a factor of zero or more; got {factor}.")
         return self.of_recordings(one.scaled(factor) for one in self.recordings)
 
@@ -370,7 +370,7 @@ class Summary(Shown, eqx.Module):
         return summary_files.from_bytes(content, KIND)
 
     def _single(self) -> "Summary":
-        if not is_concrete(self) or any(np.ndim(one.blocks) for one in self.recordings):
+        if not xp.is_concrete(self) or any(np.ndim(one.blocks) for one in self.recordings):
             raise ModelError(
                 "sums of jax.jit or jax.vmap are saved outside of it, and one by one of a batch."
             )

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from riecjax.arrays import is_concrete
 from riecjax.criteria.criterion import AbstractCriterion
 from riecjax.criteria.suited import criterion_for, suited, with_velocities
 from riecjax.equations.equation import Equation
 from riecjax.equations.memories import with_memories
 from riecjax.equations.model import AtRest, Model, as_model, with_rests
 from riecjax.errors import DataError, MissingSignalError, ModelError, require
-from riecjax.leaves import is_concrete
 from riecjax.records.faults.derivative_pairs import without_computed
 from riecjax.records.noise_judgement import GivenNoise, given_noise, judged
 from riecjax.records.reading.units import contradict

@@ -1,7 +1,7 @@
 """Every fault of one signal is named alone, in any unit, and its remedy undoes it."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def mended(path, signals: dict[str, np.ndarray], findings: list[Finding]) -> Rec
     table = np.column_stack([TIME, *signals.values()])
     np.savetxt(path, table, delimiter=",", header=",".join(["t", *signals]), comments="")
     options = {option.flag: (name, option) for name, option in Reading.options().items()}
-    asked = {"outliers": "keep", "align": "none"}
+    asked: dict[str, Any] = {"outliers": "keep", "align": "none"}
     for flag, value in {found.remedy for found in findings}:
         name, option = options[flag]
         asked[name] = option.parsed(value)

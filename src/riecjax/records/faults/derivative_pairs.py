@@ -45,9 +45,9 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Complex, Float, Int
 
+from riecjax.arrays import is_concrete
 from riecjax.errors import DataError
 from riecjax.findings import Finding, line_taken_off, option_for
-from riecjax.leaves import is_concrete
 from riecjax.records.faults.rows import cut_rows
 from riecjax.records.faults.sampled_signal import ENOUGH, once
 from riecjax.records.preparation.filtering import with_local_derivative

@@ -24,9 +24,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Float
 
+from riecjax.arrays import is_concrete
 from riecjax.errors import DuplicateRecordingError
 from riecjax.findings import Finding
-from riecjax.leaves import is_concrete
 from riecjax.records.faults.sampled_signal import (
     ENOUGH,
     Found,
